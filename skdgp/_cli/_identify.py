@@ -68,7 +68,7 @@ def identify(run: Run) -> None:
     """
     options = run.options
     known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
-    _learn(run, options.train, _aircraft(run), options.test or None, **known, **opt.reading(options))
+    _learn(run, options.train, _aircraft(run), options.test or None, **known, reading=opt.reading(options))
 
 
 def _aircraft(run: Run) -> Aircraft | str:
@@ -113,6 +113,11 @@ def _learn(run, train, aircraft, test, title=None, **known):
         random_state=options.seed,
         **{name: value for name, value in given.items() if value is not None},
     )
+    steps = {
+        "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
+        "lags": "auto" if options.lags else None,
+        "symmetric": options.symmetric,
+    }
     with listening(console.progress):
         with console.counting_interrupts():
             result = learn(
@@ -120,12 +125,10 @@ def _learn(run, train, aircraft, test, title=None, **known):
                 aircraft,
                 test=test,
                 regressors=options.regressors,
-                reconstruction="passthrough" if options.reconstruction == "none" else "auto",
-                lags="auto" if options.lags else None,
-                samples=options.samples,
                 regressor=regressor,
+                pipeline=steps,
+                samples=options.samples,
                 calibrate=options.calibrate,
-                symmetric=options.symmetric,
                 horizons=options.horizons,
                 **known,
             )

@@ -137,7 +137,7 @@ def validate(run: Run) -> None:
         known["external_forces"] = options.external_forces
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(model, options.flight, horizons=options.horizons, **opt.reading(options), **known)
+        result = judge(model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known)
         if options.plan is not None:
             tables = [one.table for one in result.evaluations if one.table is not None]
             result = replace(result, supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)])

@@ -266,3 +266,15 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
 def _warn(message, category=UserWarning):
     # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of fit.
     warnings.warn(message, category, stacklevel=5)
+
+
+def check_copies(copies: Any, used: np.ndarray) -> int:
+    """Return how many of the rows that are ``used`` (n,) are of the first copy; raise ValueError if copies differ."""
+    whole = isinstance(copies, int | np.integer) and copies > 0 and len(used) % copies == 0
+    parts = np.split(used, copies) if whole else []
+    if not parts or any((part != parts[0]).any() for part in parts):
+        raise ValueError(
+            f"Got copies={copies!r} of {len(used)} rows, but expected copies of equal length, known in the "
+            "same rows: give the rows one copy after the other."
+        )
+    return int(parts[0].sum())

@@ -217,7 +217,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- fitting ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
+    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None, copies: int = 1) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -238,6 +238,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             ``skdgp.identification.FlightPipeline`` does it itself.
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
+        copies : int
+            How often the rows hold the same measurements, one copy after the other: 2 of a log and its mirror image.
+            Standard deviations then count each measurement once.
 
         Returns
         -------
@@ -248,8 +251,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ------
         ValueError
             If X is not finite, an output has fewer than two observed values, there are fewer than two samples, values
-            are too large or too small for double precision, ``n_jobs`` is invalid, or the posterior does not fit into
-            memory.
+            are too large or too small for double precision, ``n_jobs`` or ``copies`` is invalid, or the posterior does
+            not fit into memory.
 
         Warns
         -----
@@ -270,6 +273,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         clock = _checks.check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
+        n_measured = _checks.check_copies(copies, used)
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
@@ -293,14 +297,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         misfit, variance, memory = np.zeros((3, len(self._scale)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
-            misfit = misfit_variance(posterior, X, Z, clock)
+            misfit = misfit_variance(posterior, X[:n_measured], Z[:n_measured], clock[:n_measured])
+        if copies > 1:
+            posterior = posterior.scaled_noise(float(copies))
+            posterior.measured = X[:n_measured], Z[:n_measured]
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        self._divide_noise(learned.noise * self._scale**2, misfit * self._scale**2)
+        misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)  # it is a part of what the search took for noise
+        self.misfit_variance_, self.noise_variance_ = misfit * self._scale**2, (learned.noise - misfit) * self._scale**2
         self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
-        self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
+        self.log_marginal_likelihood_value_ = found.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
         self.converged_, self.interrupted_ = learned.converged, learned.interrupted
         task.end()
@@ -722,11 +730,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """Fitted hyperparameters, in the form of the argument of ``log_marginal_likelihood``."""
         check_is_fitted(self, "kernel_")
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
-
-    def _divide_noise(self, total, misfit):
-        """Divide variances of what the search took for noise, (P,), into misfit and noise."""
-        self.misfit_variance_ = np.minimum(misfit, LARGEST_MISFIT * total)
-        self.noise_variance_ = total - self.misfit_variance_
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, r), for noisy regressors; r is zero for exact regressors."""

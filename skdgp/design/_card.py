@@ -49,6 +49,8 @@ SOME = 0.95
 NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
 CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
 FLOWN = ("Flown at", "Remarks", "Signed")
+MOST_NAMED = 4
+"""Derivatives that a manoeuvre teaches which are named."""
 MOST_KINDS = 4
 """Of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight."""
 WIND_TO_GUST = 10.0
@@ -386,7 +388,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     return figure(panels, caption, key)
 
 
-def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
+def _most_taught(plan: Plan, rows: Sequence[int]) -> str:
     """Return what these manoeuvres do to the errors in their turn, and to which of the goal if they alone are flown."""
     goal = list(plan.goal)
     before = errors_of(plan.before, plan.weights)[goal]
@@ -395,7 +397,7 @@ def _most_taught(plan: Plan, rows: Sequence[int], most: int = 4) -> str:
     shown = [
         f"{percent(left[name], '.0f')}{THIN}% of the error of {derivative(name)}"
         if left[name] > 0 else f"{derivative(name)} known to ±{number(after[name], '.2g')}"
-        for name in map(str, left.index[:most]) if left[name] < SOME
+        for name in map(str, left.index[:MOST_NAMED]) if left[name] < SOME
     ]  # fmt: skip
     turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
     words = (

@@ -29,6 +29,7 @@ DOCTYPE = (
     '  "http://www.daveml.org/DTDs/2p0/DAVEfunc.dtd">\n'
 )
 NAMESPACE, MATHML = "http://daveml.org/2010/DAVEML", "http://www.w3.org/1998/Math/MathML"
+N_CHECKS = 16
 STANDARD_NAMES = {
     "alpha": "angleOfAttack", "beta": "angleOfSideslip", "elevator": "elevatorDeflection",
     "aileron": "aileronDeflection", "rudder": "rudderDeflection", "airspeed": "trueAirspeed",
@@ -62,7 +63,6 @@ def write_dave_ml(
     aircraft: Aircraft | None = None,
     *,
     form: str = "functions",
-    n_checks: int = 16,
     **options: Any,
 ) -> pd.DataFrame:
     r"""Write a model as a DAVE-ML 2.0 file with its uncertainty and check cases, and return its loss.
@@ -88,8 +88,6 @@ def write_dave_ml(
     aircraft : Aircraft, optional
         Of a pipeline.
     form : {"functions", "tables"}, default="functions"
-    n_checks : int, default=16
-        Number of check cases.
     **options
         Of :func:`build_up`, for tables.
 
@@ -104,8 +102,6 @@ def write_dave_ml(
     ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
     """
     check_choice("form", form, ("functions", "tables"))
-    if n_checks < 1:
-        raise ValueError(f"Got n_checks={n_checks!r}, but expected at least one check case.")
     root = Element("DAVEfunc", xmlns=NAMESPACE)
     build = model if isinstance(model, BuildUp) else None
     if build is None and aircraft is None:
@@ -128,7 +124,7 @@ def write_dave_ml(
         _add_head(root, facts, names)
         _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
-    _add_checks(root, facts, values, n_checks, internal=build is None)
+    _add_checks(root, facts, values, internal=build is None)
     check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
     _indent(root)
     write_xml(path, root, DOCTYPE)
@@ -386,9 +382,9 @@ def _normal(parent: Element) -> Element:
     return SubElement(SubElement(parent, "uncertainty", effect="additive"), "normalPDF", numSigmas="1")
 
 
-def _add_checks(root: Element, facts: _Facts, values: Matrix, n_checks: int, internal: bool) -> None:
+def _add_checks(root: Element, facts: _Facts, values: Matrix, internal: bool) -> None:
     """Write predictions of the model, with the largest difference of the file's values at them as tolerance."""
-    rows = np.linspace(0, len(facts.samples) - 1, n_checks).astype(int)
+    rows = np.linspace(0, len(facts.samples) - 1, N_CHECKS).astype(int)
     tolerance = CHECK_TOLERANCE + np.abs(values - facts.predicted)[rows].max(axis=0)
     checks = SubElement(root, "checkData")
     for k, row in enumerate(rows):

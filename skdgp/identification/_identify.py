@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,7 +14,6 @@ from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Matrix, Seed
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
@@ -34,9 +33,7 @@ from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     check_aircraft,
-    clock_of,
     flight_noise,
-    flown_turbulence,
     make_identification_pipeline,
 )
 from skdgp.io import FULL_THROW
@@ -51,19 +48,14 @@ def identify(
     *,
     test: Any = None,
     regressors: str | Sequence[str] = "quasi-steady",
-    reconstruction: Any = "auto",
-    lags: str | dict | None = None,
+    regressor: DependentGPRegressor | None = None,
+    pipeline: Mapping[str, Any] | None = None,
+    samples: int | str | None = None,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
-    samples: int | str | None = None,
-    regressor: DependentGPRegressor | None = None,
     calibrate: bool = False,
-    symmetric: bool = False,
     horizons: Sequence[float] = (2.0, 10.0),
-    random_state: Seed = 0,
-    n_jobs: int | None = None,
-    servos: Any = None,
-    airborne: bool | float = True,
+    reading: Mapping[str, Any] | None = None,
 ) -> Identification:
     """Learn a model of the six coefficients from flights, and judge it on others.
 
@@ -81,27 +73,26 @@ def identify(
         A path ends in .json or .toml.
     test : as flights, optional
         Test flights. By default the last training flight is held out, or the last quarter of a single one.
-    regressors, reconstruction, lags
+    regressors : str or sequence of str
         As of :func:`make_identification_pipeline`.
+    regressor : DependentGPRegressor, optional
+        By default ``DependentGPRegressor(random_state=0)``.
+    pipeline : mapping of str to object, optional
+        Other options of :func:`make_identification_pipeline`: ``{"lags": "auto", "symmetric": True}``, for example.
+    samples : int, "all" or None
+        Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     thrust, external_forces
         As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
         propeller among the regressors, best with the airspeed, unless the aircraft glides. With "auto" it is so by
         itself where the flights have a throttle and nothing gives the thrust.
-    samples : int, "all" or None
-        Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
-    regressor : DependentGPRegressor, optional
-        By default ``DependentGPRegressor(random_state=random_state, n_jobs=n_jobs)``.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
-        show that are held out in turn. It takes one more fit for each of up to 5 groups of flights.
-    symmetric
-        As of :func:`make_identification_pipeline`, not with ``calibrate``.
+        show that are held out in turn. It takes one more fit for each of up to 5 groups of flights. Not with a
+        symmetric pipeline.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
-    random_state, n_jobs
-        Of the default regressor; not used with a given one.
-    servos, airborne
-        As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots; by default ``servos="full throw"``.
+    reading : mapping of str to object, optional
+        Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos": "full throw"}``.
 
     Returns
     -------
@@ -139,23 +130,24 @@ def identify(
     (400, 6)
     """
     if regressor is None:
-        regressor = DependentGPRegressor(random_state=random_state, n_jobs=n_jobs)
+        regressor = DependentGPRegressor(random_state=0)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
             "regressors with make_identification_pipeline."
         )
+    steps, reading = dict(pipeline or {}), dict(reading or {})
     with recorded_warnings() as messages:
         notify("reading")
         aircraft = _aircraft(aircraft)
-        servos = servos_for(servos, flights, test)
+        servos = servos_for(reading.get("servos"), flights, test)
         aircraft = with_throw_errors(aircraft, servos)
-        reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
+        reading |= {"servos": servos, "needed": _flights.MEASURED}
         train = _flights.named_flights(flights, **reading)
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
         if calibrate:
-            _check_calibration(train, symmetric)
+            _check_calibration(train, steps.get("symmetric", False))
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
@@ -181,21 +173,16 @@ def identify(
         targets = thin_targets(Y, _n_samples(samples, regressor, len(Y)))
 
         notify("transforming")
-        pipeline = make_identification_pipeline(
-            aircraft,
-            regressors=regressors,
-            reconstruction=reconstruction,
-            lags=lags,
-            mixer=_mixer(table),
-            regressor=CalibratedRegressor(clone(regressor)) if calibrate else regressor,
-            symmetric=symmetric,
-        )
+        last = CalibratedRegressor(clone(regressor)) if calibrate else regressor
+        steps = {"mixer": _mixer(table)} | steps
+        model = make_identification_pipeline(aircraft, regressors=regressors, regressor=last, **steps)
         if thrust_unknown and isinstance(regressors, str):  # a named set, which has the throttle already
-            pipeline.set_params(regressorselector__extra=["airspeed"])
-        pipeline.control_units_ = control_units(servos)
+            model.set_params(regressorselector__extra=["airspeed"])
+        model.control_units_ = control_units(servos)
         began = time.monotonic()
-        X = _fit(pipeline, table, targets)
-        pipeline.noise_ = flight_noise(pipeline, table, aircraft, regressors=X, **loads)
+        groups = {"calibratedregressor__groups": table["flight"]} if calibrate else {}
+        X = model.fit_regressors(table, targets, **groups)
+        model.noise_ = flight_noise(model, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
 
         fit = {
@@ -203,18 +190,19 @@ def identify(
             "samples_available": int(Y.notna().any(axis=1).sum()),
             "values": int(targets.notna().sum().sum()),
             "thrust": thrust_sources(loads["thrust"], train.values()),
-            **fit_facts(pipeline),
-            **fit_least_squares(pipeline, X, targets),
+            **fit_facts(model),
+            **fit_least_squares(model, X, targets),
             "seconds": round(seconds, 3),
             "flights": {name: len(part) for name, part in train.items()},
         }
-        settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
+        reconstruction = steps.get("reconstruction", "auto")
+        settings = {"samples": fit["samples"], **loads, **settings_of(model, reconstruction, horizons)}
         settings |= {"servos": servos} if servos == FULL_THROW else {}
-        evaluations = evaluate_flights(test, pipeline, aircraft, settings, fit)
+        evaluations = evaluate_flights(test, model, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
-        pipeline=pipeline,
+        pipeline=model,
         settings=settings,
         fit=fit,
         train=train,
@@ -231,8 +219,7 @@ def validate(
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
     horizons: Sequence[float] = (2.0, 10.0),
-    servos: Any = None,
-    airborne: bool | float = True,
+    reading: Mapping[str, Any] | None = None,
     **loads: Any,
 ) -> Identification:
     """Judge a model that exists on flights.
@@ -249,8 +236,8 @@ def validate(
         In place of the model's, such as with another mass.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
-    servos, airborne
-        As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots.
+    reading : mapping of str to object, optional
+        Options of :func:`skdgp.io.read_flight` for paths of logs of autopilots; by default with the model's servos.
     **loads
         ``thrust`` and ``external_forces``, where they differ from those of the model's fit.
 
@@ -261,10 +248,11 @@ def validate(
     """
     settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
     settings["horizons"] = list(horizons)
-    servos = settings.get("servos") if servos is None else servos
+    reading = dict(reading or {})
+    servos = reading.get("servos") or settings.get("servos")
     with recorded_warnings() as messages:
         notify("reading")
-        named = _flights.named_flights(flights, servos=servos, airborne=airborne)
+        named = _flights.named_flights(flights, **reading | {"servos": servos})
         flights = usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
@@ -320,17 +308,6 @@ def _check_calibration(train, symmetric) -> None:
             "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
             "which a symmetric model would learn from twice."
         )
-
-
-def _fit(pipeline, table, targets) -> Matrix:
-    """Fit a pipeline as its ``fit`` does, and return the regressors (n, d), which are not computed twice."""
-    if pipeline.symmetric:
-        return pipeline.fit(table, targets)[:-1].transform(table)
-    groups = {"groups": table["flight"]} if isinstance(pipeline[-1], CalibratedRegressor) else {}
-    X = pipeline[:-1].fit_transform(table, targets)
-    pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
-    pipeline.turbulence_ = flown_turbulence(pipeline, table)
-    return X
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

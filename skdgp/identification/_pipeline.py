@@ -22,7 +22,6 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
 from skdgp.identification._mirror import mirrored, named_targets
-from skdgp.inference import misfit_variance
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -258,17 +257,37 @@ class FlightPipeline(Pipeline):
         A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each row, unless metadata
         routing is enabled: request them there. ``params`` are as of scikit-learn's ``Pipeline``.
         """
-        if not get_config()["enable_metadata_routing"]:
-            name = self.steps[-1][0]
-            params = {f"{name}__{key}": value for key, value in clock_of(self[-1], X).items()} | params
         if self.symmetric:
-            self._fit_symmetric(X, y, params)
-        else:
-            super().fit(X, y, **params)
+            self.fit_regressors(X, y, **params)
+            return self
+        super().fit(X, y, **self._clock(X) | params)
         self.turbulence_ = flown_turbulence(self, X)
         return self
 
-    def _fit_symmetric(self, X, y, params):
+    def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
+        """Fit, and return the regressors of the flights, (n, d), which `transform` of the steps would compute again.
+
+        ``params`` are those of the last step.
+        """
+        name, last = self.steps[-1]
+        words = {key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()}
+        if self.symmetric:
+            own = self._fit_symmetric(X, y, words)
+        else:
+            steps = self[:-1]
+            own = np.asarray(steps.fit_transform(X, y))
+            self.steps = [*steps.steps, (name, last)]  # a memory fits clones
+            last.fit(own, y, **words)
+        self.turbulence_ = flown_turbulence(self, X)
+        return own
+
+    def _clock(self, X):
+        """Return ``time`` and ``flight`` as parameters of the last step, if it uses them."""
+        if get_config()["enable_metadata_routing"]:
+            return {}
+        return {f"{self.steps[-1][0]}__{key}": value for key, value in clock_of(self[-1], X).items()}
+
+    def _fit_symmetric(self, X, y, words):
         """Fit the steps up to the regressors, and the last one to the samples and their mirror images."""
         chosen = [k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)]
         if not chosen or "time" not in X:
@@ -282,18 +301,12 @@ class FlightPipeline(Pipeline):
         self.steps = [*first.steps, *rest.steps, (name, last)]  # a memory fits clones
         mirror, image = mirrored(table.reset_index(drop=True), targets)
         Z = np.concatenate([own, np.asarray(rest.transform(mirror) if rest.steps else mirror)])
-        Y = pd.concat([targets, image], ignore_index=True)
-        time, numbers = X["time"].to_numpy(float), pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
-        clock = {"time": np.tile(time, 2), "flight": np.concatenate([numbers, numbers + numbers.max() + 1])}
-        words = {key.removeprefix(f"{name}__"): np.tile(value, 2) for key, value in params.items()}
-        last.fit(Z, Y, **words | {key: value for key, value in clock.items() if key in words})
-        if isinstance(last, DependentGPRegressor):  # each sample counts once
-            if "time" in words:  # the noise of a mirrored sample is that of the sample
-                misfit = misfit_variance(last, own, targets.to_numpy(float), np.column_stack([time, numbers]))
-                last._divide_noise(last.noise_variance_ + last.misfit_variance_, misfit)
-            rows = np.flatnonzero(targets.notna().any(axis=1))
-            last.posterior_ = last.posterior_.scaled_noise(2.0)
-            last.posterior_.measured = own[rows], (targets.to_numpy(float)[rows] - last._center) / last._scale
+        numbers = pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
+        flights = {"flight": np.concatenate([numbers, numbers + numbers.max() + 1])} if "flight" in words else {}
+        copies = {"copies": 2} if isinstance(last, DependentGPRegressor) else {}
+        words = {key: np.tile(value, 2) for key, value in words.items()}
+        last.fit(Z, pd.concat([targets, image], ignore_index=True), **words | flights | copies)
+        return own
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.

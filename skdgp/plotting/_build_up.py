@@ -27,6 +27,8 @@ from skdgp._display.style import (
 from skdgp._effects import Curve
 from skdgp.plotting._display import Display, Names, choose
 
+N_PAIRS = 2
+"""Tables of two regressors of each coefficient: those with the largest effect, root mean square over the samples."""
 N_LEVELS = 3  # contours of the standard deviation
 
 
@@ -143,10 +145,10 @@ class BuildUpDisplay(Display):
         return mesh
 
     @classmethod
-    def from_build_up(cls, build: Any, *, n_grid: int = 40, n_pairs: int = 2, **plot_options: Any) -> Self:
+    def from_build_up(cls, build: Any, *, n_grid: int = 40, **plot_options: Any) -> Self:
         """Read the effects of a build-up, and draw them.
 
-        Raises ValueError if ``n_grid`` is less than 2 or ``n_pairs`` negative.
+        Raises ValueError if ``n_grid`` is less than 2.
 
         Parameters
         ----------
@@ -154,15 +156,12 @@ class BuildUpDisplay(Display):
             Of :func:`skdgp.export.build_up`, with standard deviations.
         n_grid : int, default=40
             Points of each curve, and of each axis of a map.
-        n_pairs : int, default=2
-            Tables of two regressors of each coefficient: those with the largest effect, root mean square over the
-            samples.
         **plot_options
             See :meth:`plot`.
         """
         check_matplotlib(cls.__name__)
-        if n_grid < 2 or n_pairs < 0:
-            raise ValueError(f"Got n_grid={n_grid!r}, n_pairs={n_pairs!r}, but expected n_grid >= 2 and n_pairs >= 0.")
+        if n_grid < 2:
+            raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2.")
         samples = pd.DataFrame(build.samples, columns=list(build.regressors))
         at = dict(zip(build.regressors, np.linspace(build.limits[0], build.limits[1], n_grid).T, strict=True))
         curves: dict[tuple[str, str], Curve] = {}
@@ -173,7 +172,7 @@ class BuildUpDisplay(Display):
                 curves[name, regressor] = Curve(at[regressor], *effect((regressor,), at[regressor][:, None]))
             sizes = {t.regressors: t(samples[list(t.regressors)]).std() for t in tables if len(t.regressors) == 2}
             maps[name] = []
-            for pair in sorted(sizes, key=lambda pair: -sizes[pair])[:n_pairs]:
+            for pair in sorted(sizes, key=lambda pair: -sizes[pair])[:N_PAIRS]:
                 first, second = (at[regressor] for regressor in pair)
                 grid = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
                 mean, std = (values.reshape(n_grid, n_grid) for values in effect(pair, grid))

@@ -100,7 +100,7 @@ def derivatives(things, aircraft, kind, train, test, at, airspeed, options):
     servos = FULL_THROW if units else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = identify(train, told, test=test, samples=options.samples, servos=servos, random_state=0, **small)
+        found = identify(train, told, test=test, samples=options.samples, reading={"servos": servos}, **small)
         controls = {name: at[name] / units.get(name, 1.0) for name in (*SURFACES, "throttle")}
         state = state_at(at, airspeed, aircraft)
         table = stability_derivatives(found.pipeline, told, state, controls, thrust=None, n_paths=options.paths)

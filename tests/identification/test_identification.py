@@ -298,7 +298,7 @@ class TestIdentify:
     def test_models_of_symmetric_aircraft(self, example):
         aircraft, train, test = example
         trend = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
-        options = {"test": test, "symmetric": True, "horizons": [1.0]}
+        options = {"test": test, "pipeline": {"symmetric": True}, "horizons": [1.0]}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             found = identify(train, aircraft, samples="all", regressor=trend, **options)

@@ -46,6 +46,8 @@ N_DRIFTS, KEPT = 150, 0.9
 MOST_STEPS = 6
 STEP = 0.3
 """Of finite differences, in prior standard deviations."""
+N_TIMES = 5
+"""Times of a segment at which states are compared, evenly spaced, the last at the end of the shortest."""
 SMALLEST_GAIN = 0.01
 """Relative decrease of the loss below which iterations end."""
 
@@ -72,7 +74,6 @@ def fit_output_error(
     noise: Mapping[str, float],
     *,
     dt: float = 0.02,
-    n_times: int = 5,
     wind: Any = None,
     random_state: Seed = 0,
     **options: Any,
@@ -86,7 +87,7 @@ def fit_output_error(
 
     .. math:: \sum_s r_s^T C_s^{-1} r_s + \theta^T (k P)^{-1} \theta
 
-    by Gauss-Newton steps: r are the recorded less the simulated states of a segment at ``n_times`` times, C the
+    by Gauss-Newton steps: r are the recorded less the simulated states of a segment at five times, C the
     covariance of both by ``noise`` and the drift, and P the prior covariance of the affine part of the model's errors.
     Slopes of the states by :math:`\theta` are differences of simulations, one path each. The factor k is the one that
     predicts best when each flight is left out in turn (each segment of a single flight), to first order. **The model is
@@ -109,8 +110,6 @@ def fit_output_error(
         v_down, phi, theta, psi, p, q, r, perhaps north, east, down.
     dt : float, default=0.02
         Time step [s].
-    n_times : int, default=5
-        Times of each segment at which states are compared, evenly spaced, the last at the end of the shortest.
     wind : as of :func:`skdgp.dynamics.simulate`, optional
         A list of tables has one for each segment.
     random_state : int or RandomState, default=0
@@ -161,7 +160,7 @@ def fit_output_error(
         raise ValueError(f"Got a model without a posterior ({aerodynamics!r}), but expected one to be the prior.")
     if len(flights) < 2:
         raise ValueError(f"Got {len(flights)} segment, but expected at least two: cut the flight into seconds.")
-    problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, n_times, random_state, wind, options)
+    problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, random_state, wind, options)
     z = np.zeros(problem.root.shape[1])
     residuals, slopes = problem.linear(z)
     left_out, before = _left_out(problem, residuals, slopes), float(np.mean(residuals**2))
@@ -254,13 +253,12 @@ class _Correction:
 class _Problem:
     """Recorded segments, the states that a correction gives, their slopes and their covariance."""
 
-    def __init__(self, aerodynamics, aircraft, flights, noise, dt, n_times, random_state, wind, options):
+    def __init__(self, aerodynamics, aircraft, flights, noise, dt, random_state, wind, options):
         self.noise = {name: std for name, std in checked_std(noise).items() if std > 0}
         self.names, self.aerodynamics = list(self.noise), aerodynamics
-        if not self.names or n_times < 1:
+        if not self.names:
             raise ValueError(
-                f"Got noise={dict(noise)!r} and n_times={n_times!r}, but expected standard deviations > 0 of states to "
-                "fit, by name, and at least one time."
+                f"Got noise={dict(noise)!r}, but expected standard deviations > 0 of states to fit, by name."
             )
         for flight in flights:
             check_columns(flight, ["time", *self.names], what="segment")
@@ -268,7 +266,7 @@ class _Problem:
                 raise ValueError(f"Got a segment with missing values in {self.names}, but expected numbers: fill them.")
         self.motion = Motion(aerodynamics, aircraft, **options)
         self.clock = Clock.of(dt, min(float(np.ptp(flight["time"])) for flight in flights), [])
-        self.steps = np.linspace(0, self.clock.n_steps, n_times + 1).round().astype(int)[1:]
+        self.steps = np.linspace(0, self.clock.n_steps, N_TIMES + 1).round().astype(int)[1:]
         self.air = wind_schedule(wind, self.clock, len(flights))
         self.commands = control_schedule(flights, self.clock, is_control(self.motion), len(flights))
         starts = as_starts(pd.concat([flight.iloc[:1] for flight in flights], ignore_index=True))

@@ -9,9 +9,8 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
-from typing import Any
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS
@@ -74,11 +73,15 @@ def number_text(value: float) -> str:
     return repr(float(value))
 
 
-def add_text(parent: Element, tag: str, value: Any, **attributes: str) -> Element:
-    """Append an element that holds a text or a number, and return it."""
-    element = SubElement(parent, tag, attributes)
-    element.text = value if isinstance(value, str) else number_text(value)
-    return element
+def element(tag: str, *content: Element | str | float, **attributes: str) -> Element:
+    """Return an element of XML that holds other elements, a text or a number."""
+    found = Element(tag, attributes)
+    for each in content:
+        if isinstance(each, Element):
+            found.append(each)
+        else:
+            found.text = each if isinstance(each, str) else number_text(each)
+    return found
 
 
 def write_xml(path: str | os.PathLike[str], root: Element, doctype: str = "") -> None:

@@ -62,8 +62,8 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     down, aileron > 0 rolls right, rudder > 0 yaws left.
 
     The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin. Add joints named
-    after the surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the samples.
-    Raises ValueError if the build-up lacks alpha.
+    after the surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the
+    samples. Raises ValueError if the build-up lacks alpha.
     """
     X, C = _flown(build)
     plugin, fitted = _advanced_lift_drag(build, X, C)

@@ -1,7 +1,8 @@
-"""Texts of the formats: names that every program reads, and XML with numbers in full precision."""
+"""What formats share: names that every program reads, XML with numbers in full precision, packages of the extra."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -88,3 +90,11 @@ def write_xml(path: str | os.PathLike[str], root: Element, doctype: str = "") ->
     """Write a document, its elements as they are indented."""
     head = '<?xml version="1.0"?>\n' + doctype
     write_atomically(path, text_writer(f"{head}{ElementTree.tostring(root, encoding='unicode')}\n"))
+
+
+def extra(package: str) -> Any:
+    """Return a package of the extra ``export``; raise ImportError if it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise ImportError(f'This needs {package}, which is not installed: pip install "skdgp[export]".') from error

@@ -34,7 +34,7 @@ class FlightControls:
         self.altitude = np.column_stack([scheduled(plan.altitudes, time) for plan in plans])
         self.airspeed = np.column_stack([scheduled(plan.airspeeds, time) for plan in plans])
         added = [[plan.manoeuvres(axis, time) for axis in COMMANDS] for plan in plans]
-        self.manoeuvres = np.moveaxis(added, -1, 0)  # (n_times, n_flights, 4)
+        self.manoeuvres = np.moveaxis(np.array(added), -1, 0)  # (n_times, n_flights, 4)
         self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
         self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
 

@@ -125,8 +125,11 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     def drag_of(weights: Vector) -> Array:
         return weights[0] + polar**2 / (np.pi * aspect * weights[1]) + weights[2] * longitudinal[:, 1]
 
+    def errors(weights: Vector) -> Array:
+        return drag_of(weights) - drag
+
     bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
-    cd = least_squares(lambda weights: drag_of(weights) - drag, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
+    cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
     fitted[:, 0], fitted[:, 2] = _turned(alpha, lift_fit, drag_of(cd))
     values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
     values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}
@@ -173,7 +176,7 @@ def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix) -> tuple[Element, 
         if name != "CD":
             parts += [element(f"{key}a", weights[name][1]), element(f"{key}b", weights[name][2])]
         parts += [element(f"{key}{rate}", value) for rate, value in zip("pqr", weights[name][3:6], strict=True)]
-    settings = {"AR": aspect, "mac": aircraft.chord, "eff": efficiency, "area": aircraft.wing_area}
+    settings: dict[str, Any] = {"AR": aspect, "mac": aircraft.chord, "eff": efficiency, "area": aircraft.wing_area}
     settings |= {"alpha_stall": max(STALL, 1.5 * float(alpha.max())), "Cema_stall": weights["Cm"][1]}
     settings |= {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": LINK}
     settings |= {"num_ctrl_surfaces": str(len(surfaces))}

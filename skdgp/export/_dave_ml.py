@@ -309,8 +309,8 @@ def _build_up(build: BuildUp) -> Iterator[Element]:
             _apply("times", f"{name}_{regressor}", _apply("minus", regressor, float(reference)))
             for regressor, reference in zip(build.regressors, build.reference, strict=True)
         ]
-        parts = [f"{name}_0", *lines, *(f"{name}_t{k}" for k in range(len(build.tables[name])))]
-        yield _variable(name, _formula(_apply("plus", *parts)), element("isOutput"))
+        added = [f"{name}_t{k}" for k in range(len(build.tables[name]))]
+        yield _variable(name, _formula(_apply("plus", f"{name}_0", *lines, *added)), element("isOutput"))
     for name, table in tables:
         for axis, (regressor, points) in enumerate(zip(table.regressors, table.breakpoints, strict=True)):
             parts = [element("description", regressor), element("bpVals", _numbers(points))]

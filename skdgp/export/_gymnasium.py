@@ -107,10 +107,11 @@ def gymnasium_env(
     (1.0, False, False)
     """
     gymnasium = extra("gymnasium")
+    Env: Any = gymnasium.Env
     task = _Task(model, aircraft, start, posterior, duration, dt, wind_at_6m, initial_std, limits, reward, thrust)
 
-    class AircraftEnv(gymnasium.Env):
-        metadata = {"render_modes": []}
+    class AircraftEnv(Env):
+        metadata: dict[str, Any] = {"render_modes": []}
         observation_space = gymnasium.spaces.Box(*task.box(OBSERVED), dtype=np.float64)
         action_space = gymnasium.spaces.Box(*task.box(task.controls), dtype=np.float64)
 

@@ -21,7 +21,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.dynamics._vehicle.loads import CENTRED
 from skdgp.export._build_up import BuildUp, build_up
 from skdgp.export._gaussians import GaussianSum, gaussian_sums
-from skdgp.export._text import changes_text, element, file_name, identifiers, number_text, write_xml
+from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -369,13 +369,13 @@ def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[f
     return [constant, *(_of("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0)]
 
 
-def _of(operator: str, *operands: Element | str | float) -> Element:
+def _of(operator: str, *operands: Content) -> Element:
     """Return an operation of numbers, properties and others; JSBSim complains of sums and products of one."""
     parts = [o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o) for o in operands]
     return parts[0] if len(parts) == 1 and operator in ("sum", "product") else element(operator, *parts)
 
 
-def _function(name: str, *content: Element) -> Element:
+def _function(name: str, *content: Content) -> Element:
     return element("function", *content, name=name)
 
 

@@ -10,7 +10,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -75,8 +75,12 @@ def number_text(value: float) -> str:
     return repr(float(value))
 
 
-def element(tag: str, *content: Element | str | float, **attributes: str) -> Element:
-    """Return an element of XML that holds other elements, a text or a number."""
+Content: TypeAlias = "Element[Any] | str | float"
+"""Of an element: other elements and comments, or a text or a number."""
+
+
+def element(tag: str, *content: Content, **attributes: str) -> Element:
+    """Return an element of XML."""
     found = Element(tag, attributes)
     for each in content:
         if isinstance(each, Element):

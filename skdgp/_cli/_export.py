@@ -13,7 +13,7 @@ from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model
 from skdgp.export import FORMATS, export_model, load_portable
 from skdgp.export._c import TOLERANCE
-from skdgp.export._fmu import FMI_VERSIONS, FMU_FILES
+from skdgp.export._fmu import FMU_FILES, ROOTS
 
 
 def export(run: Run) -> None:
@@ -97,7 +97,7 @@ EXPORT = Command(
                 "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or coefficients",
                 choices=["functions", "tables", *FMU_FILES],
             ),
-            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=list(FMI_VERSIONS)),
+            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=list(ROOTS)),
             opt.option(
                 "--draws K",
                 "aircraft drawn from the posterior besides the mean, of jsbsim (default: none)",

@@ -1,7 +1,8 @@
-"""The example flights of a simulated delta-wing UAV, with known truth."""
+"""The example flights of a simulated delta-wing UAV, with known truth: one batch of the loop of `simulate`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from numbers import Real
 from typing import Any
@@ -17,6 +18,8 @@ from skdgp._flight.channels import (
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
+    HAT,
+    RATE_LENGTHS,
     RATES,
     SPECIFIC_FORCE,
     THRUST_FORCES,
@@ -25,14 +28,29 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.datasets._flight_plans import FLIGHT_PLANS
-from skdgp.datasets._simulation import fly_plans
-from skdgp.dynamics import propeller_loads
+from skdgp.datasets._flight_controls import ALPHA, FlightControls
+from skdgp.datasets._flight_plans import FLIGHT_PLANS, FlightPlan
+from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
+from skdgp.dynamics._equations.motion import Air, Instant, Motion
+from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._equations.rigid_body import RATES as SPIN
+from skdgp.dynamics._simulation.gusts import GustyAir, dryden_gusts, low_altitude_turbulence
+from skdgp.dynamics._simulation.inputs import Clock
+from skdgp.dynamics._simulation.simulate import Record, fly_record
 from skdgp.dynamics._simulation.trajectory import channels
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
+STEP = 0.025
+"""Between autopilot commands, integration steps and log rows [s]."""
+SETTLING = 8.0
+"""Flown before the log begins, so that it does not open with the transients of a guessed trim [s]."""
+FIELD_ELEVATION = 60.0
+"""Height of the ground, above which turbulence scales [m]."""
+AIRSPEED = 36.0
+"""At which the gusts are crossed [m/s]."""
+PASSES = 8
+"""Of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer."""
 DEGREE = np.pi / 180.0
 
 SENSOR_NOISE = {
@@ -91,7 +109,7 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
 
     Parameters
     ----------
-    random_state : int, RandomState instance or None, default=0
+    random_state : int, RandomState or None, default=0
         Seed of gusts and sensor noise. The same integer gives the same flights.
     turbulence : float, default=1.0
         Multiplies the gusts; 0 is calm air in the same steady wind.
@@ -100,20 +118,12 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
 
     Returns
     -------
-    data : :class:`~sklearn.utils.Bunch`
-        train : pandas.DataFrame of shape (14400, 69)
-            Two flights of 180 s at 40 Hz, one after the other; the column ``flight`` tells them apart and
-            serves as ``groups`` of a cross-validation.
-        test : pandas.DataFrame of shape (7200, 69)
-            One flight along another path, at two altitudes, in stronger turbulence.
-        aircraft : Aircraft
-            Mass, inertia, reference lengths, thrust line and propeller.
-        aerodynamics : callable
-            The true model: regressors (..., 10) to CX CY CZ Cl Cm Cn (..., 6).
-        regressor_names : list of str
-            What the columns of the true model's regressors are (rates relative to the air, non-dimensional).
-        DESCR : str
-            Description of the data.
+    Bunch
+        ``train``: two flights of 180 s at 40 Hz, a DataFrame (14400, 69) whose column ``flight`` tells them apart and
+        serves as ``groups`` of a cross-validation; ``test``: one flight along another path, at two altitudes, in
+        stronger turbulence, (7200, 69); ``aircraft``; ``aerodynamics``: the true model, a function of regressors
+        (..., 10) to CX CY CZ Cl Cm Cn (..., 6); ``regressor_names`` of it (rates are relative to the air and
+        non-dimensional); ``DESCR``, a text.
 
     Examples
     --------
@@ -183,8 +193,58 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
 
     Noise is white and independent from channel to channel, with ``scale`` times the stated standard deviations.
     """
-    names = list(SENSOR_NOISE)
-    noise = scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal((len(truth), len(names)))
-    return pd.DataFrame(
-        truth[[name + TRUTH_SUFFIX for name in names]].to_numpy() + noise, index=truth.index, columns=names
-    )
+    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis([*SENSOR_NOISE], axis=1)
+    return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(measured.shape)
+
+
+# -- simulation --------------------------------------------------------------------------------------------------
+
+
+def brumby_motion() -> Motion:
+    """Return how the Brumby moves; alpha_dot and beta_dot lag by one call, as in the steps of the example flights."""
+    names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
+    return Motion(Aerodynamics(brumby_coefficients, names), BRUMBY, lagged=True)
+
+
+def fly_plans(
+    plans: tuple[FlightPlan, ...],
+    duration: float,
+    turbulence: float,
+    rng: np.random.Generator,
+    controls_of: Callable = FlightControls,
+) -> tuple[Record, Instant]:
+    """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
+
+    ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it. ``controls_of`` makes the
+    controls from the plans, the times and the step.
+    """
+    time: np.ndarray = np.arange(round((SETTLING + duration) / STEP)) * STEP - SETTLING
+    heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
+    scales = [low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)]
+    lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))
+    gusts = dryden_gusts(2 * len(time) + 1, 0.5 * STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng)
+    wind = np.array([plan.wind for plan in plans])
+    air = GustyAir(lambda stage, state: Air(wind), gusts)
+    motion, controls = brumby_motion(), controls_of(plans, time, STEP)
+    record = fly_record(motion, controls, air, Clock(STEP, len(time) - 1), _initial_states(controls, wind))
+    log = slice(round(SETTLING / STEP), None)
+    record = record.rows(log)
+    at = air(slice(2 * log.start, 2 * len(time), 2), record.states)
+    implicit = None
+    for _ in range(PASSES):
+        truth = motion.at(record.states, record.controls, at, implicit)
+        implicit = truth.implicit
+    return record._replace(time=time[log]), truth
+
+
+def _initial_states(controls: FlightControls, wind: Array) -> Array:
+    """Return states (n_flights, 13) about trimmed, on the orbit due north of its centre, heading along it."""
+    orbit, airspeed = controls.orbit[0], controls.airspeed[0]
+    state = np.zeros((len(orbit), 13))
+    state[:, :2], state[:, 2] = orbit[:, :2], -controls.altitude[0]
+    state[:, 0] += np.abs(orbit[:, 2])
+    state[:, ATTITUDE] = euler_to_quaternion(0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2]))
+    state[:, VELOCITY] = ned_to_body(state[:, ATTITUDE], wind)
+    state[:, 3] += airspeed * np.cos(ALPHA)
+    state[:, 5] += airspeed * np.sin(ALPHA)
+    return state

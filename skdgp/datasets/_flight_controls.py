@@ -30,17 +30,11 @@ class FlightControls:
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
-        def along(name: str) -> Array:
-            return np.stack([scheduled(getattr(plan, name), time) for plan in plans], axis=1)
-
-        self.orbit, self.altitude, self.airspeed = (
-            along("orbits"),
-            along("altitudes")[..., 0],
-            along("airspeeds")[..., 0],
-        )
-        self.manoeuvres = np.stack(
-            [np.stack([plan.manoeuvres(axis, time) for axis in COMMANDS], axis=-1) for plan in plans], axis=1
-        )
+        self.orbit = np.stack([scheduled(plan.orbits, time) for plan in plans], axis=1)
+        self.altitude = np.column_stack([scheduled(plan.altitudes, time) for plan in plans])
+        self.airspeed = np.column_stack([scheduled(plan.airspeeds, time) for plan in plans])
+        added = [[plan.manoeuvres(axis, time) for axis in COMMANDS] for plan in plans]
+        self.manoeuvres = np.moveaxis(np.array(added), -1, 0)  # (n_times, n_flights, 4)
         self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
         self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pandas as pd
@@ -17,17 +17,18 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.export._build_up import BuildUp
-from skdgp.export._text import add_text, file_name, write_xml
+from skdgp.export._text import element, file_name, write_xml
 
 STALL, BLENDING = 0.3, 50.0  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
 EFFICIENCY = (0.2, 3.0)  # range of Oswald's factor
 SIGNS = {"elevator": -1.0, "aileron": 1.0, "rudder": -1.0}  # ArduPilot: positive raises the nose, rolls and yaws right
-LATERAL = {"y": 1, "l": 3, "n": 5}
-LATERAL_TERMS = {"b": "beta", "p": "p_hat", "r": "r_hat", "deltaa": "aileron", "deltar": "rudder"}
-MOMENT_TERMS = {"a": "alpha", "q": "q_hat", "deltae": "elevator"}
+LATERAL = {"b": "beta", "p": "p_hat", "r": "r_hat", "deltaa": "aileron", "deltar": "rudder"}
+PITCH = {"a": "alpha", "q": "q_hat", "deltae": "elevator"}
+TERMS = {"y": (1, LATERAL), "l": (3, LATERAL), "n": (5, LATERAL), "m": (4, PITCH)}
+"""By the letter of a coefficient in SITL's file: its column, and the regressor of each derivative."""
 GAZEBO = {"CY": "CY", "Cl": "Cell", "Cm": "Cem", "Cn": "Cen", "CL": "CL", "CD": "CD"}
 CONSTANT = ("CL", "CD", "Cm")
-GAZEBO_RATES = {"p": "p_hat", "q": "q_hat", "r": "r_hat"}
+LINK = "base_link"
 
 
 def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
@@ -45,15 +46,14 @@ def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     """
     X, C = _flown(build)
     values, fitted = _plane(build, X, C)
-    loss = _loss(build, C, fitted)
-    aircraft = build.aircraft
+    loss, aircraft = _loss(build, C, fitted), build.aircraft
     values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": aircraft.mass, "inertia": aircraft.inertia.tolist()}
     values["loss"] = loss.to_dict("index")
     write_atomically(path, text_writer(json.dumps(values, indent=1) + "\n"))
     return loss
 
 
-def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_link") -> pd.DataFrame:
+def write_gazebo(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     """Write a block of Gazebo's AdvancedLiftDrag system with mass and inertia, and return what it loses.
 
     The system has constant derivatives of lift, drag, side force and moments by alpha, beta, rates and surfaces, and a
@@ -61,24 +61,19 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp, *, link: str = "base_l
     no constants there. Derivatives by surfaces are per degree, and the signs of this package: elevator > 0 pitches
     down, aileron > 0 rolls right, rudder > 0 yaws left.
 
-    The SDF file at ``path`` has one model: the ``link`` with its inertial, and the plugin. Add joints named after the
-    surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the samples.
-    Raises ValueError if the build-up lacks alpha.
+    The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin. Add joints named
+    after the surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the
+    samples. Raises ValueError if the build-up lacks alpha.
     """
     X, C = _flown(build)
-    plugin, fitted = _advanced_lift_drag(build, X, C, link)
+    plugin, fitted = _advanced_lift_drag(build, X, C)
     loss = _loss(build, C, fitted)
-    sdf = Element("sdf", version="1.9")
-    model = SubElement(sdf, "model", name=file_name(build.aircraft.name))
-    model.append(ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n"))
-    place = SubElement(SubElement(model, "link", name=link), "inertial")
-    add_text(place, "mass", build.aircraft.mass)
-    inertia, J = SubElement(place, "inertia"), build.aircraft.inertia
-    turned = np.diag([1.0, -1.0, -1.0]) @ J @ np.diag([1.0, -1.0, -1.0])  # x forward, y left, z up
-    for k, a in enumerate("xyz"):
-        for m, b in list(enumerate("xyz"))[k:]:
-            add_text(inertia, f"i{a}{b}", turned[k, m])
-    model.append(plugin)
+    turned = np.diag([1.0, -1.0, -1.0]) @ build.aircraft.inertia @ np.diag([1.0, -1.0, -1.0])  # x forward, y left, z up
+    inertia = (element(f"i{'xyz'[k]}{'xyz'[m]}", turned[k, m]) for k in range(3) for m in range(k, 3))
+    inertial = element("inertial", element("mass", build.aircraft.mass), element("inertia", *inertia))
+    comment = ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n")
+    parts = comment, element("link", inertial, name=LINK), plugin
+    sdf = element("sdf", element("model", *parts, name=file_name(build.aircraft.name)), version="1.9")
     ElementTree.indent(sdf)
     write_xml(path, sdf)
     return loss
@@ -92,17 +87,11 @@ def _flown(build: BuildUp) -> tuple[Matrix, Matrix]:
 
 
 def _loss(build: BuildUp, C: Matrix, fitted: Matrix) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "loss": np.sqrt(np.mean((fitted - C) ** 2, axis=0)),
-            "deviation": build.loss["deviation"].to_numpy(),
-            "spread": C.std(axis=0),
-        },
-        index=list(COEFFICIENTS),
-    )
+    loss, deviation = np.sqrt(np.mean((fitted - C) ** 2, axis=0)), build.loss["deviation"].to_numpy()
+    return pd.DataFrame({"loss": loss, "deviation": deviation, "spread": C.std(axis=0)}, index=list(COEFFICIENTS))
 
 
-def _terms(build: BuildUp, X: Matrix, names: Sequence[str]) -> Matrix:
+def _terms(build: BuildUp, X: Matrix, names: Iterable[str]) -> Matrix:
     """Return columns of regressors, zero where the model lacks one."""
     found = dict(zip(build.regressors, X.T, strict=True))
     return np.stack([found.get(name, np.zeros(len(X))) for name in names], axis=-1)
@@ -147,29 +136,21 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     values |= {"c_lift_deltae": cl[3] * SIGNS["elevator"] * largest["elevator"]}
     values |= {"mcoeff": BLENDING, "alpha_stall": max(STALL, 1.5 * float(alpha.max())), "oswald": cd[1]}
     values |= {"c_drag_p": cd[0], "c_drag_q": cd[2], "c_drag_deltae": 0.0}
-    for letter, i in LATERAL.items():
-        weights, fitted[:, i] = _linear(_terms(build, X, list(LATERAL_TERMS.values())), C[:, i])
-        values |= _named(letter, LATERAL_TERMS, weights, largest)
-    weights, fitted[:, 4] = _linear(_terms(build, X, list(MOMENT_TERMS.values())), C[:, 4])
-    values |= _named("m", MOMENT_TERMS, weights, largest)
-    surfaces = {"deltaa": "aileron", "deltae": "elevator", "deltar": "rudder"}
-    values |= {f"{key}_max": largest[name] for key, name in surfaces.items()}
+    for letter, (i, terms) in TERMS.items():
+        weights, fitted[:, i] = _linear(_terms(build, X, terms.values()), C[:, i])
+        units = [SIGNS.get(name, 1.0) * largest.get(name, 1.0) for name in terms.values()]
+        names = [f"c_{letter}_{key}" for key in ("0", *terms)]
+        values |= dict(zip(names, [weights[0], *(weights[1:] * units)], strict=True))
+    values |= {"deltaa_max": largest["aileron"], "deltae_max": largest["elevator"], "deltar_max": largest["rudder"]}
     return {key: float(value) for key, value in values.items()}, fitted
 
 
-def _named(letter: str, terms: dict[str, str], weights: Vector, largest: dict[str, float]) -> dict[str, float]:
-    found = {f"c_{letter}_0": weights[0]}
-    for (key, name), weight in zip(terms.items(), weights[1:], strict=True):
-        found[f"c_{letter}_{key}"] = weight * SIGNS[name] * largest[name] if name in SIGNS else weight
-    return found
-
-
-def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tuple[Element, Matrix]:
+def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix) -> tuple[Element, Matrix]:
     """Return the plugin, and the coefficients (n, 6) of the system within stall."""
     aircraft, alpha = build.aircraft, _terms(build, X, ["alpha"])[:, 0]
     surfaces = [name for name in SIGNS if name in build.regressors]
     lift, drag = _turned(alpha, C[:, 0], C[:, 2])
-    columns = _terms(build, X, ["alpha", "beta", *GAZEBO_RATES.values(), *surfaces])
+    columns = _terms(build, X, ["alpha", "beta", "p_hat", "q_hat", "r_hat", *surfaces])
     with_constant = np.column_stack([np.ones(len(X)), columns])
     weights, values = {}, {}
     for name, y in {"CY": C[:, 1], "CL": lift, "Cl": C[:, 3], "Cm": C[:, 4], "Cn": C[:, 5]}.items():
@@ -188,26 +169,20 @@ def _advanced_lift_drag(build: BuildUp, X: Matrix, C: Matrix, link: str) -> tupl
     fitted[:, 0], fitted[:, 2] = _turned(alpha, values["CL"], polar / efficiency + basis @ rest)
     for name, i in (("CY", 1), ("Cl", 3), ("Cm", 4), ("Cn", 5)):
         fitted[:, i] = values[name]
-    plugin = Element("plugin", filename="gz-sim-advanced-lift-drag-system", name="gz::sim::systems::AdvancedLiftDrag")
+    parts: list[Element] = []
     for name, key in GAZEBO.items():
         if name in CONSTANT:
-            add_text(plugin, f"{key}0", weights[name][0])
+            parts.append(element(f"{key}0", weights[name][0]))
         if name != "CD":
-            add_text(plugin, f"{key}a", weights[name][1])
-            add_text(plugin, f"{key}b", weights[name][2])
-        for rate, value in zip(GAZEBO_RATES, weights[name][3:6], strict=True):
-            add_text(plugin, f"{key}{rate}", value)
-    for tag, value in (
-        ("AR", aspect), ("mac", aircraft.chord), ("eff", efficiency), ("area", aircraft.wing_area),
-        ("alpha_stall", max(STALL, 1.5 * float(alpha.max()))), ("Cema_stall", weights["Cm"][1]),
-    ):  # fmt: skip
-        add_text(plugin, tag, value)
-    words = {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": link}
-    for tag, text in (words | {"num_ctrl_surfaces": str(len(surfaces))}).items():
-        add_text(plugin, tag, text)
+            parts += [element(f"{key}a", weights[name][1]), element(f"{key}b", weights[name][2])]
+        parts += [element(f"{key}{rate}", value) for rate, value in zip("pqr", weights[name][3:6], strict=True)]
+    settings: dict[str, Any] = {"AR": aspect, "mac": aircraft.chord, "eff": efficiency, "area": aircraft.wing_area}
+    settings |= {"alpha_stall": max(STALL, 1.5 * float(alpha.max())), "Cema_stall": weights["Cm"][1]}
+    settings |= {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": LINK}
+    settings |= {"num_ctrl_surfaces": str(len(surfaces))}
+    parts += [element(tag, value) for tag, value in settings.items()]
     for k, surface in enumerate(surfaces):
-        place = SubElement(plugin, "control_surface")
-        SubElement(place, "name").text, SubElement(place, "direction").text = surface, "1"
-        for name, key in GAZEBO.items():
-            add_text(place, f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0)
-    return plugin, fitted
+        slopes = (element(f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0) for name, key in GAZEBO.items())
+        parts.append(element("control_surface", element("name", surface), element("direction", "1"), *slopes))
+    files = {"filename": "gz-sim-advanced-lift-drag-system", "name": "gz::sim::systems::AdvancedLiftDrag"}
+    return element("plugin", *parts, **files), fitted

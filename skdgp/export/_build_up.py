@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, pairwise
 from typing import Any, NamedTuple
 
@@ -66,12 +67,12 @@ class BuildUp:
         The point of the constants: the mean of the samples.
     limits : ndarray (2, d)
         Smallest and largest value of each regressor in the samples; breakpoints lie between them.
-    constants, constants_std : Series (6,)
-        Coefficients at the reference, without tables.
-    derivatives, derivatives_std : DataFrame (6, d)
-        Slopes, average over the samples; tables hold what differs from straight lines.
-    tables : dict of str to list of Table
-        Tables of each coefficient, of one regressor and of two.
+    lengths : tuple of float
+        Span and chord of the non-dimensional rates [m].
+    samples : ndarray (n, d)
+        Samples of the flown envelope.
+    predicted, predicted_std : ndarray (n, 6)
+        Coefficients of the model at the samples, and their standard deviations.
     loss : DataFrame (6, 2)
         Over the samples, root mean square: "loss", the difference between build-up and model, and "deviation", the
         posterior standard deviation of the model.
@@ -81,26 +82,51 @@ class BuildUp:
     regressors: tuple[str, ...]
     reference: Vector
     limits: Matrix
-    constants: pd.Series
-    constants_std: pd.Series
-    derivatives: pd.DataFrame
-    derivatives_std: pd.DataFrame
-    tables: dict[str, list[Table]]
-    loss: pd.DataFrame
-    samples: Matrix
-    """Samples of the flown envelope, (n, d)."""
-    predicted: Matrix
-    """Coefficients of the model at the samples, (n, 6)."""
-    predicted_std: Matrix
-    """Their standard deviations."""
     lengths: tuple[float, float]
-    """Span and chord of the non-dimensional rates [m]."""
+    samples: Matrix
+    predicted: Matrix
+    predicted_std: Matrix
+    loss: pd.DataFrame
+    _bases: dict[str, _Basis]
+    _weights: dict[str, Vector]
     _roots: dict[str, Matrix]
     _draw: Callable[[int, Seed], dict[str, Matrix]]
 
     def __repr__(self) -> str:
         n_tables = sum(map(len, self.tables.values()))
         return f"BuildUp({self.aircraft.name!r}, {', '.join(self.regressors)}, {n_tables} tables)"
+
+    @property
+    def constants(self) -> pd.Series:
+        """Coefficients at the reference, without tables, (6,)."""
+        return pd.Series({name: weights[0] for name, weights in self._weights.items()})
+
+    @property
+    def constants_std(self) -> pd.Series:
+        """Standard deviations of the constants, (6,)."""
+        return pd.Series({name: std[0] for name, std in self._stds.items()})
+
+    @property
+    def derivatives(self) -> pd.DataFrame:
+        """Slopes, average over the samples, (6, d); tables hold what differs from straight lines."""
+        return self._slopes(self._weights)
+
+    @property
+    def derivatives_std(self) -> pd.DataFrame:
+        """Standard deviations of the derivatives, (6, d)."""
+        return self._slopes(self._stds)
+
+    @cached_property
+    def tables(self) -> dict[str, list[Table]]:
+        """Tables of each coefficient, of one regressor and of two."""
+        found: dict[str, list[Table]] = {}
+        for name, basis in self._bases.items():
+            found[name] = []
+            for axes, rows in zip(basis.tables, basis.slices, strict=True):
+                shape = [len(points) for points in axes.breakpoints]
+                cells = (values[name][rows].reshape(shape) for values in (self._weights, self._stds))
+                found[name].append(Table(tuple(self.regressors[k] for k in axes.columns), axes.breakpoints, *cells))
+        return found
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
         """Return the coefficients (n, 6) at regressors X, and with ``return_std`` their standard deviations, too.
@@ -110,20 +136,15 @@ class BuildUp:
         X = X[list(self.regressors)].to_numpy(float) if isinstance(X, pd.DataFrame) else np.asarray(X, dtype=float)
         mean, variance = np.empty((2, len(X), len(COEFFICIENTS)))
         for i, name in enumerate(COEFFICIENTS):
-            basis = _Basis(self._axes(name), self.reference)(X)
-            mean[:, i] = basis @ self._weights(name)
+            basis = self._bases[name](X)
+            mean[:, i] = basis @ self._weights[name]
             if return_std:
                 variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
         return (mean, np.sqrt(variance)) if return_std else mean
 
     def renamed(self, names: Mapping[str, str]) -> BuildUp:
         """Return the build-up with other names of its regressors."""
-        tables = {
-            name: [table._replace(regressors=tuple(names[r] for r in table.regressors)) for table in of]
-            for name, of in self.tables.items()
-        }
-        slopes = {name: getattr(self, name).rename(columns=names) for name in ("derivatives", "derivatives_std")}
-        return replace(self, regressors=tuple(names[name] for name in self.regressors), tables=tables, **slopes)
+        return replace(self, regressors=tuple(names[name] for name in self.regressors))
 
     def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
         """Return a function that evaluates parts of a coefficient.
@@ -132,7 +153,7 @@ class BuildUp:
         deviation (n,) of the terms of exactly these: derivative and table of one regressor, the table of two. The
         terms have mean zero over the samples.
         """
-        basis, weights = _Basis(self._axes(coefficient), self.reference), self._weights(coefficient)
+        basis, weights = self._bases[coefficient], self._weights[coefficient]
         centre = np.asarray(basis(self.samples).mean(axis=0)).ravel()
 
         def effect(regressors, X):
@@ -152,7 +173,7 @@ class BuildUp:
     def correlation(self, coefficient: str) -> Matrix:
         """Return the posterior correlation of the constant and the derivatives of a coefficient, (1 + d, 1 + d)."""
         root = self._roots[coefficient][: 1 + len(self.regressors)]
-        size = np.sqrt(np.square(root).sum(axis=1))
+        size = self._stds[coefficient][: len(root)]
         root = root / np.where(size > 0, size, 1.0)[:, None]
         return root @ root.T
 
@@ -161,29 +182,16 @@ class BuildUp:
 
         Equal seeds give equal functions, those of ``sample_paths``.
         """
-        if n_draws == 0:
-            return []
-        drawn = self._draw(n_draws, random_state)
-        return [self._with({name: weights[k] for name, weights in drawn.items()}) for k in range(n_draws)]
+        drawn = self._draw(n_draws, random_state) if n_draws else {}
+        return [replace(self, _weights={name: drawn[name][k] for name in drawn}) for k in range(n_draws)]
 
-    def _axes(self, name: str) -> list[Axes]:
-        places = {regressor: k for k, regressor in enumerate(self.regressors)}
-        return [Axes(tuple(places[r] for r in table.regressors), table.breakpoints) for table in self.tables[name]]
+    @cached_property
+    def _stds(self) -> dict[str, Vector]:
+        return {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in self._roots.items()}
 
-    def _weights(self, name: str) -> Vector:
-        values = [np.ravel(table.values) for table in self.tables[name]]
-        return np.concatenate([[self.constants[name]], self.derivatives.loc[name], *values])
-
-    def _with(self, weights: dict[str, Vector]) -> BuildUp:
-        """Return the build-up with other weights of each coefficient, in the order of ``_weights``."""
-        constants, derivatives, tables = {}, {}, {}
-        for name, values in weights.items():
-            constants[name], derivatives[name], rest = values[0], *np.split(values[1:], [len(self.regressors)])
-            cells = np.split(rest, np.cumsum([table.values.size for table in self.tables[name]])[:-1])
-            pairs = zip(self.tables[name], cells, strict=True) if self.tables[name] else ()
-            tables[name] = [table._replace(values=cell.reshape(table.values.shape)) for table, cell in pairs]
-        frame = pd.DataFrame.from_dict(derivatives, orient="index", columns=list(self.regressors))
-        return replace(self, constants=pd.Series(constants), derivatives=frame, tables=tables)
+    def _slopes(self, weights: dict[str, Vector]) -> pd.DataFrame:
+        d = len(self.regressors)
+        return pd.DataFrame([weights[name][1 : 1 + d] for name in weights], list(weights), list(self.regressors))
 
 
 class Axes(NamedTuple):
@@ -322,18 +330,14 @@ def build_up(
     tested = posterior.tested
     truth, std = posterior.mean(tested), posterior.deviation(tested)
     deviation = np.sqrt(np.mean(std**2, axis=0))
-    names = posterior.names
-    kept = _important(few, mean_of_few, tolerance * deviation, _candidates(names, pairs))
-    weights, roots, losses = {}, {}, {}
-    bases: dict[str, _Basis] = {}
+    kept = _important(few, mean_of_few, tolerance * deviation, _candidates(posterior.names, pairs))
+    bases, weights, roots, losses = {}, {}, {}, {}
     for i, name in enumerate(COEFFICIENTS):
         basis = bases[name] = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
         weights[name] = _Projection(basis, points)(mean[:, [i]])[:, 0]
         losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
-        if return_std:
-            roots[name] = _Projection(basis, few)(posterior.root(i, few.X))
-        else:
-            roots[name] = np.full((basis.size, 1), np.nan)
+        unknown = np.full((basis.size, 1), np.nan)
+        roots[name] = _Projection(basis, few)(posterior.root(i, few.X)) if return_std else unknown
     loss = pd.DataFrame({"loss": pd.Series(losses), "deviation": deviation})
     _check_loss(loss, max_loss, pairs)
 
@@ -341,36 +345,21 @@ def build_up(
         values = posterior.paths(n_draws, random_state, points.X)
         return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
 
-    of_weights = {name: np.sqrt(np.square(root).sum(axis=1)) for name, root in roots.items()}
-    tables: dict[str, list[Table]] = {name: [] for name in COEFFICIENTS}
-    for name, basis in bases.items():
-        for axes in basis.tables:
-            cells = np.zeros([len(points) for points in axes.breakpoints])
-            tables[name].append(Table(tuple(names[k] for k in axes.columns), axes.breakpoints, cells, cells))
-    empty = BuildUp(
+    return BuildUp(
         aircraft=aircraft,
-        regressors=tuple(names),
+        regressors=tuple(posterior.names),
         reference=points.reference,
         limits=posterior.limits,
-        constants=pd.Series(dtype=float),
-        constants_std=pd.Series(dtype=float),
-        derivatives=pd.DataFrame(),
-        derivatives_std=pd.DataFrame(),
-        tables=tables,
-        loss=loss,
+        lengths=posterior.lengths(aircraft),
         samples=tested,
         predicted=truth,
         predicted_std=std,
-        lengths=posterior.lengths(aircraft),
+        loss=loss,
+        _bases=bases,
+        _weights=weights,
         _roots=roots,
         _draw=draw,
     )
-    means, stds = empty._with(weights), empty._with(of_weights)
-    tables = {
-        name: [t._replace(std=s.values) for t, s in zip(means.tables[name], stds.tables[name], strict=True)]
-        for name in COEFFICIENTS
-    }
-    return replace(means, tables=tables, constants_std=stds.constants, derivatives_std=stds.derivatives)
 
 
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
@@ -390,14 +379,12 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
         }
         for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
     }
-    slopes, slopes_std = build.derivatives.to_dict("index"), build.derivatives_std.to_dict("index")
-    losses = build.loss.to_dict("index")
     coefficients = {
         name: {
-            "constant": build.constants.to_dict()[name],
-            "constant_std": build.constants_std.to_dict()[name],
-            "derivatives": slopes[name],
-            "derivatives_std": slopes_std[name],
+            "constant": build.constants[name],
+            "constant_std": build.constants_std[name],
+            "derivatives": build.derivatives.loc[name].to_dict(),
+            "derivatives_std": build.derivatives_std.loc[name].to_dict(),
             "tables": [
                 {
                     "regressors": list(table.regressors),
@@ -407,7 +394,7 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
                 }
                 for table in build.tables[name]
             ],
-            **losses[name],
+            **build.loss.loc[name].to_dict(),
         }
         for name in COEFFICIENTS
     }
@@ -418,18 +405,14 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
 
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
     """Return the cells (n, 2) or (n, 4) of which a table at X (n, 1) or (n, 2) is a mean, and their weights."""
-    places, shares = zip(*(_neighbours(x, points) for x, points in zip(X.T, breakpoints, strict=True)), strict=True)
-    if len(breakpoints) == 1:
-        return places[0], shares[0]
-    cells = places[0][:, :, None] * len(breakpoints[1]) + places[1][:, None, :]
-    return cells.reshape(len(X), 4), (shares[0][:, :, None] * shares[1][:, None, :]).reshape(len(X), 4)
-
-
-def _neighbours(x, points):
-    """Return the breakpoints on both sides of each x, (n, 2), and their shares."""
-    left = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
-    share = np.clip((x - points[left]) / np.diff(points)[left], 0.0, 1.0)
-    return np.column_stack([left, left + 1]), np.column_stack([1.0 - share, share])
+    cells, weights = np.zeros((len(X), 1), dtype=int), np.ones((len(X), 1))
+    for x, points in zip(X.T, breakpoints, strict=True):
+        left = np.clip(np.searchsorted(points, x, side="right") - 1, 0, len(points) - 2)
+        share = np.clip((x - points[left]) / np.diff(points)[left], 0.0, 1.0)
+        sides, shares = np.column_stack([left, left + 1]), np.column_stack([1.0 - share, share])
+        cells = (cells[:, :, None] * len(points) + sides[:, None, :]).reshape(len(X), -1)
+        weights = (weights[:, :, None] * shares[:, None, :]).reshape(len(X), -1)
+    return cells, weights
 
 
 def _penalty(table: Axes) -> Matrix:
@@ -540,25 +523,21 @@ def _points(samples: Matrix, most: int) -> Points:
 
 
 def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
-    single: list[tuple[int, ...]] = [(k,) for k in range(len(names))]
-    if pairs == "none":
-        return single
-    return single + [
-        pair
-        for pair in combinations(range(len(names)), 2)
-        if pairs == "all" or "alpha" in (names[pair[0]], names[pair[1]])
-    ]
-
-
-def _grid(x: Vector, n: int) -> Vector:
-    """Return n breakpoints over the range of x, closer where samples are."""
-    return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+    """Return the columns of the terms to choose from: each regressor, and the allowed pairs."""
+    every = list(combinations(range(len(names)), 2))
+    with_alpha = [pair for pair in every if "alpha" in (names[pair[0]], names[pair[1]])]
+    return [*((k,) for k in range(len(names))), *{"all": every, "alpha": with_alpha, "none": []}[pairs]]
 
 
 def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
+    """Return breakpoints over the range of the regressors that vary, closer where samples are."""
     flown = points.X[: points.n_samples]
+
+    def grid(x, n):
+        return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+
     varying = [term for term in terms if all(np.ptp(flown[:, k]) > 0 for k in term)]
-    return [Axes(term, tuple(_grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
+    return [Axes(term, tuple(grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
 
 
 def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:

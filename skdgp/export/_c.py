@@ -25,6 +25,7 @@ ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a r
 MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
 MAX_REGRESSORS = 32  # bits of an unsigned long
 LARGE = 2**20  # numbers of roots from which their rounding is not tried before it is needed
+C_FILES = ("aero.h", "aero.c", "test_aero.c", "Makefile")
 N_VECTORS = 40
 PER_LINE = 8
 BLOCK_BYTES = 56
@@ -32,7 +33,7 @@ PART_BYTES = 192  # pointers and numbers of a part, and alignment of its arrays
 CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
 _TEMPLATES = Path(__file__).with_name("c")
-_AXES = [("XX", 0, 0), ("YY", 1, 1), ("ZZ", 2, 2), ("XY", 0, 1), ("XZ", 0, 2), ("YZ", 1, 2)]
+_TENSOR = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
 
 
 def write_c(
@@ -43,9 +44,8 @@ def write_c(
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
     with the model, to 1e-9 (double) or 1e-4 (float) of the largest value, deviations to
-    :meth:`PortableModel.rounding` where that is more. Raises ValueError if ``precision`` or
-    ``max_kb`` is none of these, no form of the model is so small, it exceeds 64 MB, or there are more than 32
-    regressors.
+    :meth:`PortableModel.rounding` where that is more. Raises ValueError if ``precision`` or ``max_kb`` is none of
+    these, no form of the model is so small, it exceeds 64 MB, or there are more than 32 regressors.
 
     Parameters
     ----------
@@ -62,7 +62,6 @@ def write_c(
     Returns
     -------
     PortableModel
-        What the C code computes: ``model`` itself, or the reduced one.
     """
     model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
@@ -198,7 +197,7 @@ _VECTORS = (
 def _header(model, precision, size) -> dict[str, Any]:
     aircraft = model.aircraft
     constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
-    constants |= {f"I{axes}": aircraft.inertia[i, j] for axes, i, j in _AXES}
+    constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in _TENSOR}
     functions = max(readout.size for readout in model.readouts)
     return {
         "aircraft": _comment(aircraft.name),
@@ -219,10 +218,10 @@ def _source(model, precision) -> dict[str, Any]:
     J, table = len(model.readout_of), _blocks(model)
     order = sorted(block.output for block in model.blocks)
     readouts = [model.readouts[k] for k in model.readout_of]
-    roots = _roots(model, precision)
-    pointers = [
-        f"{{root_{k}, NULL, NULL, NULL}}" if root is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
-        for k, root in enumerate(roots)
+    roots, (low, high) = _roots(model, precision), _edges(model, precision)
+    triangles = [
+        f"{{root_{k}, NULL, NULL, NULL}}" if roots[k] is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+        for k in model.readout_of
     ]
     blocks = [
         f"{{{column}, {size}, {n}, used + {used}, centres + {centre}, shifts + {shift}, roots + {root}, {gain!r}}}"
@@ -232,23 +231,21 @@ def _source(model, precision) -> dict[str, Any]:
         _names("aero_source_names", model.columns),
         _names("aero_input_names", model.regressor_names),
         _names("aero_output_names", model.outputs),
-        *(
-            _array(f"aero_{name}", edge, "const aero_real")
-            for name, edge in zip(("low", "high"), _edges(model, precision), strict=True)
-        ),
+        _array("aero_low", low, "const aero_real"),
+        _array("aero_high", high, "const aero_real"),
         *(_array(name, getattr(model, name)) for name in _VECTORS),
         *(_array(name, getattr(table, name)) for name in ("centres", "shifts", "roots")),
         _array("used", table.used or [0], "static const unsigned char"),
-        f"static const block blocks[{len(blocks)}] = {{" + ",\n".join(blocks) + "};",
+        _list("static const block blocks", blocks, ",\n"),
         _array("first_block", np.searchsorted(order, np.arange(J + 1)), _INT),
         _array("n_functions", [readout.size for readout in readouts], _INT),
         _array("n_columns", [root.shape[1] for root in model.trend_roots], _INT),
         *(_array(f"weights_{k}", readout.weights) for k, readout in enumerate(model.readouts)),
         *(text for k, root in enumerate(roots) for text in _triangle(k, root, model.readouts[k])),
         *(_array(f"trend_root_{j}", root.T.ravel()) for j, root in enumerate(model.trend_roots)),
-        _pointers("weights", [f"weights_{k}" for k in model.readout_of]),
-        _pointers("trend_root", [f"trend_root_{j}" for j in range(J)]),
-        f"static const triangle root[{J}] = {{" + ",\n".join(pointers[k] for k in model.readout_of) + "};",
+        _list("static const double *const weights", [f"weights_{k}" for k in model.readout_of]),
+        _list("static const double *const trend_root", [f"trend_root_{j}" for j in range(J)]),
+        _list("static const triangle root", triangles, ",\n"),
     ]
     return {
         "members": len(model.mixture),
@@ -270,31 +267,33 @@ def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
 
 
 def _test(model, precision) -> dict[str, Any]:
-    X = _rounded(_points(model), precision)
+    X = _in_precision(_points(model), precision)
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     slope = model.predict_gradient(X)
     size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
     low, high = _edges(model, precision)
     bits = (((low > X) | (high < X)) * 2 ** np.arange(X.shape[1])).sum(axis=1)
-    numbers = {"says_mean": mean, "says_std": std, "says_slope": slope}
-    std_size = np.maximum(std.max(axis=0), model.rounding(X) / TOLERANCE[precision])
-    numbers |= {"mean_size": np.abs(mean).max(axis=0), "std_size": std_size}
-    numbers |= {"slope_size": np.where(size > 0, size, 1.0)}
     texts = [
         _array("at", X, "static const aero_real"),
         _array("beyond", bits, "static const unsigned long"),
-        *(_array(name, values) for name, values in numbers.items()),
+        _array("says_mean", mean),
+        _array("says_std", std),
+        _array("says_slope", slope),
+        _array("mean_size", np.abs(mean).max(axis=0)),
+        _array("std_size", np.maximum(std.max(axis=0), model.rounding(X) / TOLERANCE[precision])),
+        _array("slope_size", np.where(size > 0, size, 1.0)),
     ]
     return {"n": len(X), "tolerance": TOLERANCE[precision], "tables": "\n".join(texts)}
 
 
-def _rounded(values: Array, precision: str) -> Array:
+def _in_precision(values: Array, precision: str) -> Array:
     return values.astype(np.float32).astype(float) if precision == "float" else values
 
 
-def _edges(model, precision) -> list[Vector]:
-    envelope = model.envelope
-    return [_rounded(np.clip(edge, -UNBOUNDED, UNBOUNDED), precision) for edge in (envelope.low, envelope.high)]
+def _edges(model, precision) -> Array:
+    """Return the smallest and the largest value of each input, (2, d)."""
+    edges = np.stack([model.envelope.low, model.envelope.high])
+    return _in_precision(np.clip(edges, -UNBOUNDED, UNBOUNDED), precision)
 
 
 def _points(model) -> Matrix:
@@ -346,13 +345,12 @@ def _braces(values: Array) -> str:
     return "{" + ",\n".join(lines) + "}"
 
 
-def _pointers(name: str, tables: list[str]) -> str:
-    return f"static const double *const {name}[{len(tables)}] = {{{', '.join(tables)}}};"
-
-
 def _names(name: str, values: Iterable[str]) -> str:
-    values = list(values)
-    return f"const char *const {name}[{len(values)}] = {{{', '.join(json.dumps(value) for value in values)}}};"
+    return _list(f"const char *const {name}", [json.dumps(value) for value in values])
+
+
+def _list(declaration: str, words: list[str], separator: str = ", ") -> str:
+    return f"{declaration}[{len(words)}] = {{{separator.join(words)}}};"
 
 
 def _comment(text: str) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Any, NamedTuple, cast
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
-from skdgp.export._text import add_text, changes_text, check_distinct, identifiers, number_text, write_xml
+from skdgp.export._text import changes_text, check_distinct, element, identifiers, number_text, write_xml
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
@@ -37,6 +37,7 @@ STANDARD_NAMES = {
     "Cl": "aeroBodyMomentCoefficient_Roll", "Cm": "aeroBodyMomentCoefficient_Pitch",
     "Cn": "aeroBodyMomentCoefficient_Yaw",
 }  # fmt: skip
+UNITS = {"-": "nd", "m/s": "m_s", "rad/s": "rad_s", "rad/s^2": "rad_s2", "m/s^2": "m_s2", "kg/m^3": "kg_m3"}
 CHECK_TOLERANCE = 1e-9
 BASE = math.e  # of powers: fewer readers know the element exp
 MAX_FUNCTIONS = 6000  # Gaussian functions of all outputs: a model with more is reduced
@@ -46,7 +47,7 @@ MAX_CORRELATED = 100  # samples over which the correlation of the coefficients i
 
 
 class _Facts(NamedTuple):
-    """Content of both forms: the regressors and their limits, and the model at its samples."""
+    """What both forms say, by the names of a build-up: the regressors and their limits, the model at its samples."""
 
     aircraft: Aircraft
     regressors: tuple[str, ...]
@@ -102,18 +103,16 @@ def write_dave_ml(
     ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
     """
     check_choice("form", form, ("functions", "tables"))
-    root = Element("DAVEfunc", xmlns=NAMESPACE)
     build = model if isinstance(model, BuildUp) else None
     if build is None and aircraft is None:
         raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
     if build is None and form == "tables":
         build = build_up(model, cast("Aircraft", aircraft), **options)
+    facts: _Facts | BuildUp
     if build is not None:
         names = identifiers(build.regressors)
-        build = build.renamed(names)
-        facts = _Facts(**{name: getattr(build, name) for name in _Facts._fields})
-        _add_head(root, facts, names)
-        _add_build_up(root, build)
+        facts = build = build.renamed(names)
+        content = _build_up(build)
         values = build.evaluate(build.samples)
     else:
         portable, names = portable_model(model, cast("Aircraft", aircraft)).with_identifiers()
@@ -121,10 +120,10 @@ def write_dave_ml(
         of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
         facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
-        _add_head(root, facts, names)
-        _add_functions(root, shown, of_std, _correlation(model, portable, facts.samples))
+        content = _functions(shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
-    _add_checks(root, facts, values, internal=build is None)
+    checks = _checks(facts, values, internal=build is None)
+    root = element("DAVEfunc", _header(facts, names), *_inputs(facts), *content, checks, xmlns=NAMESPACE)
     check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
     _indent(root)
     write_xml(path, root, DOCTYPE)
@@ -136,9 +135,9 @@ def _indent(root: Element) -> None:
     ElementTree.indent(root)
     for formula in root.iter("math"):
         tail = formula.tail
-        for element in formula.iter():
-            element.tail = None
-            element.text = (element.text or "").strip() or None
+        for part in formula.iter():
+            part.tail = None
+            part.text = (part.text or "").strip() or None
         formula.tail = tail
 
 
@@ -184,231 +183,220 @@ def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix
     return mean / np.multiply.outer(size, size)
 
 
-def _add_head(root: Element, facts: _Facts, names: dict[str, str]) -> None:
-    """Write the header and the inputs."""
-    header = SubElement(root, "fileHeader", name=f"Aerodynamics of {facts.aircraft.name}")
-    SubElement(header, "author", name="skdgp", org="skdgp")
-    SubElement(header, "creationDate", date=datetime.now(UTC).date().isoformat())
+def _header(facts: _Facts | BuildUp, names: dict[str, str]) -> Element:
     loss = "; ".join(f"{n} {row.loss:.3g} of {row.deviation:.3g}" for n, row in facts.loss.iterrows())
-    SubElement(header, "description").text = (
+    text = (
         "Learned from flights. Body axes, x forward, y right, z down. Elevator > 0 pitches down, aileron > 0 rolls "
         f"right, rudder > 0 yaws left. Difference to the model and posterior deviation, root mean square: {loss}."
-        + (f" Names: {text}." if (text := changes_text(names)) else "")
+        + (f" Names: {changes}." if (changes := changes_text(names)) else "")
     )
-    for k, name in enumerate(facts.regressors):
-        low, high = (number_text(limit) for limit in facts.limits[:, k])
-        place = SubElement(root, "variableDef", name=_name(name), varID=name, units=_unit(name))
-        SubElement(place, "description").text = f"flown from {low} to {high}"
-        SubElement(place, "isInput")
+    return element(
+        "fileHeader",
+        element("author", name="skdgp", org="skdgp"),
+        element("creationDate", date=datetime.now(UTC).date().isoformat()),
+        element("description", text),
+        name=f"Aerodynamics of {facts.aircraft.name}",
+    )
+
+
+def _inputs(facts: _Facts | BuildUp) -> Iterator[Element]:
+    for name, limits in zip(facts.regressors, facts.limits.T, strict=True):
+        flown = element("description", f"flown from {number_text(limits[0])} to {number_text(limits[1])}")
+        yield _variable(name, flown, element("isInput"), units=_unit(name))
 
 
 # -- functions -------------------------------------------------------------------------------------------------
 
 
-def _add_functions(root: Element, model: PortableModel, of_std: PortableModel, correlation: Matrix) -> None:
-    """Write mean and deviation of every output, with the scaled regressors s = (x - shift) / scale - trend_center."""
-    scaled = [f"s_{name}" for name in model.regressor_names]
-    for name, short, shift, scale, center in zip(
-        model.regressor_names, scaled, model.shift, model.scale, model.trend_center, strict=True
-    ):
-        place = _variable(root, short)
-        _calculate(place, _apply("times", _apply("minus", name, float(shift + scale * center)), float(1.0 / scale)))
-    for i, name in zip(_order(model), COEFFICIENTS, strict=True):
+def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix) -> Iterator[Element]:
+    """Yield mean and deviation of every output, of the scaled regressors s = (x - shift) / scale - trend_center."""
+    scaled, P = [f"s_{name}" for name in model.regressor_names], len(model.outputs)
+    origin = model.shift + model.scale * model.trend_center
+    for name, short, zero, scale in zip(model.regressor_names, scaled, origin, model.scale, strict=True):
+        yield _variable(short, _formula(_apply("times", _apply("minus", name, float(zero)), float(1.0 / scale))))
+    for n, (i, name) in enumerate(zip(_order(model), COEFFICIENTS, strict=True)):
         shares, mixed = model.mixture[:, i].tolist(), f"{name}_m"
         for k in range(len(shares)):
-            _mean(root, model, k * len(model.outputs) + i, f"{name}_m{k}", scaled)
-            _variance(root, of_std, k * len(model.outputs) + i, f"{name}_v{k}", scaled)
-        _calculate(_variable(root, mixed), _sum([_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares)]))
-        scatter = [_power(_apply("minus", f"{name}_m{k}", mixed), 2.0) for k in range(len(shares))]
+            yield from _mean(model, k * P + i, f"{name}_m{k}", scaled)
+            yield from _variance(of_std, k * P + i, f"{name}_v{k}", scaled)
+        yield _variable(mixed, _formula(_sum([_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares)])))
+        scatter = [_apply("power", _apply("minus", f"{name}_m{k}", mixed), 2.0) for k in range(len(shares))]
         spread = [_apply("times", q, _apply("plus", f"{name}_v{k}", scatter[k])) for k, q in enumerate(shares)]
-        deviation = _apply("times", float(model.deviation_scale[i]), _power(_sum(spread), 0.5))
-        _calculate(_variable(root, f"{name}_std"), deviation)
-        place = SubElement(root, "variableDef", name=_name(name), varID=name, units="nd")
-        _calculate(place, _apply("plus", float(model.center[i]), _apply("times", float(model.output_scale[i]), mixed)))
-        SubElement(place, "isOutput")
-        normal = _normal(place)
-        SubElement(SubElement(normal, "bounds"), "variableRef", varID=f"{name}_std")
-        _add_correlations(normal, COEFFICIENTS, COEFFICIENTS.index(name), correlation)
+        deviation = _apply("times", float(model.deviation_scale[i]), _apply("power", _sum(spread), 0.5))
+        yield _variable(f"{name}_std", _formula(deviation))
+        mean = _apply("plus", float(model.center[i]), _apply("times", float(model.output_scale[i]), mixed))
+        normal = _normal(element("variableRef", varID=f"{name}_std"), *_correlations(COEFFICIENTS, n, correlation))
+        yield _variable(name, _formula(mean), element("isOutput"), normal)
 
 
-def _mean(root: Element, model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> None:
-    """Write the variable of the mean of a part, v^T p + w^T g."""
+def _mean(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> Iterator[Element]:
+    """Yield the variables of the mean of a part, v^T p + w^T g."""
     functions = []
     for k, (block, weights, _) in enumerate(model.terms(part)):
         functions.append(f"{name}_g{k}")
-        exponents = _exponents(root, model, block, functions[-1])
-        terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponents, strict=True)]
-        _calculate(_variable(root, functions[-1]), _sum(terms))
+        shared, exponentials = _exponentials(model, block, functions[-1], scaled)
+        terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponentials, strict=True)]
+        yield shared
+        yield _variable(functions[-1], _formula(_sum(terms)))
     constant, *slopes = model.trend_weights[part]
     trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
-    _calculate(_variable(root, name), _apply("plus", float(constant), *trend, *functions))
+    yield _variable(name, _formula(_apply("plus", float(constant), *trend, *functions)))
 
 
-def _variance(root: Element, model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> None:
-    """Write the variable of the variance of a part, a + |tau p|^2 - |h|^2 with h = T^T p + (0, U^T g)."""
+def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> Iterator[Element]:
+    """Yield the variables of the variance of a part, a + |tau p|^2 - |h|^2 with h = T^T p + (0, U^T g)."""
     functions, rows = [], []
     for k, (block, _, U) in enumerate(model.terms(part)):
-        exponents = _exponents(root, model, block, f"{name}_h{k}")
-        for j, (exponent, row) in enumerate(zip(exponents, block.gain * U, strict=True)):
+        shared, exponentials = _exponentials(model, block, f"{name}_h{k}", scaled)
+        yield shared
+        for j, (exponential, row) in enumerate(zip(exponentials, block.gain * U, strict=True)):
             functions.append(f"{name}_e{k}_{j}")
             rows.append(row)
-            _calculate(_variable(root, functions[-1]), exponent)
+            yield _variable(functions[-1], _formula(exponential))
     squares = []
     for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
         of = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
-        _calculate(_variable(root, squares[-1]), _apply("plus", float(column[0]), *of))
+        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *of)))
     tau = model.trend_scale[part] ** 2
     prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]
     constant = float(model.prior_variance[part] + tau[0])
-    _calculate(_variable(root, name), _apply("plus", constant, *prior, *explained))
+    yield _variable(name, _formula(_apply("plus", constant, *prior, *explained)))
 
 
-def _exponents(root: Element, model: PortableModel, block: Block, name: str) -> list[Element]:
-    """Write what the functions of a block share, -s^T A s / 2, and return the functions over the gain."""
+def _exponentials(
+    model: PortableModel, block: Block, name: str, scaled: Sequence[str]
+) -> tuple[Element, list[Element]]:
+    """Return the variable that the functions of a block share, -s^T A s / 2, and the functions over the gain."""
     A = block.root @ block.root.T if block.root.ndim == 2 else np.diag(block.root**2)
-    centres = model.centres[block.rows] + block.shift - model.trend_center
-    used, names = list(block.regressors), [f"s_{n}" for n in model.regressor_names]
+    centres, used = model.centres[block.rows] + block.shift - model.trend_center, block.regressors
     pairs = [(j, k, (0.5 if j == k else 1.0) * A[j, k]) for j in used for k in used if j <= k and A[j, k]]
-    terms = [_apply("times", float(-a), names[j], names[k]) for j, k, a in pairs]
-    _calculate(_variable(root, f"{name}_q"), _apply("plus", 0.0, *terms))
+    terms = [_apply("times", float(-a), scaled[j], scaled[k]) for j, k, a in pairs]
     slopes, constants = centres @ A, -0.5 * np.einsum("kj,jl,kl->k", centres, A, centres)
     found = []
     for constant, slope in zip(constants, slopes, strict=True):
-        of = [_apply("times", float(slope[k]), names[k]) for k in used]
-        found.append(_power(BASE, _apply("plus", f"{name}_q", float(constant), *of)))
-    return found
-
-
-def _variable(root: Element, name: str) -> Element:
-    return SubElement(root, "variableDef", name=name, varID=name, units="nd")
-
-
-def _calculate(place: Element, value: Element) -> None:
-    SubElement(SubElement(place, "calculation"), "math", xmlns=MATHML).append(value)
+        lines = [_apply("times", float(slope[k]), scaled[k]) for k in used]
+        found.append(_apply("power", BASE, _apply("plus", f"{name}_q", float(constant), *lines)))
+    return _variable(f"{name}_q", _formula(_apply("plus", 0.0, *terms))), found
 
 
 def _apply(operator: str, *operands: Element | str | float) -> Element:
     """Return an operator of numbers, variables and other operators."""
-    apply = Element("apply")
-    SubElement(apply, operator)
-    for operand in operands:
-        if isinstance(operand, Element):
-            apply.append(operand)
-        else:
-            add_text(apply, "ci" if isinstance(operand, str) else "cn", operand)
-    return apply
+    parts = (o if isinstance(o, Element) else element("ci" if isinstance(o, str) else "cn", o) for o in operands)
+    return element("apply", Element(operator), *parts)
 
 
 def _sum(terms: list[Element]) -> Element:
     return _apply("plus", *terms) if len(terms) > 1 else terms[0]
 
 
-def _power(base: Element | float, exponent: Element | float) -> Element:
-    return _apply("power", base, exponent)
-
-
-def _add_correlations(normal: Element, names: Sequence[str], k: int, correlation: Matrix) -> None:
-    """Write with which variables the one of number k is correlated: later ones, then earlier ones with coefficients."""
-    for later in names[k + 1 :]:
-        SubElement(normal, "correlatesWith", varID=later)
-    for j, earlier in enumerate(names[:k]):
-        SubElement(normal, "correlation", varID=earlier, corrCoef=number_text(np.clip(correlation[k, j], -1.0, 1.0)))
-
-
 # -- tables ----------------------------------------------------------------------------------------------------
 
 
-def _add_build_up(root: Element, build: BuildUp) -> None:
+def _build_up(build: BuildUp) -> Iterator[Element]:
     tables = [(f"{name}_t{k}", table) for name in COEFFICIENTS for k, table in enumerate(build.tables[name])]
     for name in COEFFICIENTS:
-        _add_constants(root, build, name)
+        yield from _constants(build, name)
     for name, _ in tables:
-        _variable(root, name)
+        yield _variable(name)
     for name in COEFFICIENTS:
-        _add_output(root, build, name)
+        lines = [
+            _apply("times", f"{name}_{regressor}", _apply("minus", regressor, float(reference)))
+            for regressor, reference in zip(build.regressors, build.reference, strict=True)
+        ]
+        added = [f"{name}_t{k}" for k in range(len(build.tables[name]))]
+        yield _variable(name, _formula(_apply("plus", f"{name}_0", *lines, *added)), element("isOutput"))
     for name, table in tables:
-        for axis, points in enumerate(table.breakpoints):
-            place = SubElement(root, "breakpointDef", bpID=f"{name}_b{axis}", units=_unit(table.regressors[axis]))
-            SubElement(place, "description").text = table.regressors[axis]
-            SubElement(place, "bpVals").text = _numbers(points)
+        for axis, (regressor, points) in enumerate(zip(table.regressors, table.breakpoints, strict=True)):
+            parts = [element("description", regressor), element("bpVals", _numbers(points))]
+            yield element("breakpointDef", *parts, bpID=f"{name}_b{axis}", units=_unit(regressor))
     for name, table in tables:
-        _add_function(root, name, table)
+        yield _table(name, table)
 
 
-def _add_constants(root: Element, build: BuildUp, name: str) -> None:
-    """Write the constant at the reference and the derivatives, with their uncertainty and correlation."""
+def _constants(build: BuildUp, name: str) -> Iterator[Element]:
+    """Yield the constant at the reference and the derivatives, with their uncertainty and correlation."""
     names = [f"{name}_0", *(f"{name}_{regressor}" for regressor in build.regressors)]
     values = [build.constants[name], *build.derivatives.loc[name]]
     stds = [build.constants_std[name], *build.derivatives_std.loc[name]]
     correlation = build.correlation(name)
     for k, (variable, value, std) in enumerate(zip(names, values, stds, strict=True)):
-        place = _variable(root, variable)
-        place.set("initialValue", number_text(value))
-        normal = _normal(place)
-        add_text(normal, "bounds", std)
-        _add_correlations(normal, names, k, correlation)
+        normal = _normal(std, *_correlations(names, k, correlation))
+        yield _variable(variable, normal, initialValue=number_text(value))
 
 
-def _add_output(root: Element, build: BuildUp, name: str) -> None:
-    place = SubElement(root, "variableDef", name=_name(name), varID=name, units="nd")
-    lines = [
-        _apply("times", f"{name}_{regressor}", _apply("minus", regressor, float(reference)))
-        for regressor, reference in zip(build.regressors, build.reference, strict=True)
+def _table(name: str, table: Table) -> Element:
+    """Return the function that is a table: constant beyond its edges."""
+    edges = [{"min": number_text(points[0]), "max": number_text(points[-1])} for points in table.breakpoints]
+    inputs = [
+        element("independentVarRef", varID=regressor, extrapolate="neither", **edge)
+        for regressor, edge in zip(table.regressors, edges, strict=True)
     ]
-    _calculate(place, _apply("plus", f"{name}_0", *lines, *(f"{name}_t{k}" for k in range(len(build.tables[name])))))
-    SubElement(place, "isOutput")
-
-
-def _add_function(root: Element, name: str, table: Table) -> None:
-    function = SubElement(root, "function", name=name)
-    for regressor, points in zip(table.regressors, table.breakpoints, strict=True):
-        place = SubElement(function, "independentVarRef", varID=regressor, extrapolate="neither")
-        place.set("min", number_text(points[0]))
-        place.set("max", number_text(points[-1]))
-    SubElement(function, "dependentVarRef", varID=name)
-    grid = SubElement(
-        SubElement(function, "functionDefn", name=f"{name}_f"), "griddedTableDef", gtID=f"{name}_g", units="nd"
+    grid = element(
+        "griddedTableDef",
+        element("breakpointRefs", *(element("bpRef", bpID=f"{name}_b{axis}") for axis in range(len(inputs)))),
+        _normal(element("dataTable", _numbers(table.std))),
+        element("dataTable", _numbers(table.values)),
+        gtID=f"{name}_g",
+        units="nd",
     )
-    references = SubElement(grid, "breakpointRefs")
-    for axis in range(len(table.breakpoints)):
-        SubElement(references, "bpRef", bpID=f"{name}_b{axis}")
-    SubElement(SubElement(_normal(grid), "bounds"), "dataTable").text = _numbers(table.std)
-    SubElement(grid, "dataTable").text = _numbers(table.values)
+    definition = element("functionDefn", grid, name=f"{name}_f")
+    return element("function", *inputs, element("dependentVarRef", varID=name), definition, name=name)
 
 
-def _normal(parent: Element) -> Element:
-    return SubElement(SubElement(parent, "uncertainty", effect="additive"), "normalPDF", numSigmas="1")
+# -- both ------------------------------------------------------------------------------------------------------
 
 
-def _add_checks(root: Element, facts: _Facts, values: Matrix, internal: bool) -> None:
-    """Write predictions of the model, with the largest difference of the file's values at them as tolerance."""
+def _variable(name: str, *content: Element, units: str = "nd", **attributes: str) -> Element:
+    return element("variableDef", *content, name=_name(name), varID=name, units=units, **attributes)
+
+
+def _formula(value: Element) -> Element:
+    return element("calculation", element("math", value, xmlns=MATHML))
+
+
+def _normal(bounds: Element | float, *correlations: Element) -> Element:
+    """Return an additive, normal uncertainty of one standard deviation."""
+    normal = element("normalPDF", element("bounds", bounds), *correlations, numSigmas="1")
+    return element("uncertainty", normal, effect="additive")
+
+
+def _correlations(names: Sequence[str], k: int, correlation: Matrix) -> list[Element]:
+    """Return what variable k is correlated with: names of later variables, coefficients of earlier ones."""
+    numbers = [number_text(np.clip(value, -1.0, 1.0)) for value in correlation[k, :k]]
+    return [
+        *(element("correlatesWith", varID=later) for later in names[k + 1 :]),
+        *(element("correlation", varID=name, corrCoef=number) for name, number in zip(names, numbers, strict=False)),
+    ]
+
+
+def _checks(facts: _Facts | BuildUp, values: Matrix, internal: bool) -> Element:
+    """Return predictions of the model, with the largest difference of the file's values at them as tolerance."""
     rows = np.linspace(0, len(facts.samples) - 1, N_CHECKS).astype(int)
     tolerance = CHECK_TOLERANCE + np.abs(values - facts.predicted)[rows].max(axis=0)
-    checks = SubElement(root, "checkData")
+    shots = []
     for k, row in enumerate(rows):
-        shot = SubElement(checks, "staticShot", name=f"sample {k + 1}")
-        _signals(SubElement(shot, "checkInputs"), facts.regressors, facts.samples[row])
-        if internal:
-            inside = SubElement(shot, "internalValues")
-            for name, std in zip(COEFFICIENTS, facts.predicted_std[row], strict=True):
-                signal = SubElement(inside, "signal")
-                add_text(signal, "varID", f"{name}_std")
-                add_text(signal, "signalValue", std)
-        outputs = _signals(SubElement(shot, "checkOutputs"), COEFFICIENTS, facts.predicted[row])
-        for signal, most in zip(outputs, tolerance, strict=True):
-            add_text(signal, "tol", most)
+        inputs = map(_signal, facts.regressors, facts.samples[row])
+        inside = [
+            element("signal", element("varID", f"{name}_std"), element("signalValue", std))
+            for name, std in zip(COEFFICIENTS, facts.predicted_std[row], strict=True)
+        ]
+        shots.append(
+            element(
+                "staticShot",
+                element("checkInputs", *inputs),
+                *([element("internalValues", *inside)] if internal else []),
+                element("checkOutputs", *map(_signal, COEFFICIENTS, facts.predicted[row], tolerance)),
+                name=f"sample {k + 1}",
+            )
+        )
+    return element("checkData", *shots)
 
 
-def _signals(parent: Element, names: Sequence[str], values: Array) -> list[Element]:
-    found = []
-    for name, value in zip(names, values, strict=True):
-        signal = SubElement(parent, "signal")
-        SubElement(signal, "signalName").text, SubElement(signal, "signalUnits").text = _name(name), _unit(name)
-        add_text(signal, "signalValue", value)
-        found.append(signal)
-    return found
+def _signal(name: str, value: float, *tolerance: float) -> Element:
+    parts = element("signalName", _name(name)), element("signalUnits", _unit(name)), element("signalValue", value)
+    return element("signal", *parts, *(element("tol", most) for most in tolerance))
 
 
 def _name(name: str) -> str:
@@ -417,9 +405,7 @@ def _name(name: str) -> str:
 
 def _unit(name: str) -> str:
     unit = CHANNELS[name].unit if name in CHANNELS else "-"
-    return {"-": "nd", "m/s": "m_s", "rad/s": "rad_s", "rad/s^2": "rad_s2", "m/s^2": "m_s2", "kg/m^3": "kg_m3"}.get(
-        unit, unit
-    )
+    return UNITS.get(unit, unit)
 
 
 def _numbers(values: Array) -> str:

@@ -10,11 +10,12 @@ import subprocess
 import sys
 import tempfile
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
@@ -40,11 +41,12 @@ from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
 from skdgp.dynamics._vehicle.loads import CENTRED, thrust_control
 from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
-from skdgp.export._text import changes_text, check_distinct
+from skdgp.export._text import changes_text, check_distinct, element
 
 FMU_FILES = {"aircraft": "aircraft.fmu", "coefficients": "aero.fmu"}
 """The file of each form; its stem is the model identifier."""
-FMI_VERSIONS = ("2.0", "3.0")
+ROOTS = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
+"""The source of each version of FMI that includes the others."""
 TIME_STEP, STOP_TIME = 0.02, 10.0
 START_ALTITUDE = 1000.0
 START_AIRSPEED = 20.0
@@ -131,31 +133,29 @@ def write_fmu(
         is no compiler, it fails, or FMI has no name for this platform.
     """
     check_choice("form", form, FMU_FILES)
-    check_choice("fmi", fmi, FMI_VERSIONS)
+    check_choice("fmi", fmi, ROOTS)
     written, renamed = model.with_identifiers()
     variables = list(_aircraft(written) if form == "aircraft" else _coefficients(written))
     check_distinct((variable.name for variable in variables), "the FMU")
     content = repr((model.content_hash, model.aircraft.to_dict(), variables, form, fmi))
     token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
-    root = "fmi" + fmi[0] + ".c"
     sources = {name: text for name, text in c_files(model).items() if name in ("aero.h", "aero.c")}
-    sources |= {name: _template(name) for name in ("fmu.c", root)}
+    sources |= {name: _template(name) for name in ("fmu.c", ROOTS[fmi])}
     values = _model_values(written, variables, form) | {"token": token}
     sources["model.c"] = Template(_template(f"fmu_{form}.c")).substitute(values)
-    identifier = Path(FMU_FILES[form]).stem
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
-    members["modelDescription.xml"] = _xml(_description(model, renamed, variables, identifier, fmi, token, root))
+    members["modelDescription.xml"] = _xml(_description(model, renamed, variables, form, fmi, token))
     if fmi == "3.0":
-        build = ET.Element("fmiBuildDescription", fmiVersion=fmi)
-        configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=identifier)
-        ET.SubElement(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", name=root)
-        ET.SubElement(configuration, "Library", name="m")
-        members["sources/buildDescription.xml"] = _xml(build)
-    found = _binary(sources, root, identifier, fmi)
+        members["sources/buildDescription.xml"] = _xml(_build_description(form, fmi))
+    found = _binary(sources, form, fmi)
     if found is not None:
-        members[f"binaries/{found[0]}/{identifier}{found[1]}"] = found[2]
+        members[f"binaries/{found[0]}/{_identifier(form)}{found[1]}"] = found[2]
     write_atomically(path, lambda temporary: _zip(temporary, members))
     return None if found is None else found[0]
+
+
+def _identifier(form: str) -> str:
+    return Path(FMU_FILES[form]).stem
 
 
 def _zip(path: Path, members: dict[str, str | bytes]) -> None:
@@ -300,7 +300,7 @@ def _propulsion(model: PortableModel, places: dict[str, int]) -> str:
     return "\n".join(lines)
 
 
-def _binary(sources: dict[str, str], root: str, identifier: str, fmi: str) -> tuple[str, str, bytes] | None:
+def _binary(sources: dict[str, str], form: str, fmi: str) -> tuple[str, str, bytes] | None:
     """Return the platform, the suffix and the bytes of the shared library; None without one, with a warning."""
     place, compiler = _platform(fmi), _compiler()
     if place is None:
@@ -311,9 +311,9 @@ def _binary(sources: dict[str, str], root: str, identifier: str, fmi: str) -> tu
         with tempfile.TemporaryDirectory() as folder:
             for name, text in sources.items():
                 (Path(folder) / name).write_text(text, encoding="utf-8")
-            library = Path(folder, identifier + place[1])
+            library = Path(folder, _identifier(form) + place[1])
             options = ["-O2", "-std=c99", "-shared", *([] if os.name == "nt" else ["-fPIC"])]
-            command = [compiler[0], *options, *compiler[1:], root, "-o", library.name, "-lm"]
+            command = [compiler[0], *options, *compiler[1:], ROOTS[fmi], "-o", library.name, "-lm"]
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return *place, library.read_bytes()
@@ -346,52 +346,46 @@ def _platform(fmi: str) -> tuple[str, str] | None:
 
 
 def _description(
-    model: PortableModel,
-    renamed: dict[str, str],
-    variables: list[_Variable],
-    identifier: str,
-    fmi: str,
-    token: str,
-    root: str,
-) -> ET.Element:
+    model: PortableModel, renamed: dict[str, str], variables: list[_Variable], form: str, fmi: str, token: str
+) -> Element:
     """Return modelDescription.xml."""
     second = fmi == "2.0"
-    top = ET.Element("fmiModelDescription", fmiVersion=fmi, modelName=model.aircraft.name)
-    top.set("guid" if second else "instantiationToken", token)
-    names = f". Names: {text}" if (text := changes_text(renamed)) else ""
-    top.set("description", f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}{names}")
-    top.set("generationTool", "skdgp")
-    top.set("variableNamingConvention", "flat")
-    simulation = ET.SubElement(top, "CoSimulation", modelIdentifier=identifier)
     spelling = "FMUstate" if second else "FMUState"
-    capable = ["canHandleVariableCommunicationStepSize", f"canGetAndSet{spelling}", f"canSerialize{spelling}"]
-    for name in (*capable, "canInterpolateInputs" if second else "providesIntermediateUpdate"):
-        simulation.set(name, "true")
-    if second:
-        ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name=root)
-    units = ET.SubElement(top, "UnitDefinitions")
-    for unit in sorted({variable.unit for variable in variables} - {""}):
-        powers = {name: str(power) for name, power in BASE_UNITS[unit].items()}
-        ET.SubElement(ET.SubElement(units, "Unit", name=unit), "BaseUnit", powers)
-    categories = ET.SubElement(top, "LogCategories")
-    for name in ("logStatusError", "logStatusDiscard"):
-        ET.SubElement(categories, "Category", name=name)
-    step = {"startTime": "0", "stopTime": f"{STOP_TIME:g}", "stepSize": repr(TIME_STEP)}
-    ET.SubElement(top, "DefaultExperiment", step)
-    listed = ET.SubElement(top, "ModelVariables")
-    for k, variable in enumerate(variables):
-        _add_variable(listed, k, variable, second)
-    structure = ET.SubElement(top, "ModelStructure")
+    capable = [
+        *("canHandleVariableCommunicationStepSize", f"canGetAndSet{spelling}", f"canSerialize{spelling}"),
+        "canInterpolateInputs" if second else "providesIntermediateUpdate",
+    ]
+    source = [element("SourceFiles", element("File", name=ROOTS[fmi]))] if second else []
+    units = [
+        element(
+            "Unit", element("BaseUnit", **{name: str(power) for name, power in BASE_UNITS[unit].items()}), name=unit
+        )
+        for unit in sorted({variable.unit for variable in variables} - {""})
+    ]
     outputs = [k for k, variable in enumerate(variables) if variable.kind in "sod"]
     unknown = [k for k in outputs if variables[k].kind != "s"]
-    for group, element, places in (("Outputs", "Output", outputs), ("InitialUnknowns", "InitialUnknown", unknown)):
-        parent = ET.SubElement(structure, group) if second else structure
-        for k in places:
-            if second:
-                ET.SubElement(parent, "Unknown", index=str(k + 1))
-            else:
-                ET.SubElement(parent, element, valueReference=str(k))
-    return top
+    if second:
+        places = (("Outputs", outputs), ("InitialUnknowns", unknown))
+        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in of)) for tag, of in places]
+    else:
+        places = (("Output", outputs), ("InitialUnknown", unknown))
+        structure = [element(tag, valueReference=str(k)) for tag, of in places for k in of]
+    names = f". Names: {text}" if (text := changes_text(renamed)) else ""
+    return element(
+        "fmiModelDescription",
+        element("CoSimulation", *source, modelIdentifier=_identifier(form), **dict.fromkeys(capable, "true")),
+        element("UnitDefinitions", *units),
+        element("LogCategories", *(element("Category", name=name) for name in ("logStatusError", "logStatusDiscard"))),
+        element("DefaultExperiment", startTime="0", stopTime=f"{STOP_TIME:g}", stepSize=repr(TIME_STEP)),
+        element("ModelVariables", *(_described(k, variable, second) for k, variable in enumerate(variables))),
+        element("ModelStructure", *structure),
+        fmiVersion=fmi,
+        modelName=model.aircraft.name,
+        **{"guid" if second else "instantiationToken": token},
+        description=f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}{names}",
+        generationTool="skdgp",
+        variableNamingConvention="flat",
+    )
 
 
 _ROLES = {
@@ -405,20 +399,26 @@ _ROLES = {
 """Causality, variability and initial of each kind of variable."""
 
 
-def _add_variable(parent: ET.Element, reference: int, variable: _Variable, second: bool) -> None:
+def _described(reference: int, variable: _Variable, second: bool) -> Element:
     words = {"name": variable.name, "valueReference": str(reference)}
     words |= zip(("causality", "variability", "initial"), _ROLES[variable.kind], strict=True)
     words |= {"description": variable.meaning}
     number = {"unit": variable.unit, "start": repr(float(variable.start)) if variable.kind in "spi" else ""}
     words, number = ({name: value for name, value in each.items() if value} for each in (words, number))
     if second:
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", words), "Real", number)
-    else:
-        element = ET.SubElement(parent, "Float64", words | number)
-        if variable.kind == "i":
-            element.set("intermediateUpdate", "true")
+        return element("ScalarVariable", element("Real", **number), **words)
+    update = {"intermediateUpdate": "true"} if variable.kind == "i" else {}
+    return element("Float64", **words, **number, **update)
 
 
-def _xml(root: ET.Element) -> bytes:
-    ET.indent(root)
-    return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+def _build_description(form: str, fmi: str) -> Element:
+    """Return buildDescription.xml, which FMI 3.0 asks for."""
+    sources = element("SourceFileSet", element("SourceFile", name=ROOTS[fmi]), language="C99")
+    library = element("Library", name="m")
+    configuration = element("BuildConfiguration", sources, library, modelIdentifier=_identifier(form))
+    return element("fmiBuildDescription", configuration, fmiVersion=fmi)
+
+
+def _xml(root: Element) -> bytes:
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)

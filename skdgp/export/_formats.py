@@ -9,24 +9,24 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from sklearn.utils import Bunch
 
 from skdgp.dynamics import Aircraft
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
-from skdgp.export._build_up import BuildUp, build_up, write_build_up
-from skdgp.export._c import sized_for_c, write_c
-from skdgp.export._casadi import write_casadi
+from skdgp.export._build_up import build_up, write_build_up
+from skdgp.export._c import C_FILES, sized_for_c, write_c
 from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import save_portable
 from skdgp.export._fmu import FMU_FILES, write_fmu
+from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
-from skdgp.export._onnx import write_onnx
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced_to_kb
 
+Facts: TypeAlias = dict[str, Any]
 MEMBER_BYTES = 300  # of an array in a file, besides its numbers
 
 
@@ -53,42 +53,54 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
-    known = [name for name in inspect.signature(FORMATS[to]).parameters if name not in ("folder", "model")]
+    known = [name for name in inspect.signature(FORMATS[to]).parameters if name not in ("folder", "model", "aircraft")]
     unknown = [name for name in options if name not in known]
     if unknown:
         raise ValueError(f"Got the options {unknown} for the format {to}, but expected {known or 'none'}.")
-    return FORMATS[to](Path(folder), model, **options)
+    if to in OF_ARRAYS:
+        portable = portable_model(**model) if isinstance(model, Bunch) else model
+        return OF_ARRAYS[to](Path(folder), portable, **options)
+    if not isinstance(model, Bunch):
+        raise ValueError(
+            f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
+            "needs the pipeline and its samples, which a portable model does not hold."
+        )
+    return OF_SAMPLES[to](Path(folder), model.pipeline, model.aircraft, **options)
 
 
-def _one_file(
-    name: str, write: Callable[[Path, PortableModel], Path], folder: Path, model: Any, *, max_kb: float | None = None
-) -> dict[str, Any]:
+# -- of arrays -----------------------------------------------------------------------------------------------------
+
+
+def _one_file(name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None) -> Facts:
     """Write the portable model, in at most ``max_kb`` of a portable file, in one file of another format."""
-    portable = reduced_to_kb(_as_portable(model), _file_bytes, max_kb)
-    return {"files": [write(folder / name, portable)], "loss": loss_of(portable)}
+    model = reduced_to_kb(model, _file_bytes, max_kb)
+    return {"files": [write(folder / name, model)], "loss": loss_of(model)}
 
 
-def _c(folder: Path, model: Any, *, precision: str = "double", max_kb: float | None = None) -> dict[str, Any]:
-    """Write aero.h, aero.c, their test and a Makefile."""
-    written = write_c(folder, _as_portable(model), precision=precision, max_kb=max_kb)
-    return {
-        "files": [folder / name for name in ("aero.h", "aero.c", "test_aero.c", "Makefile")],
-        "loss": loss_of(written),
-    }
+def _c(folder: Path, model: PortableModel, *, precision: str = "double", max_kb: float | None = None) -> Facts:
+    written = write_c(folder, model, precision=precision, max_kb=max_kb)
+    return {"files": [folder / name for name in C_FILES], "loss": loss_of(written)}
 
 
 def _fmu(
-    folder: Path, model: Any, *, form: str = "aircraft", fmi: str = "2.0", max_kb: float | None = None
-) -> dict[str, Any]:
-    """Write aircraft.fmu or aero.fmu."""
-    portable = sized_for_c(_as_portable(model), max_kb=max_kb)
-    path = folder / FMU_FILES.get(form, "")
-    return {"binary": write_fmu(path, portable, form=form, fmi=fmi), "files": [path], "loss": loss_of(portable)}
+    folder: Path, model: PortableModel, *, form: str = "aircraft", fmi: str = "2.0", max_kb: float | None = None
+) -> Facts:
+    model, path = sized_for_c(model, max_kb=max_kb), folder / FMU_FILES.get(form, "")
+    return {"binary": write_fmu(path, model, form=form, fmi=fmi), "files": [path], "loss": loss_of(model)}
 
 
-def _tables(folder: Path, model: Any) -> dict[str, Any]:
-    """Write build_up.json, and build_up.png if matplotlib is installed."""
-    build, files = build_up(*_whole(model, "build-up")), [folder / "build_up.json"]
+def _file_bytes(model: PortableModel) -> int:
+    """Return the size of the file of a model."""
+    arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
+    return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
+
+
+# -- of samples ----------------------------------------------------------------------------------------------------
+
+
+def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
+    """Write build_up.json, and its picture if matplotlib is installed."""
+    build, files = build_up(model, aircraft), [folder / "build_up.json"]
     write_build_up(files[0], build)
     if importlib.util.find_spec("matplotlib"):
         from matplotlib.figure import Figure
@@ -102,54 +114,35 @@ def _tables(folder: Path, model: Any) -> dict[str, Any]:
     return {"files": files, "loss": build.loss.to_dict("index")}
 
 
-def _jsbsim(folder: Path, model: Any, *, form: str = "functions", draws: int = 0) -> dict[str, Any]:
-    """Write aircraft/NAME/NAME.xml, and with ``draws`` as many aircraft drawn from the posterior."""
-    pipeline, aircraft = _whole(model, "jsbsim")
-    return {"files": write_jsbsim(folder, pipeline, aircraft, form=form, n_draws=draws)}
+def _jsbsim(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions", draws: int = 0) -> Facts:
+    return {"files": write_jsbsim(folder, model, aircraft, form=form, n_draws=draws)}
 
 
-def _derivatives(to: str, name: str, write: Callable[[Path, BuildUp], Any], folder: Path, model: Any) -> dict[str, Any]:
-    """Write constant derivatives in one file."""
-    loss = write(folder / name, build_up(*_whole(model, to), return_std=False))
+def _derivatives(name: str, write: Callable, folder: Path, model: Any, aircraft: Aircraft) -> Facts:
+    loss = write(folder / name, build_up(model, aircraft, return_std=False))
     return {"files": [folder / name], "loss": loss.to_dict("index")}
 
 
-def _dave_ml(folder: Path, model: Any, *, form: str = "functions") -> dict[str, Any]:
-    """Write aero.dml."""
+def _dave_ml(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions") -> Facts:
     path = folder / "aero.dml"
-    return {"files": [path], "loss": write_dave_ml(path, *_whole(model, "dave-ml"), form=form).to_dict("index")}
+    return {"files": [path], "loss": write_dave_ml(path, model, aircraft, form=form).to_dict("index")}
 
 
-def _whole(model: Any, to: str) -> tuple[Any, Aircraft]:
-    """Return the pipeline and the aircraft of a model file."""
-    if isinstance(model, Bunch):
-        return model.pipeline, model.aircraft
-    raise ValueError(
-        f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
-        "needs the pipeline and its samples, which a portable model does not hold."
-    )
-
-
-def _as_portable(model: Any) -> PortableModel:
-    return portable_model(**model) if isinstance(model, Bunch) else model
-
-
-def _file_bytes(model: PortableModel) -> int:
-    """Return the size of the file of a model."""
-    arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
-    return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
-
-
-FORMATS: dict[str, Callable[..., dict[str, Any]]] = {
+OF_ARRAYS: dict[str, Callable[..., Facts]] = {
     "portable": partial(_one_file, "model.npz", save_portable),
     "c": _c,
     "casadi": partial(_one_file, "aero.casadi", write_casadi),
     "onnx": partial(_one_file, "aero.onnx", write_onnx),
     "fmu": _fmu,
+}
+"""Formats of a portable model."""
+OF_SAMPLES: dict[str, Callable[..., Facts]] = {
     "build-up": _tables,
     "jsbsim": _jsbsim,
-    "ardupilot": partial(_derivatives, "ardupilot", "plane.json", write_ardupilot),
-    "gazebo": partial(_derivatives, "gazebo", "model.sdf", write_gazebo),
+    "ardupilot": partial(_derivatives, "plane.json", write_ardupilot),
+    "gazebo": partial(_derivatives, "model.sdf", write_gazebo),
     "dave-ml": _dave_ml,
 }
+"""Formats of a pipeline and its samples."""
+FORMATS = OF_ARRAYS | OF_SAMPLES
 """The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""

@@ -13,8 +13,8 @@ from skdgp.dynamics import Aircraft, Simulator, Trim, as_aerodynamics, dryden_wi
 from skdgp.dynamics._control.trim import DEFLECTION
 from skdgp.dynamics._simulation.gusts import CEILING
 from skdgp.dynamics._vehicle.loads import Thrust
+from skdgp.export._text import extra
 
-NEEDED = 'The environment needs Gymnasium, which is not installed: pip install "skdgp[export]".'
 OBSERVED = ("airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "altitude")
 TRACKED = {"airspeed": 2.0, "altitude": 5.0, "phi": 0.1}
 """Errors [m/s, m, rad] at which a term of the reward is one half."""
@@ -106,14 +106,12 @@ def gymnasium_env(
     >>> round(reward, 6), terminated, truncated
     (1.0, False, False)
     """
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise ImportError(NEEDED) from error
+    gymnasium = extra("gymnasium")
+    Env: Any = gymnasium.Env
     task = _Task(model, aircraft, start, posterior, duration, dt, wind_at_6m, initial_std, limits, reward, thrust)
 
-    class AircraftEnv(gymnasium.Env):
-        metadata = {"render_modes": []}
+    class AircraftEnv(Env):
+        metadata: dict[str, Any] = {"render_modes": []}
         observation_space = gymnasium.spaces.Box(*task.box(OBSERVED), dtype=np.float64)
         action_space = gymnasium.spaces.Box(*task.box(task.controls), dtype=np.float64)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pandas as pd
@@ -18,21 +18,23 @@ from skdgp._compute.typing import Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
+from skdgp.dynamics._vehicle.loads import CENTRED
 from skdgp.export._build_up import BuildUp, build_up
 from skdgp.export._gaussians import GaussianSum, gaussian_sums
-from skdgp.export._text import add_text, changes_text, file_name, identifiers, number_text, write_xml
+from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
-SLUG = POUND_FORCE / FOOT
+SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
+CENTRE = (0.0, 0.0, 0.0)
 AXES = {"CX": "X", "CY": "Y", "CZ": "Z", "Cl": "ROLL", "Cm": "PITCH", "Cn": "YAW"}
-LENGTHS = {"Cl": "metrics/bw-ft", "Cm": "metrics/cbarw-ft", "Cn": "metrics/bw-ft"}
+LENGTHS = {"Cl": ["metrics/bw-ft"], "Cm": ["metrics/cbarw-ft"], "Cn": ["metrics/bw-ft"]}
 SURFACES = {
     "elevator": ("fcs/elevator-cmd-norm", "fcs/elevator-pos-rad"),
     "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
     "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
 }
 TRIMS = {"elevator": "fcs/pitch-trim-cmd-norm", "aileron": "fcs/roll-trim-cmd-norm", "rudder": "fcs/yaw-trim-cmd-norm"}
-THROTTLE = "fcs/throttle-cmd-norm"
+THROTTLE, SPEED, AIRSPEED = "fcs/throttle-cmd-norm", "fcs/propeller_speed", "velocities/vt-fps"
 SOURCES = {  # property and factor to SI units
     "alpha": ("aero/alpha-rad", 1.0),
     "beta": ("aero/beta-rad", 1.0),
@@ -41,7 +43,7 @@ SOURCES = {  # property and factor to SI units
     "p": ("velocities/p-aero-rad_sec", 1.0),
     "q": ("velocities/q-aero-rad_sec", 1.0),
     "r": ("velocities/r-aero-rad_sec", 1.0),
-    "airspeed": ("velocities/vt-fps", FOOT),
+    "airspeed": (AIRSPEED, FOOT),
     "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
     "altitude": ("position/h-sl-ft", FOOT),
     "u": ("velocities/u-fps", FOOT),
@@ -135,13 +137,10 @@ def write_jsbsim(
             model, aircraft, X=options.get("X"), tolerance=tolerance, n_draws=n_draws, random_state=random_state
         )
     tables = [] if build is None else [build, *build.sample(n_draws, random_state)]
-    written = [
-        {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS} for k in range(1 + n_draws)
-    ]
-    name = file_name(aircraft.name)
     paths = []
-    for k, parts in enumerate(written):
-        own = name if k == 0 else f"{name}_{k:03d}"
+    for k in range(1 + n_draws):
+        parts = {c: functions[k] if functions and c in names else tables[k] for c in COEFFICIENTS}
+        own = file_name(aircraft.name) + (f"_{k:03d}" if k else "")
         paths.append(Path(folder, "aircraft", own, f"{own}.xml"))
         paths[-1].parent.mkdir(parents=True, exist_ok=True)
         root = jsbsim_config(own, parts, aircraft)
@@ -152,138 +151,125 @@ def write_jsbsim(
 
 def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
     """Return the file of an aircraft, with each coefficient of ``parts`` as tables or as functions."""
-    root = Element("fdm_config", name=name, version="2.0", release="BETA")
     names = identifiers(next(iter(parts.values())).regressors)
     parts = {coefficient: part.renamed(names) for coefficient, part in parts.items()}
     found = next(iter(parts.values()))
     loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
     lines = [*loss.to_string().splitlines(), f"Names: {text}" if (text := changes_text(names)) else ""]
-    root.append(ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in lines)))
-    header = SubElement(root, "fileheader")
-    add_text(header, "description", f"{aircraft.name}, learned from flights by skdgp")
-    _add_metrics(root, aircraft)
-    _add_mass(root, aircraft)
-    SubElement(root, "ground_reactions")
-    _add_thrust(root, aircraft)
     controls = [r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT]
-    _add_controls(root, found, controls, has_throttle=root.find("propulsion") is not None)
-    aerodynamics = SubElement(root, "aerodynamics")
-    for regressor in found.regressors:
-        function = SubElement(aerodynamics, "function", name=f"aero/regressor/{regressor}")
-        _product(function, *_source(regressor, found.lengths, aircraft, controls))
-    functions = {name: part for name, part in parts.items() if isinstance(part, GaussianSum)}
-    if functions:
-        _add_waves(aerodynamics, next(iter(functions.values())), [COEFFICIENTS.index(name) for name in functions])
-    for coefficient, part in parts.items():
-        if isinstance(part, GaussianSum):
-            _add_gaussians(aerodynamics, part, coefficient)
-        else:
-            _add_tables(aerodynamics, part, coefficient)
-    for coefficient, axis in AXES.items():
-        place = SubElement(aerodynamics, "axis", name=axis)
-        if coefficient not in LENGTHS:
-            place.set("unit", "LBS")
-        load = SubElement(place, "function", name=f"aero/{'moment' if coefficient in LENGTHS else 'force'}/{axis}")
-        lengths = [LENGTHS[coefficient]] if coefficient in LENGTHS else []
-        _product(load, "aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}")
-    _simplify(root)
-    return root
+    has_engine = aircraft.propeller is not None and aircraft.propeller.speed_range is not None
+    waves = {c: part for c, part in parts.items() if isinstance(part, GaussianSum)}
+    aerodynamics: list[Element] = []
+    for r in found.regressors:
+        factors = _source(r, found.lengths, aircraft, controls)
+        aerodynamics.append(_function(f"aero/regressor/{r}", _of("product", *factors)))
+    if waves:
+        aerodynamics += _waves(next(iter(waves.values())), [COEFFICIENTS.index(c) for c in waves])
+    for c, part in parts.items():
+        aerodynamics += _gaussians(part, c) if isinstance(part, GaussianSum) else [_tables(part, c)]
+    return element(
+        "fdm_config",
+        ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in lines)),
+        element("fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")),
+        _metrics(aircraft),
+        _mass(aircraft),
+        element("ground_reactions"),
+        _thrust(aircraft),
+        *([_engine()] if has_engine else []),
+        _controls(found, [*([] if has_engine else [THROTTLE]), *(f"fcs/{c}" for c in controls)]),
+        element("aerodynamics", *aerodynamics, *map(_load, COEFFICIENTS)),
+        name=name,
+        version="2.0",
+        release="BETA",
+    )
 
 
-def _simplify(root: Element) -> None:
-    """Replace sums and products of one argument by the argument: JSBSim complains of each."""
-    for parent in root.iter():
-        for place, child in enumerate(parent):
-            while child.tag in ("sum", "product") and len(child) == 1:
-                parent[place] = child = child[0]
+# -- the aircraft --------------------------------------------------------------------------------------------------
 
 
-def _add_metrics(root: Element, aircraft: Aircraft) -> None:
-    metrics = SubElement(root, "metrics")
-    for tag, value, unit in (
-        ("wingarea", aircraft.wing_area, "M2"), ("wingspan", aircraft.span, "M"), ("chord", aircraft.chord, "M"),
-    ):  # fmt: skip
-        add_text(metrics, tag, value, unit=unit)
-    for place in ("AERORP", "EYEPOINT", "VRP"):
-        _vector(metrics, "location", (0.0, 0.0, 0.0), name=place, unit="M")
+def _metrics(aircraft: Aircraft) -> Element:
+    return element(
+        "metrics",
+        element("wingarea", aircraft.wing_area, unit="M2"),
+        element("wingspan", aircraft.span, unit="M"),
+        element("chord", aircraft.chord, unit="M"),
+        *(_vector("location", CENTRE, name=place, unit="M") for place in ("AERORP", "EYEPOINT", "VRP")),
+    )
 
 
-def _add_mass(root: Element, aircraft: Aircraft) -> None:
-    """Write mass and inertia: JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry."""
+def _mass(aircraft: Aircraft) -> Element:
+    """Return mass and inertia: JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry."""
     J = aircraft.inertia
-    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="true")
     entries = {"ixx": J[0, 0], "iyy": J[1, 1], "izz": J[2, 2], "ixy": -J[0, 1], "ixz": J[0, 2], "iyz": -J[1, 2]}
-    for tag, value in entries.items():
-        add_text(mass, tag, value, unit="KG*M2")
-    add_text(mass, "emptywt", aircraft.mass, unit="KG")
-    _vector(mass, "location", (0.0, 0.0, 0.0), name="CG", unit="M")
+    return element(
+        "mass_balance",
+        *(element(tag, value, unit="KG*M2") for tag, value in entries.items()),
+        element("emptywt", aircraft.mass, unit="KG"),
+        _vector("location", CENTRE, name="CG", unit="M"),
+        negated_crossproduct_inertia="true",
+    )
 
 
-def _add_thrust(root: Element, aircraft: Aircraft) -> None:
-    line, propeller = aircraft.thrust_line, aircraft.propeller
-    position, direction = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) if line is None else (line.position, line.direction)
-    reactions = SubElement(root, "external_reactions")
-    if propeller is not None:
-        add_text(reactions, "property", "fcs/propeller_speed")
-    force = SubElement(reactions, "force", name="thrust", frame="BODY")
-    if propeller is not None:
-        function = SubElement(force, "function", name="propulsion/thrust-lbs")
-        _propeller(function, propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
-    _vector(force, "location", (-position[0], position[1], -position[2]), unit="M")
-    _vector(force, "direction", direction)
-    if propeller is not None and propeller.torque_coefficients:
-        moment = SubElement(reactions, "moment", name="propeller", frame="BODY")
-        function = SubElement(moment, "function", name="propulsion/torque-lbsft")
-        factor = -propeller.rotation / (POUND_FORCE * FOOT)
-        _propeller(function, propeller, propeller.torque_coefficients, 5, factor)
-        _vector(moment, "direction", direction)
-    if propeller is not None and propeller.speed_range is not None:
-        _add_engine(root)
+def _thrust(aircraft: Aircraft) -> Element:
+    line, propeller = aircraft.thrust_line or CENTRED, aircraft.propeller
+    x, y, z = map(float, line.position)
+    at = [_vector("location", (-x, y, -z), unit="M"), _vector("direction", line.direction)]
+    if propeller is None:
+        return element("external_reactions", element("force", *at, name="thrust", frame="BODY"))
+    loads = propeller.thrust_coefficients, propeller.torque_coefficients
+    thrust = _propeller("propulsion/thrust-lbs", propeller, loads[0], 4, 1.0 / POUND_FORCE)
+    parts = [element("force", thrust, *at, name="thrust", frame="BODY")]
+    if loads[1]:
+        torque = _propeller("propulsion/torque-lbsft", propeller, loads[1], 5, -propeller.rotation / FOOT_POUND)
+        parts.append(element("moment", torque, _vector("direction", line.direction), name="propeller", frame="BODY"))
+    return element("external_reactions", element("property", SPEED), *parts)
 
 
-def _add_engine(root: Element) -> None:
-    """Write an engine without power: JSBSim's trim moves the throttles of its engines, and no other property."""
-    engine = SubElement(SubElement(root, "propulsion"), "engine")
-    add_text(SubElement(engine, "electric_engine", name="throttle"), "power", 0.0, unit="WATTS")
-    thruster = SubElement(engine, "thruster")
-    SubElement(thruster, "direct", name="none")
-    _vector(thruster, "location", (0.0, 0.0, 0.0), unit="M")
+def _propeller(name: str, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> Element:
+    """Return the function rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
+
+    def turns():
+        if propeller.speed_range is None:
+            return _of("product", 0.5 / np.pi, SPEED)
+        idle, full = (speed / (2 * np.pi) for speed in propeller.speed_range)
+        return _of("sum", idle, _of("product", full - idle, THROTTLE))
+
+    terms = [
+        _of("product", c * (FOOT / propeller.diameter) ** k, *[AIRSPEED] * k, *(turns() for _ in range(2 - k)))
+        for k, c in enumerate(coefficients)
+    ]
+    scale = factor * propeller.diameter**power * SLUG / FOOT**3
+    return _function(name, _of("product", scale, "atmosphere/rho-slugs_ft3", _of("sum", *terms)))
 
 
-def _propeller(function: Element, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> None:
-    """Write rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
-    product = _product(function, factor * propeller.diameter**power * SLUG / FOOT**3, "atmosphere/rho-slugs_ft3")
-    total = SubElement(product, "sum")
-    for k, c in enumerate(coefficients):
-        term = _product(total, c * (FOOT / propeller.diameter) ** k, *["velocities/vt-fps"] * k)
-        for _ in range(2 - k):
-            if propeller.speed_range is None:
-                _product(term, 0.5 / np.pi, "fcs/propeller_speed")
-            else:
-                idle, full = (speed / (2 * np.pi) for speed in propeller.speed_range)
-                speed = SubElement(term, "sum")
-                _values(speed, idle)
-                _product(speed, full - idle, THROTTLE)
+def _engine() -> Element:
+    """Return an engine without power: JSBSim's trim moves the throttles of its engines, and no other property."""
+    power = element("electric_engine", element("power", 0.0, unit="WATTS"), name="throttle")
+    thruster = element("thruster", element("direct", name="none"), _vector("location", CENTRE, unit="M"))
+    return element("propulsion", element("engine", power, thruster))
 
 
-def _add_controls(root: Element, found: BuildUp | GaussianSum, controls: Iterable[str], *, has_throttle: bool) -> None:
-    control = SubElement(root, "flight_control", name="surfaces")
-    for name in [*([] if has_throttle else [THROTTLE]), *(f"fcs/{name}" for name in controls)]:
-        SubElement(control, "property", value="0").text = name
-    channel = SubElement(control, "channel", name="surfaces")
+def _controls(found: BuildUp | GaussianSum, properties: Sequence[str]) -> Element:
+    parts = []
     for name, (command, position) in SURFACES.items():
-        if name not in found.regressors:
-            continue
-        largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
-        total = SubElement(channel, "summer", name=f"fcs/{name}-sum")  # JSBSim trims by the second
-        for place in (command, TRIMS[name]):
-            add_text(total, "input", place)
-        scale = SubElement(channel, "aerosurface_scale", name=f"fcs/{name}-scale")
-        add_text(scale, "input", f"fcs/{name}-sum")
-        limits = SubElement(scale, "range")
-        add_text(limits, "min", -largest)
-        add_text(limits, "max", largest)
-        add_text(scale, "output", position)
+        if name in found.regressors:
+            largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
+            inputs = [element("input", place) for place in (command, TRIMS[name])]  # JSBSim trims by the second
+            parts += [
+                element("summer", *inputs, name=f"fcs/{name}-sum"),
+                element(
+                    "aerosurface_scale",
+                    element("input", f"fcs/{name}-sum"),
+                    element("range", element("min", -largest), element("max", largest)),
+                    element("output", position),
+                    name=f"fcs/{name}-scale",
+                ),
+            ]
+    settable = [element("property", name, value="0") for name in properties]
+    return element("flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces")
+
+
+# -- the aerodynamics ----------------------------------------------------------------------------------------------
 
 
 def _rate(regressor: str) -> str | None:
@@ -305,92 +291,94 @@ def _source(regressor: str, lengths: tuple[float, float], aircraft: Aircraft, co
     name, factor = SOURCES[rate or regressor]
     if rate is None:
         return [name, factor] if factor != 1.0 else [name]
-    is_span = RATE_LENGTHS[rate] == "span"
-    ratio = lengths[0] / aircraft.span if is_span else lengths[1] / aircraft.chord
-    return [name, "aero/bi2vel" if is_span else "aero/ci2vel", ratio]
+    if RATE_LENGTHS[rate] == "span":
+        return [name, "aero/bi2vel", lengths[0] / aircraft.span]
+    return [name, "aero/ci2vel", lengths[1] / aircraft.chord]
 
 
-def _add_tables(aerodynamics: Element, found: BuildUp, coefficient: str) -> None:
-    function = SubElement(aerodynamics, "function", name=f"aero/coefficient/{coefficient}")
+def _load(coefficient: str) -> Element:
+    """Return the force or the moment of a coefficient."""
+    axis, lengths = AXES[coefficient], LENGTHS.get(coefficient, [])
+    factors = ["aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}"]
+    load = _function(f"aero/{'moment' if lengths else 'force'}/{axis}", _of("product", *factors))
+    return element("axis", load, name=axis, **({} if lengths else {"unit": "LBS"}))
+
+
+def _tables(found: BuildUp, coefficient: str) -> Element:
     std = ", ".join(f"{r} {v:.2g}" for r, v in found.derivatives_std.loc[coefficient].items())
     text = f" standard deviations: constant {found.constants_std[coefficient]:.2g}, {std} "
-    function.append(ElementTree.Comment(text))
     slopes = found.derivatives.loc[coefficient].to_numpy()
-    total = SubElement(function, "sum")
-    _values(total, float(found.constants[coefficient] - slopes @ found.reference))
+    terms: list[Any] = [float(found.constants[coefficient] - slopes @ found.reference)]
     for regressor, slope in zip(found.regressors, slopes, strict=True):
-        _product(total, float(slope), f"aero/regressor/{regressor}")
+        terms.append(_of("product", float(slope), f"aero/regressor/{regressor}"))
     for table in found.tables[coefficient]:
-        place = SubElement(total, "table", name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}")
-        for axis, regressor in zip(("row", "column"), table.regressors, strict=False):
-            add_text(place, "independentVar", f"aero/regressor/{regressor}", lookup=axis)
+        axes = zip(("row", "column"), table.regressors, strict=False)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
         lines = [" ".join(map(number_text, row)) for row in np.column_stack([table.breakpoints[0], cells])]
         if len(table.breakpoints) == 2:
             lines.insert(0, " ".join(map(number_text, table.breakpoints[1])))
-        add_text(place, "tableData", "\n" + "\n".join(lines) + "\n")
+        terms.append(
+            element(
+                "table",
+                *(element("independentVar", f"aero/regressor/{r}", lookup=axis) for axis, r in axes),
+                element("tableData", "\n" + "\n".join(lines) + "\n"),
+                name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}",
+            )
+        )
+    return _function(f"aero/coefficient/{coefficient}", ElementTree.Comment(text), _of("sum", *terms))
 
 
-def _add_waves(aerodynamics: Element, found: GaussianSum, outputs: Sequence[int]) -> None:
-    """Write scaled regressors, and the waves of some coefficients."""
+def _waves(found: GaussianSum, outputs: Sequence[int]) -> Iterator[Element]:
+    """Yield scaled regressors, and the waves of some coefficients."""
     for regressor, shift, scale in zip(found.regressors, found.shift, found.scale, strict=True):
-        scaled = _product(SubElement(aerodynamics, "function", name=_scaled(regressor)), 1.0 / scale)
-        _values(SubElement(scaled, "difference"), f"aero/regressor/{regressor}", float(shift))
+        away = _of("difference", f"aero/regressor/{regressor}", float(shift))
+        yield _function(f"aero/scaled/{regressor}", _of("product", 1.0 / scale, away))
     frequencies, phases, weights = found.waves
     for k in np.flatnonzero(weights[outputs].any(axis=0)):
-        cosine = SubElement(SubElement(aerodynamics, "function", name=f"aero/wave-{k}"), "cos")
-        _add_plane(SubElement(cosine, "sum"), float(phases[k]), frequencies[k], found.regressors)
+        phase = _of("sum", *_plane(float(phases[k]), frequencies[k], found.regressors))
+        yield _function(f"aero/wave-{k}", _of("cos", phase))
 
 
-def _add_gaussians(aerodynamics: Element, found: GaussianSum, coefficient: str) -> None:
+def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
+    """Yield the parts of a coefficient and their sum; exponentials of a part share the square of the regressors."""
     i = COEFFICIENTS.index(coefficient)
-    names = [_scaled(regressor) for regressor in found.regressors]
-    parts = []
+    names = [f"aero/scaled/{regressor}" for regressor in found.regressors]
     for k, block in enumerate(found.blocks[i]):
-        square = SubElement(aerodynamics, "function", name=f"aero/square/{coefficient}-{k}")
-        total = SubElement(square, "sum")
-        for column in np.flatnonzero(block.used):
-            _product(total, float(-0.5 * block.curvature[column]), names[column], names[column])
-        part = SubElement(aerodynamics, "function", name=f"aero/part/{coefficient}-{k}")
-        parts.append(f"aero/part/{coefficient}-{k}")
-        total = SubElement(part, "sum")
-        for weight, constant, slope in zip(block.weights, block.constants, block.slopes, strict=True):
-            term = _product(total, float(weight))
-            exponent = SubElement(SubElement(term, "exp"), "sum")
-            _values(exponent, f"aero/square/{coefficient}-{k}")
-            _add_plane(exponent, float(constant), slope, found.regressors)
-    function = SubElement(aerodynamics, "function", name=f"aero/coefficient/{coefficient}")
-    total = SubElement(function, "sum")
-    _values(total, *parts)
-    _add_plane(total, float(found.constants[i]), found.slopes[i], found.regressors)
-    for wave in np.flatnonzero(found.waves.weights[i]):
-        _product(total, float(found.waves.weights[i, wave]), f"aero/wave-{wave}")
+        square = f"aero/square/{coefficient}-{k}"
+        used = np.flatnonzero(block.used)
+        squares = (_of("product", float(-0.5 * block.curvature[n]), names[n], names[n]) for n in used)
+        yield _function(square, _of("sum", *squares))
+        terms = []
+        for weight, constant, slopes in zip(block.weights, block.constants, block.slopes, strict=True):
+            exponent = _of("sum", square, *_plane(float(constant), slopes, found.regressors))
+            terms.append(_of("product", float(weight), _of("exp", exponent)))
+        yield _function(f"aero/part/{coefficient}-{k}", _of("sum", *terms))
+    own = found.waves.weights[i]
+    total = _of(
+        "sum",
+        *(f"aero/part/{coefficient}-{k}" for k in range(len(found.blocks[i]))),
+        *_plane(float(found.constants[i]), found.slopes[i], found.regressors),
+        *(_of("product", float(own[wave]), f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
+    )
+    yield _function(f"aero/coefficient/{coefficient}", total)
 
 
-def _add_plane(total: Element, constant: float, slopes: Vector, regressors: Sequence[str]) -> None:
-    _values(total, constant)
-    for slope, regressor in zip(slopes, regressors, strict=True):
-        if slope != 0.0:
-            _product(total, float(slope), _scaled(regressor))
+def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[float | Element]:
+    """Return the terms constant + slopes . z."""
+    named = zip(slopes, regressors, strict=True)
+    return [constant, *(_of("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0)]
 
 
-def _scaled(regressor: str) -> str:
-    return f"aero/scaled/{regressor}"
+def _of(operator: str, *operands: Content) -> Element:
+    """Return an operation of numbers, properties and others; JSBSim complains of sums and products of one."""
+    parts = [o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o) for o in operands]
+    return parts[0] if len(parts) == 1 and operator in ("sum", "product") else element(operator, *parts)
 
 
-def _product(parent: Element, *factors: float | str) -> Element:
-    product = SubElement(parent, "product")
-    _values(product, *factors)
-    return product
+def _function(name: str, *content: Content) -> Element:
+    return element("function", *content, name=name)
 
 
-def _values(parent: Element, *values: float | str) -> None:
-    """Append numbers and properties."""
-    for value in values:
-        add_text(parent, "p" if isinstance(value, str) else "v", value)
-
-
-def _vector(parent: Element, tag: str, values: Sequence[float], **attributes: str) -> None:
-    element = SubElement(parent, tag, attributes)
-    for axis, value in zip("xyz", values, strict=True):
-        add_text(element, axis, float(value))
+def _vector(tag: str, values: Sequence[float], **attributes: str) -> Element:
+    parts = (element(axis, float(value)) for axis, value in zip("xyz", values, strict=True))
+    return element(tag, *parts, **attributes)

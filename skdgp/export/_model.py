@@ -53,7 +53,7 @@ class Regressor:
         return (*self.sources, "airspeed") if self.power else self.sources
 
     def values(self, table: Any) -> Vector:
-        """Return the regressor (n,) of a table, from its own column where the table has no sources."""
+        """Return the regressor (n,) of a table; without its sources, the column of its own name."""
         if self.name in table and not all(name in table for name in self.columns):
             return np.asarray(table[self.name], dtype=float)
         lacking = [name for name in self.columns if name not in table]
@@ -278,7 +278,7 @@ class PortableModel:
         return np.vstack([np.diag(weights) for weights in self.mixture])
 
     def mixed(self, mean: Matrix, variance: Matrix) -> tuple[Matrix, Matrix]:
-        """Return normalised mean and variance of the outputs (n, P), of those of the parts (n, K P)."""
+        """Return normalised mean and variance of the outputs (n, P), from those of the parts (n, K P)."""
         of_outputs = mean @ self.mixer
         away = mean - np.tile(of_outputs, len(self.mixture))
         return of_outputs, (variance + away**2) @ self.mixer
@@ -364,9 +364,10 @@ class PortableModel:
         fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a simulation). Errors
         are those of ``regressor_values``.
         """
-        Z = (self.regressor_values(X) - self.shift) / self.scale
-        noise = np.broadcast_to(np.asarray(include_input_noise, dtype=float), len(Z))
-        parts = [self._predict(Z[rows], return_std, noise[rows]) for rows in self._chunks(len(Z))]
+        chunks = self._chunks(X)
+        ends = np.cumsum([len(Z) for Z in chunks])
+        noise = np.split(np.broadcast_to(np.asarray(include_input_noise, dtype=float), ends[-1]), ends[:-1])
+        parts = [self._predict(Z, return_std, of_rows) for Z, of_rows in zip(chunks, noise, strict=True)]
         mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
         return (mean, std) if return_std else mean
 
@@ -384,18 +385,18 @@ class PortableModel:
         ONNX and CasADi over 40 exact models of 8 to 60 samples on three kinds of processor. X and errors are those of
         :meth:`predict`.
         """
-        Z = (self.regressor_values(X) - self.shift) / self.scale
-        return np.concatenate([self._rounding(Z[rows]) for rows in self._chunks(len(Z))])
+        return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 
     def predict_gradient(self, X: Any) -> Array:
         """Return the slopes of the mean, d mean / d regressor, (n, P, d), per unit of the regressors."""
-        Z = (self.regressor_values(X) - self.shift) / self.scale
-        return np.concatenate([self._gradient(Z[rows]) for rows in self._chunks(len(Z))])
+        return np.concatenate([self._gradient(Z) for Z in self._chunks(X)])
 
-    def _chunks(self, n):
+    def _chunks(self, X: Any) -> list[Matrix]:
+        """Return the scaled regressors z, as many rows at a time as the working memory holds."""
+        Z = (self.regressor_values(X) - self.shift) / self.scale
         widest = 3 * max(root.shape[1] for root in self.trend_roots) + 1
         step = max(1, CHUNK_BYTES // (8 * widest))
-        return [slice(a, min(a + step, n)) for a in range(0, max(n, 1), step)]
+        return [Z[a : a + step] for a in range(0, max(len(Z), 1), step)]
 
     def _trend(self, Z):
         return np.column_stack([np.ones(len(Z)), Z - self.trend_center])
@@ -429,6 +430,7 @@ class PortableModel:
         return np.asarray(np.maximum(prior - np.einsum("nr,nr->n", whole, whole), ROUNDING * prior))
 
     def _prior(self, j: int, trend: Matrix) -> Vector:
+        """Return a + |tau p|^2."""
         return np.asarray(self.prior_variance[j] + ((trend * self.trend_scale[j]) ** 2).sum(axis=1))
 
     def _rounding(self, Z):

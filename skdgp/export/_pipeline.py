@@ -12,6 +12,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
@@ -20,7 +21,7 @@ from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regress
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.kernels._features import LatentFeatures, TrendFeatures
+from skdgp.kernels._features import TrendFeatures
 
 LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
@@ -148,8 +149,7 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
 
 def posterior_form(posterior: Any) -> dict[str, Any]:
     """Return the arrays of a posterior, those of the members of an average one after another."""
-    members, mixture = posterior.members, posterior.mixture
-    forms = [_exact(member) if isinstance(member, ExactPosterior) else _sparse(member) for member in members]
+    forms, mixture = [_form(member) for member in posterior.members], posterior.mixture
     centres, readouts = (np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts"))
     blocks = [
         replace(block, output=block.output + k * mixture.shape[1], first_centre=block.first_centre + int(centre))
@@ -159,7 +159,7 @@ def posterior_form(posterior: Any) -> dict[str, Any]:
     joined = ("centres", "trend_scale", "trend_weights", "prior_variance")
     return {
         **{name: np.concatenate([form[name] for form in forms]) for name in joined},
-        **{name: sum((form[name] for form in forms), ()) for name in ("readouts", "trend_roots")},
+        **{name: tuple(each for form in forms for each in form[name]) for name in ("readouts", "trend_roots")},
         "blocks": tuple(blocks),
         "readout_of": np.concatenate([form["readout_of"] + n for form, n in zip(forms, readouts, strict=False)]),
         "trend_center": forms[0]["trend_center"],
@@ -167,11 +167,33 @@ def posterior_form(posterior: Any) -> dict[str, Any]:
     }
 
 
-def _exact(posterior: ExactPosterior) -> dict[str, Any]:
-    """Return the arrays of an exact posterior: its samples are the centres, its inverse factor is the root."""
-    gaussians, trend = _parts(posterior.kernel)
-    X = posterior.data.X
+def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
+    """Return the arrays of a single posterior."""
+    terms = posterior.kernel.summands()
+    trends = [term for term in terms if isinstance(term, LinearTrend)]
+    gaussians = [term for term in terms if isinstance(term, ConvolvedGaussian)]
+    others = [type(term).__name__ for term in terms if not isinstance(term, LinearTrend | ConvolvedGaussian)]
+    if others or len(trends) > 1:
+        raise ValueError(
+            f"Got a model with the kernels {others or 'of several linear trends'}, but only ConvolvedGaussian and one "
+            f"LinearTrend have a portable form. {REMEDY}"
+        )
     P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
+    center, tau = np.zeros(d), np.zeros((P, d + 1))  # tau: prior deviations of intercept and slopes
+    for trend in trends:
+        center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
+        tau = np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
+    if isinstance(posterior, ExactPosterior):
+        form = _exact(posterior, gaussians, center, tau)
+    else:
+        form = _sparse(posterior, tau)
+    prior = np.zeros(P) + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians)
+    return form | {"trend_center": center, "trend_scale": tau, "prior_variance": prior}
+
+
+def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> dict:
+    """Return the arrays of an exact posterior: its samples are the centres, its inverse factor is the root."""
+    X, (P, e) = posterior.data.X, tau.shape
     if not isinstance(posterior._rows, slice):  # rows were appended: factor again in the order of the outputs
         posterior = ExactPosterior(posterior.kernel, posterior.noise, posterior.data)
     places = np.cumsum([0, *map(len, X)])
@@ -179,126 +201,82 @@ def _exact(posterior: ExactPosterior) -> dict[str, Any]:
     for i in range(P):
         for kernel in gaussians:
             for j, first in enumerate(places[:-1]):
-                blocks += _blocks(kernel, i, j, first, first, len(X[j]))
+                blocks += _blocks(kernel, i, j, first, first, len(X[j]), kernel)
     inverse, info = lapack.dtrtri(posterior.L, lower=1)
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri info {info}).")
     inverse = np.tril(inverse)
-    center, tau = _trend_values(trend, P, d)
-    weights, roots = np.zeros((P, d + 1)), []
+    weights, roots = np.zeros((P, e)), []
     for i, (a, b) in enumerate(pairwise(places)):
         columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
         weights[i] = posterior.alpha[a:b] @ columns
         roots.append((inverse[:, a:b] @ columns).T)
     if gaussians:
+        centres = np.concatenate(X)
         readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
     else:
-        readout, X = Readout(np.empty(0), np.empty(0)), [np.empty((0, d))]
-        roots = [np.array(rq(root, mode="r"))[:, -d - 1 :] for root in roots]
-    centres = np.concatenate(X)
-    return _form(gaussians, center, tau, centres, blocks, [readout], np.zeros(P, dtype=int), weights, roots)
+        centres, readout = np.empty((0, e - 1)), Readout(np.empty(0), np.empty(0))
+        roots = [np.array(rq(root, mode="r"))[:, -e:] for root in roots]
+    return {
+        "centres": centres,
+        "blocks": blocks,
+        "readouts": [readout],
+        "readout_of": np.zeros(P, dtype=int),
+        "trend_weights": weights,
+        "trend_roots": roots,
+    }
 
 
-def _sparse(posterior: SparsePosterior) -> dict[str, Any]:
+def _sparse(posterior: SparsePosterior, tau: Matrix) -> dict[str, Any]:
     """Return the arrays of a sparse or compact posterior: its inducing inputs are the centres."""
-    gaussians, trend = _parts(posterior.kernel)
-    P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
-    center, tau = _trend_values(trend, P, d)
-    places, centres = _centres(posterior.features, d)
-    blocks, readouts, weights, roots = [], [], np.zeros((P, d + 1)), []
+    P, e = tau.shape
+    summands, centres, m = [], [np.empty((0, e - 1))], 0
+    for features in posterior.features.summands():
+        sizes = [len(Z) for Z in getattr(features, "Z", ())]  # a trend has no inducing inputs
+        summands.append((features, m + np.cumsum([0, *sizes])))
+        centres += getattr(features, "Z", [])
+        m += sum(sizes)
+    blocks, readouts, weights, roots = [], [], np.zeros((P, e)), []
     for i in range(P):
         of_trend: list[int] = []
         of_gaussians: list[int] = []
         first = 0
-        for features, start in _summands(posterior.features):
-            columns = features.columns(i)
-            index = list(range(first, first + len(columns)))
-            first += len(columns)
+        for features, places in summands:
+            index = list(range(first, first + len(features.columns(i))))
+            first += len(index)
             if isinstance(features, TrendFeatures):
                 of_trend = index
                 continue
             for f in features._blocks[i]:
                 size = len(features.Z[f])
-                blocks += _blocks(features.joint, i, P + f, places[start, f], len(of_gaussians), size, features.kernel)
+                blocks += _blocks(features.joint, i, P + f, places[f], len(of_gaussians), size, features.kernel)
                 of_gaussians += index[:size]
                 index = index[size:]
-        order = of_trend + of_gaussians
-        n = len(of_trend)
+        order, n = of_trend + of_gaussians, len(of_trend)
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
         if n:
             weights[i] = w[:n] * tau[i]
             root[:n] *= tau[i][:, None]
-        roots.append(root[:n] if n else np.zeros((d + 1, len(order))))
-        lower = np.tril_indices(len(of_gaussians))
-        readouts.append(Readout(w[n:], root[n:, n:].T[lower]))
-    return _form(gaussians, center, tau, centres, blocks, readouts, np.arange(P), weights, roots)
-
-
-def _form(gaussians, center, tau, centres, blocks, readouts, readout_of, weights, roots) -> dict[str, Any]:
-    prior = sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians)
+        roots.append(root[:n] if n else np.zeros((e, len(order))))
+        readouts.append(Readout(w[n:], root[n:, n:].T[np.tril_indices(len(of_gaussians))]))
     return {
-        "centres": centres,
-        "blocks": tuple(blocks),
-        "readouts": tuple(readouts),
-        "readout_of": readout_of,
-        "trend_center": center,
-        "trend_scale": tau,
+        "centres": np.concatenate(centres),
+        "blocks": blocks,
+        "readouts": readouts,
+        "readout_of": np.arange(P),
         "trend_weights": weights,
-        "trend_roots": tuple(roots),
-        "prior_variance": np.zeros(len(tau)) + prior,
+        "trend_roots": roots,
     }
 
 
-def _parts(kernel) -> tuple[list[ConvolvedGaussian], LinearTrend | None]:
-    """Return the terms of a kernel."""
-    terms = kernel.summands()
-    trends = [term for term in terms if isinstance(term, LinearTrend)]
-    others = [type(t).__name__ for t in terms if not isinstance(t, LinearTrend | ConvolvedGaussian)]
-    if others or len(trends) > 1:
-        raise ValueError(
-            f"Got a model with the kernels {others or 'of several linear trends'}, but only ConvolvedGaussian and one "
-            f"LinearTrend have a portable form. {REMEDY}"
-        )
-    return [term for term in terms if isinstance(term, ConvolvedGaussian)], trends[0] if trends else None
-
-
-def _trend_values(trend, P, d):
-    """Return the centre (d,) and the prior deviations of intercept and slopes, (P, d + 1); zeros without a trend."""
-    if trend is None:
-        return np.zeros(d), np.zeros((P, d + 1))
-    center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
-    return center, np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
-
-
-def _blocks(kernel, i, j, first_centre, first_column, size, of=None) -> list[Block]:
-    """Return the blocks of output i for the covariance with output j of a kernel, one for each common latent."""
+def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:
+    """Return the blocks of output i for its covariance with output j; ``original`` is the kernel of the model."""
     _, gains, _, roots, shifts = kernel._pair(i, j)
-    (regressors,) = (kernel if of is None else of).term_regressors()
+    (regressors,) = original.term_regressors()
     place = i, int(first_centre), int(first_column), int(size)
     return [
         Block(*place, float(gain), shift, root, regressors)
         for gain, root, shift in zip(gains, roots, shifts, strict=True)
         if size
     ]
-
-
-def _summands(features):
-    """Yield the features of every term, and the number of variables before them."""
-    start = 0
-    for term in features.summands():
-        if not isinstance(term, LatentFeatures | TrendFeatures):
-            raise ValueError(f"Got {type(term).__name__} as inducing variables, which have no form. {REMEDY}")
-        yield term, start
-        start += term.size
-
-
-def _centres(features, d):
-    """Return the first centre of every block of variables, and all centres (m, d)."""
-    places, centres, first = {}, [np.empty((0, d))], 0
-    for term, start in _summands(features):
-        for f, Z in enumerate(term.Z if isinstance(term, LatentFeatures) else ()):
-            places[start, f] = first
-            first += len(Z)
-            centres.append(Z)
-    return places, np.concatenate(centres)

@@ -1,7 +1,8 @@
-"""Texts of the formats: names that every program reads, and XML with numbers in full precision."""
+"""What formats share: names that every program reads, XML with numbers in full precision, packages of the extra."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -9,9 +10,9 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS
@@ -74,14 +75,30 @@ def number_text(value: float) -> str:
     return repr(float(value))
 
 
-def add_text(parent: Element, tag: str, value: Any, **attributes: str) -> Element:
-    """Append an element that holds a text or a number, and return it."""
-    element = SubElement(parent, tag, attributes)
-    element.text = value if isinstance(value, str) else number_text(value)
-    return element
+Content: TypeAlias = "Element[Any] | str | float"
+"""Of an element: other elements and comments, or a text or a number."""
+
+
+def element(tag: str, *content: Content, **attributes: str) -> Element:
+    """Return an element of XML."""
+    found = Element(tag, attributes)
+    for each in content:
+        if isinstance(each, Element):
+            found.append(each)
+        else:
+            found.text = each if isinstance(each, str) else number_text(each)
+    return found
 
 
 def write_xml(path: str | os.PathLike[str], root: Element, doctype: str = "") -> None:
     """Write a document, its elements as they are indented."""
     head = '<?xml version="1.0"?>\n' + doctype
     write_atomically(path, text_writer(f"{head}{ElementTree.tostring(root, encoding='unicode')}\n"))
+
+
+def extra(package: str) -> Any:
+    """Return a package of the extra ``export``; raise ImportError if it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise ImportError(f'This needs {package}, which is not installed: pip install "skdgp[export]".') from error

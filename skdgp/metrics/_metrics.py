@@ -22,8 +22,7 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
     """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %), of (n,) or (n, P) targets.
 
     Hemakumara & Sukkarieh (ICRA 2011) report this figure. It ignores large errors: report :func:`normalized_rmse`
-    beside it. A zero target has an infinite error, or none if met exactly. Targets that are NaN do not count. The
-    result is a number, with ``multioutput="raw_values"`` one for each output (P,); an array (P,) gives weights.
+    beside it. A zero target has an infinite error, or none if met exactly.
 
     Examples
     --------
@@ -40,9 +39,7 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
 def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
     """Return the root mean squared error over the standard deviation of the targets, (n,) or (n, P).
 
-    1 is no better than predicting their mean; NaN, with a warning, for a constant output. Targets that are NaN do not
-    count. The result is a number, with ``multioutput="raw_values"`` one for each output (P,); an array (P,) gives
-    weights.
+    1 is no better than predicting their mean; NaN, with a warning, for a constant output.
 
     Examples
     --------
@@ -69,13 +66,12 @@ def negative_log_predictive_density(
 
     Parameters
     ----------
-    y_true, y_pred, y_std : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed; predicted means and standard deviations.
-    multioutput : {"raw_values", "uniform_average"} or array-like of shape (P,), default="uniform_average"
+    y_true, y_pred, y_std : array-like (n,) or (n, P)
+    multioutput : str or array-like (P,), default="uniform_average"
 
     Returns
     -------
-    float or ndarray of shape (P,)
+    float or ndarray (P,)
         In nats per observation.
 
     Examples
@@ -102,14 +98,12 @@ def continuous_ranked_probability_score(
 
     Parameters
     ----------
-    y_true, y_pred, y_std : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed; predicted means and standard deviations, with measurement
-        noise where the targets are measured.
-    multioutput : {"raw_values", "uniform_average"} or array-like of shape (P,), default="uniform_average"
+    y_true, y_pred, y_std : array-like (n,) or (n, P)
+    multioutput : str or array-like (P,), default="uniform_average"
 
     Returns
     -------
-    float or ndarray of shape (P,)
+    float or ndarray (P,)
         In units of the output.
 
     Examples
@@ -137,15 +131,14 @@ def interval_coverage(
 
     Parameters
     ----------
-    y_true, y_pred, y_std : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed; predicted means and standard deviations.
+    y_true, y_pred, y_std : array-like (n,) or (n, P)
     level : float, default=0.95
         Nominal probability of the interval.
-    multioutput : {"raw_values", "uniform_average"} or array-like of shape (P,), default="uniform_average"
+    multioutput : str or array-like (P,), default="uniform_average"
 
     Returns
     -------
-    float or ndarray of shape (P,)
+    float or ndarray (P,)
 
     Examples
     --------
@@ -166,15 +159,14 @@ def coverage_curve(
 
     Parameters
     ----------
-    y_true, y_pred, y_std : array-like of shape (n,) or (n, P)
-        Targets, NaN where not observed; predicted means and standard deviations. An interval of
-        deviation 0 holds the targets that equal its mean.
-    levels : array-like of shape (L,), default 0.05 to 0.95 in steps of 0.05, and 0.99
+    y_true, y_pred, y_std : array-like (n,) or (n, P)
+        An interval of deviation 0 holds the targets that equal its mean.
+    levels : array-like (L,), default 0.05 to 0.95 in steps of 0.05, and 0.99
         Nominal probabilities of the intervals.
 
     Returns
     -------
-    DataFrame of shape (L, P)
+    DataFrame (L, P)
         A row per level, rising, a column per output; NaN for an output never observed.
 
     Examples
@@ -225,13 +217,11 @@ def _by_output(statistic: Callable, values: np.ndarray, y_true: Matrix) -> Vecto
 
 
 def _aggregate(values: Vector, multioutput: Average) -> Score:
-    if isinstance(multioutput, str) and multioutput == "raw_values":
-        return values
     if isinstance(multioutput, str):
+        if multioutput == "raw_values":
+            return values
         if multioutput != "uniform_average":
-            raise ValueError(
-                f"Got multioutput={multioutput!r}, but expected 'raw_values', 'uniform_average' or weights."
-            )
+            raise ValueError(f"Got {multioutput=}, but expected 'raw_values', 'uniform_average' or weights.")
         multioutput = np.ones(len(values))
     known = ~np.isnan(values)
     return float(np.average(values[known], weights=np.asarray(multioutput)[known])) if known.any() else np.nan

@@ -78,15 +78,14 @@ POINT = (median_relative_error, normalized_rmse)
 PROBABILISTIC = (negative_log_predictive_density, continuous_ranked_probability_score, interval_coverage)
 
 SCORERS = {
-    "neg_median_relative_error": make_predictive_scorer(median_relative_error, greater_is_better=False),
-    "neg_normalized_rmse": make_predictive_scorer(normalized_rmse, greater_is_better=False),
-    "log_predictive_density": make_predictive_scorer(
-        negative_log_predictive_density, greater_is_better=False, needs_std=True
-    ),
-    "neg_continuous_ranked_probability_score": make_predictive_scorer(
-        continuous_ranked_probability_score, greater_is_better=False, needs_std=True
-    ),
-    "interval_coverage": make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True),
+    name: make_predictive_scorer(metric, greater_is_better=greater, needs_std=metric in PROBABILISTIC)
+    for name, metric, greater in (
+        ("neg_median_relative_error", median_relative_error, False),
+        ("neg_normalized_rmse", normalized_rmse, False),
+        ("log_predictive_density", negative_log_predictive_density, False),
+        ("neg_continuous_ranked_probability_score", continuous_ranked_probability_score, False),
+        ("interval_coverage", interval_coverage, True),
+    )
 }
 """Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near its level."""
 
@@ -121,8 +120,8 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = 
     estimator : fitted estimator or Pipeline
     table : DataFrame (n, ...)
         Regressors, or the flights of an identification pipeline.
-    Y : DataFrame, Series or array-like of shape (n,) or (n, P)
-        Measured targets; NaN is not observed.
+    Y : DataFrame, Series or array-like (n,) or (n, P)
+        Measured targets.
     flight : str, default="flight"
         Column of ``table`` that names the flight.
 

@@ -19,7 +19,6 @@ flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
 (3,)
 """
 
-from skdgp.model_selection._blocks import BlockSplit
-from skdgp.model_selection._thin import thin_targets
+from skdgp.model_selection._rows import BlockSplit, thin_targets
 
 __all__ = ["BlockSplit", "thin_targets"]

@@ -12,10 +12,9 @@ from _jsbsim_flight import FOOT, aircraft_of, started
 from _study_flights import SOURCES, SURFACES, Log, _example_log, jsbsim_table
 
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.datasets._example_flights import _columns
+from skdgp.datasets._example_flights import _columns, fly_plans
 from skdgp.datasets._flight_controls import TIME_CONSTANTS, FlightControls
 from skdgp.datasets._flight_plans import FlightPlan
-from skdgp.datasets._simulation import fly_plans
 from skdgp.design import Limits, Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain
 from skdgp.dynamics import Aircraft
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.datasets._simulation import brumby_motion
+from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body, standard_density
 from skdgp.dynamics._equations.motion import Air
 from skdgp.dynamics._simulation.gusts import Gusts, GustyAir

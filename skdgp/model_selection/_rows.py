@@ -1,4 +1,4 @@
-"""BlockSplit: blocks of flights held out, with a gap in time."""
+"""Which rows of flights a model learns from: blocks held out, with a gap in time, and thinned targets."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
+from skdgp._compute.tables import column_names
 from skdgp._compute.typing import ArrayLike, Indices, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_rows
@@ -77,7 +78,10 @@ class BlockSplit(BaseCrossValidator):
             raise ValueError(f"Got gap={gap!r}, but expected seconds, 0 or more.")
         check_columns(check_table(X), ["time"])
         time = X["time"].to_numpy(dtype=float, na_value=np.nan)
-        flights = _rows_by_flight(X, groups)
+        ids = X["flight"] if "flight" in X else np.zeros(len(X), int) if groups is None else groups
+        if len(ids) != len(X):
+            raise ValueError(f"Got {len(ids)} groups for {len(X)} rows, but expected as many.")
+        flights = flight_rows(ids)
         for name, rows in flights.items():
             check_clock(time[rows], None)
             if len(rows) < MIN_BLOCK_ROWS * n_splits:
@@ -96,14 +100,6 @@ class BlockSplit(BaseCrossValidator):
             yield train, test
 
 
-def _rows_by_flight(X: pd.DataFrame, groups: Any) -> dict[Any, Indices]:
-    """Return the rows of each flight: by the column ``flight``, by ``groups``, or all as one flight."""
-    ids = X["flight"] if "flight" in X else np.zeros(len(X), int) if groups is None else groups
-    if len(ids) != len(X):
-        raise ValueError(f"Got {len(ids)} groups for {len(X)} rows, but expected as many.")
-    return flight_rows(ids)
-
-
 def _split_flight(rows: Indices, time: Vector, n_splits: int, k: int, gap: float) -> tuple[Indices, Indices]:
     """Return the training rows and the test rows of one flight in split k."""
     edges = np.arange(n_splits + 1) * len(rows) // n_splits
@@ -111,3 +107,37 @@ def _split_flight(rows: Indices, time: Vector, n_splits: int, k: int, gap: float
     first, last = time[block][[0, -1]]
     distance = np.maximum(first - time, time - last)
     return rows[distance >= max(gap, np.finfo(float).tiny)], rows[block]
+
+
+def thin_targets(Y: Any, n_samples: int) -> Any:
+    """Return targets with ``n_samples`` evenly spread observed rows; the others are NaN, not observed.
+
+    Smoothing and differentiation need the flight at its full rate, exact inference a few hundred samples. So the
+    training subset is chosen in the targets: transformers get every row, the regressor learns from the observed ones.
+
+    Rows that are NaN in every output do not count; where there are fewer than ``n_samples``, all stay. The result is a
+    copy of ``Y``, (n,) or (n, P), as floats, of the same type, names and index. Raises ValueError if ``n_samples`` is
+    not a positive integer.
+
+    Examples
+    --------
+    >>> from skdgp.model_selection import thin_targets
+    >>> thin_targets([1.0, 2.0, float("nan"), 4.0, 5.0], 2)
+    array([nan,  2., nan, nan,  5.])
+    """
+    if not isinstance(n_samples, Integral) or isinstance(n_samples, bool) or n_samples < 1:
+        raise ValueError(f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep.")
+    values = np.array(Y, dtype=float)
+    if values.ndim not in (1, 2):
+        raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
+    observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+    if n_samples < len(observed):  # the middles of equal parts stay
+        kept = observed[((np.arange(n_samples) + 0.5) * len(observed) / n_samples).astype(int)]
+        values[np.setdiff1d(np.arange(len(values)), kept)] = np.nan
+    if isinstance(Y, pd.DataFrame):
+        return pd.DataFrame(values, index=Y.index, columns=Y.columns)
+    if isinstance(Y, pd.Series):
+        return pd.Series(values, index=Y.index, name=Y.name)
+    if column_names(Y):  # a table without an index, such as polars'
+        return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
+    return values

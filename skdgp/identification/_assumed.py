@@ -11,8 +11,8 @@ import pandas as pd
 
 from skdgp._flight.channels import ALL_SURFACES
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
-from skdgp.identification._flights import is_autopilot_log
+from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
+from skdgp.identification._flights import AIRSPEED_ERROR, is_autopilot_log
 from skdgp.io import FULL_THROW
 from skdgp.io._autopilot.servos import throw_errors
 from skdgp.io._inspect import names_servos
@@ -50,6 +50,13 @@ def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     errors = {} if servos == FULL_THROW else throw_errors(servos)
     factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in errors.items()}
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
+
+
+def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> Aircraft:
+    """Return the aircraft, with the deviation of airspeeds that are of turns, as if one error were in all samples."""
+    std = max((table.attrs.get(AIRSPEED_ERROR, 0.0) for table in tables), default=0.0)
+    factor = ScaleFactor(2 * std, {PRESSURE: 1.0}, "velocity over the ground in turns")
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "airspeed": factor}) if std else aircraft
 
 
 def _items(flights: Any) -> list:

@@ -32,6 +32,7 @@ from skdgp.identification._assumed import (
     control_units,
     lacks_thrust,
     servos_for,
+    with_airspeed_errors,
     with_throw_errors,
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
@@ -109,6 +110,8 @@ def identify(
     servos, airborne
         As of :func:`skdgp.io.read_flight`, for paths of logs of autopilots; by default ``servos="full throw"``.
 
+    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
+
     Returns
     -------
     Identification
@@ -158,6 +161,7 @@ def identify(
         aircraft = with_throw_errors(aircraft, servos)
         reading = {"needed": _flights.MEASURED, "servos": servos, "airborne": airborne}
         train = _flights.named_flights(flights, **reading)
+        aircraft = with_airspeed_errors(aircraft, train.values())
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
         if calibrate:

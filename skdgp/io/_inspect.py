@@ -37,7 +37,7 @@ NEEDS = {
 ADVICE = {
     "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one to fill in)",
     "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust columns, or take no thrust",
-    "airspeed": "airspeed: a pitot tube, calibrated and enabled",
+    "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
 STEADY, SHORT = 0.5, 1.0

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES
-from skdgp.dynamics import Aircraft
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT
+from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
+from skdgp.dynamics._vehicle.loads import dynamic_pressure, knows_speed
 from skdgp.identification._flights import AIRSPEED_ERROR, is_autopilot_log
 from skdgp.io import FULL_THROW
 from skdgp.io._autopilot.servos import throw_errors
@@ -59,6 +60,31 @@ def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> 
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "airspeed": factor}) if std else aircraft
 
 
+def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str) -> Aircraft:
+    """Return the aircraft, with what the deviation of its propeller's thrust makes of the coefficients of flights.
+
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as the nearest linear
+    function of its regressors.
+    """
+    propeller = aircraft.propeller
+    if propeller is None or not propeller.load_std:
+        return aircraft
+    scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
+    force, moment = propulsive_loads(table, aircraft, thrust)
+    shares = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
+    known = np.isfinite(shares).all(axis=1) & np.isfinite(regressors.to_numpy()).all(axis=1)
+    shares, values = shares[known], regressors.to_numpy()[known]
+    slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
+    names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressors)]
+    added = {
+        coefficient + name: float(value)
+        for coefficient, column in zip(COEFFICIENTS, np.vstack([shares.mean(axis=0), slopes]).T, strict=True)
+        for name, value in zip(names, column, strict=True)
+    }
+    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
+
+
 def _items(flights: Any) -> list:
     if flights is None:
         return []
@@ -72,7 +98,7 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     return thrust == "auto" and all(
         "throttle" in table
         and not {"thrust_x", "thrust_y", "thrust_z"} & set(table)
-        and not (aircraft.propeller is not None and "propeller_speed" in table)
+        and not (aircraft.propeller is not None and knows_speed(aircraft.propeller, table))
         for table in tables
     )
 
@@ -87,6 +113,7 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
     lines = _of_sizes(aircraft) + _of_causes(aircraft)
     lines += [FULL_THROWS] if servos == FULL_THROW else []
     lines += [THRUST_IN_COEFFICIENTS] if thrust_unknown else []
+    thrust_unknown = thrust_unknown or "thrust" in (aircraft.deviations or {})
     remedies = _remedies(aircraft) + [THROWS] * (servos == FULL_THROW) + [THRUST] * thrust_unknown
     if remedies:
         lines.append("An hour each, most useful first: " + "; ".join(remedies) + ".")

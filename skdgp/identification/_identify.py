@@ -34,6 +34,7 @@ from skdgp.identification._assumed import (
     servos_for,
     with_airspeed_errors,
     with_throw_errors,
+    with_thrust_errors,
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
@@ -207,6 +208,8 @@ def identify(
         X = _fit(pipeline, table, targets)
         pipeline.noise_ = flight_noise(pipeline, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
+        if "propeller" in thrust_sources(loads["thrust"], train.values()):
+            aircraft = with_thrust_errors(aircraft, table, _named(pipeline, X), loads["thrust"])
 
         fit = {
             "samples": int(targets.notna().any(axis=1).sum()),
@@ -369,6 +372,12 @@ def _fit(pipeline, table, targets) -> Matrix:
     pipeline[-1].fit(X, targets, **groups, **clock_of(pipeline[-1], table))
     pipeline.turbulence_ = flown_turbulence(pipeline, table)
     return X
+
+
+def _named(pipeline, X) -> pd.DataFrame:
+    """Return the regressors (n, d) by name, in their own units."""
+    scaler, names = pipeline["standardscaler"], pipeline["regressorselector"].regressors_
+    return pd.DataFrame(scaler.inverse_transform(X), columns=list(names))
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

@@ -48,18 +48,23 @@ class ScaleFactor:
         sqrt(Ixx Izz).
     source : str
         What it was estimated from.
+    added : mapping of str to float
+        Of an error that adds to coefficients, as that of the thrust does: what one of 100 % adds to them and to their
+        slopes by regressors of a model, "CX", "CX_alpha", ...
     """
 
     std: float
     powers: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
+    added: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
         std = as_floats(self.std)
         if std.shape != () or not 0 <= std < np.inf:
             raise ValueError(f"Got std={self.std!r} of a scale factor, but expected a relative deviation, 0 or more.")
         object.__setattr__(self, "std", float(std))
-        object.__setattr__(self, "powers", {str(name): float(power) for name, power in self.powers.items()})
+        for name in ("powers", "added"):
+            object.__setattr__(self, name, {str(key): float(value) for key, value in getattr(self, name).items()})
 
 
 class Kind(NamedTuple):
@@ -202,6 +207,7 @@ def errors_of_sizes(
 
     A relative error scales them (`relative_errors`). One of Ixz by e sqrt(Ixx Izz) leaves N / Izz in the moment L, and
     L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl, from L = Ixx p_dot - Ixz r_dot + ...
+    One of the thrust is ``added``.
     """
     relative = relative_errors(deviations, regressors)
     errors = values * relative.reshape(len(relative), *(1,) * (values.ndim - 2), *relative.shape[1:])
@@ -210,6 +216,8 @@ def errors_of_sizes(
         product = factor.std * factor.powers.get(PRODUCT, 0.0)
         error[..., 3, :] -= product * ratio * values[..., 5, :]
         error[..., 5, :] -= product / ratio * values[..., 3, :]
+        names = [[f"{row}_{column}".rstrip("_") for column in ("", *regressors)] for row in COEFFICIENTS]
+        error += factor.std * np.array([[factor.added.get(name, 0.0) for name in row] for row in names])
     return errors
 
 

@@ -22,7 +22,7 @@ USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
 of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098 points, each propeller
 with the same weight, in the ranges below."""
 USUAL_STD = 0.23
-"""Relative error of the thrust of propellers whose family is left out of the fit, root mean square, at advance ratios of
+"""Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
 .4 to .9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
 MEASURED_DIAMETERS, MEASURED_PITCHES = (0.17, 0.49), (0.35, 1.1)
 """Of these propellers: diameter [m], pitch / diameter."""

@@ -17,7 +17,8 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
 from skdgp._flight.turns import airspeed_from_turns
-from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.io import FlightReadError, read_flight
+from skdgp.io._autopilot.autopilot import is_log
 from skdgp.preprocessing import FlightCheck
 from skdgp.preprocessing._selector import REGRESSOR_SETS
 
@@ -76,7 +77,7 @@ def _single_flight(name, table) -> pd.DataFrame:
 
 def is_autopilot_log(item) -> bool:
     """Return whether this is the path of a log of an autopilot."""
-    return isinstance(item, str | os.PathLike) and Path(item).suffix.lower() in AUTOPILOTS
+    return isinstance(item, str | os.PathLike) and is_log(Path(item))
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:

@@ -19,10 +19,16 @@ from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to
 from skdgp.io._autopilot.dataflash import read_dataflash
 from skdgp.io._autopilot.formats import Log, Topic
 from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos, with_throws
-from skdgp.io._autopilot.ulog import read_ulog
+from skdgp.io._autopilot.tlog import read_tlog
+from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
 from skdgp.io._errors import FlightReadError
 
-AUTOPILOTS: dict[str, Callable[[Path], Log]] = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
+AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+    ".bin": read_dataflash,
+    ".tlog": read_tlog,
+}
 """Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
@@ -58,8 +64,15 @@ class FlightLog:
     remarks: list[str]
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a path is that of a log of an autopilot: it has its suffix, or is a folder of topics."""
+    return path.suffix.lower() in AUTOPILOTS or path.is_dir()
+
+
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
+    if path.is_dir():
+        return read_topic_tables(path)
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     return AUTOPILOTS[path.suffix.lower()](path)

@@ -9,7 +9,7 @@ https://ardupilot.org/plane/docs/logmessages.html.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +94,11 @@ SERVOS = {
 }  # fmt: skip
 """By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
 MOST_SERVOS = 16
-V_TAIL = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
-"""Weights by SERVOn_FUNCTION: left = elevator + rudder, right = elevator - rudder of commands that go up and right."""
+MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "aileron": {24: 0.5, 25: 0.5}}
+"""Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
+and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
+LEFT_FLAPERON = 24
+"""Later versions of ArduPilot turn its sign. It moves with the right one or against it, which the outputs show."""
 
 
 def read_dataflash(path: Path) -> Log:
@@ -256,7 +259,7 @@ class _Reader:
 
 
 def servos_of(
-    outputs: Container[str], parameters: Mapping[str, float], name: str = "RCOU.C{}"
+    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, ServoChannel]:
     """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
     channels: dict[str, ServoChannel] = {}
@@ -268,18 +271,26 @@ def servos_of(
 
 
 def mixing_of(
-    outputs: Container[str], parameters: Mapping[str, float], name: str = "RCOU.C{}"
+    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
-    """Return elevator and rudder of a V-tail; none where one of its servos is missing."""
+    """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
     by_function = dict(reversed(_numbers(outputs, parameters, name)))
     return {
-        control: tuple(
-            (weight, _channel(name.format(by_function[each]), by_function[each], parameters, False))
-            for each, weight in weights.items()
-        )
-        for control, weights in V_TAIL.items()
+        control: _mixed(weights, {each: by_function[each] for each in weights}, outputs, parameters, name)
+        for control, weights in MIXES.items()
         if set(weights) <= set(by_function)
     }
+
+
+def _mixed(weights, numbers, outputs, parameters, name) -> tuple[tuple[float, ServoChannel], ...]:
+    channels = {each: _channel(name.format(n), n, parameters, False) for each, n in numbers.items()}
+    sign = 1.0
+    if LEFT_FLAPERON in weights:
+        moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels.values()]
+        sign = -1.0 if moves[0] @ moves[1] < 0 else 1.0
+    return tuple(
+        (weight * (sign if each == LEFT_FLAPERON else 1.0), channels[each]) for each, weight in weights.items()
+    )
 
 
 def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:

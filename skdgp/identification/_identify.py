@@ -33,6 +33,7 @@ from skdgp.identification._assumed import (
     lacks_thrust,
     servos_for,
     with_airspeed_errors,
+    with_signs_of_flights,
     with_throw_errors,
     with_thrust_errors,
 )
@@ -47,7 +48,7 @@ from skdgp.identification._pipeline import (
     flown_turbulence,
     make_identification_pipeline,
 )
-from skdgp.io import FULL_THROW
+from skdgp.io._autopilot.servos import reversed_of
 from skdgp.model_selection import thin_targets
 
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
@@ -165,6 +166,7 @@ def identify(
         aircraft = with_airspeed_errors(aircraft, train.values())
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
+        servos, train, test = with_signs_of_flights(servos, train, test)
         if calibrate:
             _check_calibration(train, symmetric)
         columns = _flights.regressor_columns(train.values(), regressors)
@@ -179,7 +181,7 @@ def identify(
         }
         if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
-        if servos == FULL_THROW:
+        if reversed_of(servos) is not None:
             _warn(FULL_THROWS)
             warnings.filterwarnings("ignore", "Got surfaces up to", UserWarning)
         # The steps of the pipeline meet the same faults again.
@@ -223,7 +225,7 @@ def identify(
             "flights": {name: len(part) for name, part in train.items()},
         }
         settings = {"samples": fit["samples"], **loads, **settings_of(pipeline, reconstruction, horizons)}
-        settings |= {"servos": servos} if servos == FULL_THROW else {}
+        settings |= {} if reversed_of(servos) is None else {"servos": servos}
         evaluations = evaluate_flights(test, pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",

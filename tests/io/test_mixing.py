@@ -134,3 +134,16 @@ def test_a_plan_for_a_v_tail(tmp_path):
     assert "servo = 79, full = -0.4" in text
     assert "parts = {1.0, 1.0}" in text
     assert "parts = {1.0, -1.0}" in text
+
+
+def test_reversed_surfaces_of_parameters(tmp_path, dataflash):
+    outputs = pd.DataFrame({"time": np.arange(0.0, 2, 0.02)})
+    outputs = outputs.assign(**{"RCOU.C2": 1600.0, "RCOU.C4": 1700.0})
+    path = logged(outputs, tmp_path, dataflash, SERVO2_FUNCTION=19.0, SERVO4_FUNCTION=21.0)
+    one, other = (
+        read_flight(path, airborne=False, servos=f"full throw{more}").iloc[0] for more in ("", ", reversed rudder")
+    )
+    assert one["rudder"] == -other["rudder"] == pytest.approx(-0.5)
+    assert one["elevator"] == other["elevator"] == pytest.approx(-0.25)
+    with pytest.raises(FlightReadError, match="as reversed, but expected some of"):
+        read_flight(path, servos="full throw, reversed wing")

@@ -18,7 +18,7 @@ from skdgp.io._autopilot.clock import clock_parts, gaps
 from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
 from skdgp.io._autopilot.formats import Log, Topic
-from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos, with_throws
+from skdgp.io._autopilot.servos import full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._autopilot.tlog import read_tlog
 from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
 from skdgp.io._errors import FlightReadError
@@ -81,10 +81,11 @@ def read_log(path: Path) -> Log:
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
-    servos = servos if servos == FULL_THROW else read_servos(servos)
+    turned = reversed_of(servos)
+    entries = read_servos(servos) if turned is None else {}
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
-        servos = full_throws(log) if servos == FULL_THROW else with_throws(servos, log)
+        servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts: list[Part] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +33,9 @@ ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
-"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1."""
+"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1; with
+", reversed rudder" after it, some of the other sign than the autopilot's parameters say."""
+REVERSED = ", reversed "
 NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
 NO_PULSE = 500.0
@@ -226,11 +228,29 @@ def _parts_of(name, servo: Servo | Throw | Mixture) -> tuple[tuple[float, Servo]
     return servo.parts if isinstance(servo, Mixture) else ((1.0, servo),)
 
 
-def full_throws(log: Log) -> dict[str, Servo | Mixture]:
+def reversed_of(servos: Any) -> tuple[str, ...] | None:
+    """Return the surfaces of other sign that servos in parts of the full throw have; None of a servo file.
+
+    Raises FlightReadError if one is no surface.
+
+    Examples
+    --------
+    >>> reversed_of("full throw, reversed rudder aileron"), reversed_of("full throw"), reversed_of("servo.toml")
+    (('rudder', 'aileron'), (), None)
+    """
+    if not isinstance(servos, str) or servos.partition(REVERSED)[0] != FULL_THROW:
+        return None
+    names = servos.partition(REVERSED)[2].split()
+    if strange := set(names) - set(ALL_SURFACES):
+        raise FlightReadError(f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}.")
+    return tuple(names)
+
+
+def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mixture]:
     """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
 
-    Where the parameters say how controls are mixed, these are elevator, aileron and rudder of any tail and wing. Raises
-    FlightReadError if there are none.
+    Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
+    aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
 
     Examples
     --------
@@ -245,10 +265,11 @@ def full_throws(log: Log) -> dict[str, Servo | Mixture]:
         for name, channel in log.servos.items()
         if not (log.mixing and name in ELEVONS)  # elevator and aileron are among the mixed
     }
-    return found | {
+    found |= {
         name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
         for name, parts in log.mixing.items()
     }
+    return {name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()}
 
 
 def throw_errors(servos: str | Path | Mapping[str, Any] | None) -> dict[str, float]:

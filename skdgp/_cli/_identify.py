@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, Propeller
 from skdgp.dynamics._vehicle.estimate import KINDS
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
@@ -24,6 +26,11 @@ SIZES = {
     "chord": "mean chord of the wing [m]",
     "length": "from nose to tail [m]",
 }
+ENGINE = {
+    "propeller": "diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of this size",
+    "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it was not logged",
+}
+INCH = 0.0254
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
 
 
@@ -74,7 +81,7 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    told = {name: getattr(options, name) for name in (*SIZES, "kind") if getattr(options, name) is not None}
+    told = {name: getattr(options, name) for name in (*SIZES, "kind", *ENGINE) if getattr(options, name) is not None}
     if options.aircraft is not None and not told:
         return options.aircraft
     if options.aircraft is not None or not {"mass", "span"} <= set(told):
@@ -83,8 +90,15 @@ def _aircraft(run: Run) -> Aircraft | str:
         run.command.parser({}).error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is estimated"
         )
-    known: dict = {name: text if name == "kind" else opt.value_and_std(text) for name, text in told.items()}
-    return Aircraft.estimate(**known, name=Path(options.train[0]).stem)
+    if "motor" in told and "propeller" not in told:
+        run.command.parser({}).error("got --motor without --propeller, but expected its size, such as --propeller 10x5")
+    known: dict = {name: opt.value_and_std(text) for name, text in told.items() if name in SIZES}
+    if "propeller" in told:
+        diameter, pitch = (INCH * value for value in opt.factors_of(told["propeller"]))
+        constant, voltage = opt.factors_of(told["motor"]) if "motor" in told else (None, None)
+        motor = {} if constant is None else {"motor_constant": constant * np.pi / 30, "voltage": voltage}
+        known["propeller"] = Propeller.from_size(diameter, pitch, **motor)
+    return Aircraft.estimate(**known, kind=told.get("kind", "conventional"), name=Path(options.train[0]).stem)
 
 
 def demo(run: Run) -> None:
@@ -201,6 +215,7 @@ IDENTIFY = Command(
         ],
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
             *(opt.option(f"--{name.replace('_', '-')} X", words, opt.size) for name, words in SIZES.items()),
+            *(opt.option(f"--{name} AxB", words, opt.factors) for name, words in ENGINE.items()),
             opt.option("--kind", "what is not given is that of its kind (default: conventional)", choices=list(KINDS)),
         ],
         "model": LEARNING,

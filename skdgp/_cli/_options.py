@@ -194,3 +194,19 @@ def value_and_std(text: str) -> tuple[float, float]:
     """Return the numbers of ``3.2+-0.05``; without a deviation it is 0."""
     value, _, std = text.partition("+-")
     return float(value), float(std or 0.0)
+
+
+def factors(text: str) -> str:
+    """Return words such as ``10x5``, two numbers."""
+    try:
+        if all(0 < value < math.inf for value in factors_of(text)):
+            return text
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"got {text}, but expected two numbers > 0 such as 10x5")
+
+
+def factors_of(text: str) -> tuple[float, float]:
+    """Return the numbers of ``10x5``; raise ValueError if they are not two."""
+    first, _, second = text.partition("x")
+    return float(first), float(second)

@@ -25,6 +25,8 @@ from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
 from skdgp.design._write import surface_mixes
+from skdgp.io import servo_outputs
+from skdgp.io._autopilot.servos import read_servos
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
 """Of a pilot's controls [rad, or 1 of the throttle]."""
@@ -42,6 +44,7 @@ def plan(run: Run) -> None:
     Writes into DIR, all or none, and removes tables and scripts there that an earlier plan wrote and this one does not:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
                      several airspeeds
+      plan_servos.csv  with --servos, what the channels of the servos send: trims and inputs together
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
       card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, what it teaches
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
@@ -56,6 +59,8 @@ def plan(run: Run) -> None:
     """
     options, console = run.options, run.console
     axes, limits, full = list(dict.fromkeys(options.axes)), _limits(options), _by_axis(options.full)
+    if options.servos:
+        read_servos(options.servos)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
     console.stage("reading")
@@ -112,6 +117,12 @@ def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[
                 files[f"{name}.lua"] = text_writer(_script(train, rate, full))
             except ValueError as error:  # the plan is kept
                 warnings.warn(f"No script for ArduPilot: {error}", stacklevel=2)
+        if options.servos:
+            try:
+                table = train.table(rate, trim=planned.trims[number - 1].controls)
+                files[f"{name}_servos.csv"] = table_writer(servo_outputs(table, options.servos), ".csv")
+            except ValueError as error:
+                warnings.warn(f"No outputs of servos: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": table_writer(planned.flight, ".csv"),
@@ -192,6 +203,7 @@ PLAN = Command(
                 nargs="*",
             ),
             _axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
+            opt.option("--servos FILE", "TOML, as of identify: also writes what the channels of these servos send"),
             opt.SEED,
             opt.FOLDER,
         ],
@@ -229,5 +241,5 @@ PLAN = Command(
             opt.option("--paths N", "aircraft drawn for each check (default: 200)", opt.at_least(2), default=200),
         ],
     },
-    outputs=r"plan(_\d+)?\.(csv|lua)",
+    outputs=r"plan(_\d+)?(_servos)?\.(csv|lua)",
 )

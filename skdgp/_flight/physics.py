@@ -155,6 +155,17 @@ def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     return found
 
 
+def reversed_surfaces(table: pd.DataFrame) -> list[str]:
+    """Return the surfaces whose signs all flights of a table contradict, where nothing else is as probable a cause."""
+    return [
+        name
+        for each in find_contradictions(table)
+        if each.flight is None and each.message.startswith(f"{_wrong_sign(each.channels)}: ")
+        for name in each.channels
+        if name in CONTROLS
+    ]
+
+
 def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
     found = [Contradiction(flight, *each) for each in _magnitudes(table)]
     windows, signals = _reduced(table)
@@ -456,7 +467,7 @@ def _causes(signals: Signals) -> Iterator[Cause]:
     for name in SIGNED:
         if name in signals and not (name in MIXED and all(elevon in signals for elevon in ELEVONS)):
             remedy = f"change it ({CHANNELS[name].meaning})"
-            yield Cause((name,), f"the sign of {name} is probably wrong", remedy, _scaled([name], -1.0))
+            yield Cause((name,), _wrong_sign((name,)), remedy, _scaled([name], -1.0))
     for words, cause in SIGNS.items():
         names = tuple(name for name in words.split() if name in signals)
         if len(names) > 1:
@@ -470,8 +481,7 @@ def _causes(signals: Signals) -> Iterator[Cause]:
                 yield Cause(names, words, f"multiply by {factor:.5g}", _scaled(names, factor))
     if all(name in signals for name in ELEVONS):
         for names in (*((name,) for name in ELEVONS), ELEVONS):
-            words = f"the sign of {_list(names)} is probably wrong"
-            yield Cause(names, words, "change it (> 0 trailing edge down)", _scaled(names, -1.0))
+            yield Cause(names, _wrong_sign(names), "change it (> 0 trailing edge down)", _scaled(names, -1.0))
         exchanged = _exchanged(ELEVONS)
         yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", exchanged)
         words, remedy = "the elevons are probably exchanged and of the wrong sign", "exchange them, change their signs"
@@ -495,6 +505,10 @@ def _causes(signals: Signals) -> Iterator[Cause]:
 
 def _list(names: tuple[str, ...]) -> str:
     return ", ".join(names)
+
+
+def _wrong_sign(names: tuple[str, ...]) -> str:
+    return f"the sign of {_list(names)} is probably wrong"
 
 
 def _scaled(names, factor: float) -> Callable[[Signals], Signals]:

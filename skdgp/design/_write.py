@@ -22,10 +22,14 @@ PX4 = {"aileron": ("xyz[0]", 1.0), "elevator": ("xyz[1]", -1.0), "rudder": ("xyz
 """Component of vehicle_torque_setpoint, and sign: PX4's positive commands roll right, pitch up, yaw right."""
 ARDUPILOT = {
     "elevator": (19, -1.0), "aileron": (4, 1.0), "rudder": (21, -1.0), "throttle": (70, 1.0),
-    "elevon_left": (77, -1.0), "elevon_right": (78, -1.0),
+    "elevon_left": (77, -1.0), "elevon_right": (78, -1.0), "vtail_left": (79, -1.0), "vtail_right": (80, -1.0),
 }  # fmt: skip
-"""SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons up."""
-MIXES = {"elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0}}
+"""SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves
+of a V-tail up."""
+MIXES = {
+    "elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0},
+    "vtail_left": {"elevator": 1.0, "rudder": 1.0}, "vtail_right": {"elevator": 1.0, "rudder": -1.0},
+}  # fmt: skip
 """Surfaces that several axes move."""
 SCALES = {"throttle": 100.0}
 """Of ArduPilot's scaled commands [%]; of surfaces: centidegrees of a range of 45."""
@@ -143,7 +147,8 @@ def write_ardupilot_lua(
         At which the script runs [Hz].
     full : mapping of str to float
         The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the servo's range
-        [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron. The throttle needs none.
+        [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron, ``vtail_left`` and ``vtail_right``
+        with elevator and rudder. The throttle needs none.
     switch : int, default=300
         RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,12 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES, THRUST_FORCES
-from skdgp.dynamics import Aircraft
-from skdgp.dynamics._vehicle.estimate import MOMENTS, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
-from skdgp.identification._flights import is_autopilot_log
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES
+from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.physics import reversed_surfaces
+from skdgp.dynamics import Aircraft, propulsive_loads
+from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
+from skdgp.dynamics._vehicle.loads import dynamic_pressure, knows_speed
+from skdgp.identification._flights import AIRSPEED_ERROR, Flights, is_autopilot_log
 from skdgp.io import FULL_THROW
-from skdgp.io._autopilot.servos import throw_errors
+from skdgp.io._autopilot.servos import REVERSED, reversed_of, throw_errors
 from skdgp.io._inspect import names_servos
 
 THRUST_IN_COEFFICIENTS = (
@@ -45,11 +49,62 @@ def servos_for(servos: Any, *flights: Any) -> Any:
     return FULL_THROW if any(map(names_servos, items)) else None
 
 
+def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
+    """Return servos in parts of the full throw, and flights, with signs of surfaces that the first flights show."""
+    names = reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True)) if reversed_of(servos) == () else []
+    if not names:
+        return servos, *parts
+    servos = f"{FULL_THROW}{REVERSED}{' '.join(names)}"
+    warnings.warn(
+        f"The flights show that {' and '.join(names)} move the other way than the autopilot's parameters say, so their "
+        f'signs are turned: servos = "{servos}".',
+        FlightDataWarning,
+        stacklevel=3,
+    )
+    return servos, *({k: _turned(table, names) for k, table in flights.items()} for flights in parts)
+
+
+def _turned(table: pd.DataFrame, names: Iterable[str]) -> pd.DataFrame:
+    return table.assign(**{name: -table[name] for name in names if name in table})
+
+
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
-    errors = {} if servos == FULL_THROW else throw_errors(servos)
+    errors = throw_errors(servos) if reversed_of(servos) is None else {}
     factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in errors.items()}
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
+
+
+def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> Aircraft:
+    """Return the aircraft, with the deviation of airspeeds that are of turns, as if one error were in all samples."""
+    std = max((table.attrs.get(AIRSPEED_ERROR, 0.0) for table in tables), default=0.0)
+    factor = ScaleFactor(2 * std, {PRESSURE: 1.0}, "velocity over the ground in turns")
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "airspeed": factor}) if std else aircraft
+
+
+def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str) -> Aircraft:
+    """Return the aircraft, with what the deviation of its propeller's thrust makes of the coefficients of flights.
+
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as the nearest linear
+    function of its regressors.
+    """
+    propeller = aircraft.propeller
+    if propeller is None or not propeller.load_std:
+        return aircraft
+    scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
+    force, moment = propulsive_loads(table, aircraft, thrust)
+    shares = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
+    known = np.isfinite(shares).all(axis=1) & np.isfinite(regressors.to_numpy()).all(axis=1)
+    shares, values = shares[known], regressors.to_numpy()[known]
+    slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
+    names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressors)]
+    added = {
+        coefficient + name: float(value)
+        for coefficient, column in zip(COEFFICIENTS, np.vstack([shares.mean(axis=0), slopes]).T, strict=True)
+        for name, value in zip(names, column, strict=True)
+    }
+    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 
 
 def _items(flights: Any) -> list:
@@ -65,22 +120,24 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     return thrust == "auto" and all(
         "throttle" in table
         and not {*THRUST_FORCES} & set(table)
-        and not (aircraft.propeller is not None and "propeller_speed" in table)
+        and not (aircraft.propeller is not None and knows_speed(aircraft.propeller, table))
         for table in tables
     )
 
 
 def control_units(servos: Any) -> dict[str, str]:
     """Return the units of controls that are not the usual ones."""
-    return dict.fromkeys(ALL_SURFACES, FULL_THROW) if servos == FULL_THROW else {}
+    return dict.fromkeys(ALL_SURFACES, FULL_THROW) if reversed_of(servos) is not None else {}
 
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
     """Return what was assumed, and which measurements would narrow what follows from it most, in a line each."""
     lines = _of_sizes(aircraft) + _of_causes(aircraft)
-    lines += [FULL_THROWS] if servos == FULL_THROW else []
+    full_throws = reversed_of(servos) is not None
+    lines += [FULL_THROWS] * full_throws
     lines += [THRUST_IN_COEFFICIENTS] if thrust_unknown else []
-    remedies = _remedies(aircraft) + [THROWS] * (servos == FULL_THROW) + [THRUST] * thrust_unknown
+    thrust_unknown = thrust_unknown or "thrust" in (aircraft.deviations or {})
+    remedies = _remedies(aircraft) + [THROWS] * full_throws + [THRUST] * thrust_unknown
     if remedies:
         lines.append("An hour each, most useful first: " + "; ".join(remedies) + ".")
     return lines

@@ -10,13 +10,23 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ELEVONS, MIXED, RATES, REGRESSOR_SETS, SPECIFIC_FORCE, THRUST_FORCES
+from skdgp._flight.channels import (
+    EARTH_VELOCITY,
+    ELEVONS,
+    MIXED,
+    RATES,
+    REGRESSOR_SETS,
+    SPECIFIC_FORCE,
+    THRUST_FORCES,
+)
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
-from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp._flight.turns import airspeed_from_turns
+from skdgp.io import FlightReadError, read_flight
+from skdgp.io._autopilot.autopilot import is_log
 from skdgp.preprocessing import FlightCheck
 
 Flights = dict[str, pd.DataFrame]
@@ -28,6 +38,8 @@ ENGINE = ("throttle", "propeller_speed")
 """Columns that an unknown thrust depends on."""
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 """Elevons may stand for elevator and aileron, and the other way round."""
+AIRSPEED_ERROR = "relative error of airspeed"
+"""Attribute of tables whose airspeed is that of their turns: its standard deviation, root mean square."""
 
 
 def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (), **reading) -> Flights:
@@ -72,11 +84,11 @@ def _single_flight(name, table) -> pd.DataFrame:
 
 def is_autopilot_log(item) -> bool:
     """Return whether this is the path of a log of an autopilot."""
-    return isinstance(item, str | os.PathLike) and Path(item).suffix.lower() in AUTOPILOTS
+    return isinstance(item, str | os.PathLike) and is_log(Path(item))
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
-    table = with_air_data(table)
+    table = _with_airspeed(with_air_data(table), needed)
     try:
         check_columns(table, needed)
     except ValueError as error:
@@ -84,6 +96,29 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
             raise
         raise ValueError(f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}") from None
     return table
+
+
+def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
+    """Return a flight with the airspeed of its turns, if it has none but the velocity over the ground; warn of it."""
+    measured = "airspeed" in flight and flight["airspeed"].notna().any()
+    if measured or not {"time", *EARTH_VELOCITY} <= set(flight):
+        return flight
+    try:
+        found = airspeed_from_turns(flight)
+    except ValueError:
+        if "airspeed" in needed:
+            raise
+        return flight
+    error, wind = (found[["airspeed_std"]] ** 2).mean().iloc[0] ** 0.5, found[["wind_north", "wind_east"]].mean()
+    warnings.warn(
+        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: that of its turns is used, ± {error:.2g} m/s, in a wind "
+        f"of {np.hypot(*wind):.2g} m/s.",
+        FlightDataWarning,
+        stacklevel=5,
+    )
+    flight = flight.assign(airspeed=found["airspeed"])
+    flight.attrs = {**flight.attrs, AIRSPEED_ERROR: float(error / found["airspeed"].mean())}
+    return flight
 
 
 def _same_name(name, first, second) -> str:

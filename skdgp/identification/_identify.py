@@ -26,7 +26,10 @@ from skdgp.identification._assumed import (
     control_units,
     lacks_thrust,
     servos_for,
+    with_airspeed_errors,
+    with_signs_of_flights,
     with_throw_errors,
+    with_thrust_errors,
 )
 from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
 from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
@@ -36,7 +39,7 @@ from skdgp.identification._pipeline import (
     flight_noise,
     make_identification_pipeline,
 )
-from skdgp.io import FULL_THROW
+from skdgp.io._autopilot.servos import reversed_of
 from skdgp.model_selection import thin_targets
 
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
@@ -94,6 +97,8 @@ def identify(
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos": "full throw"}``.
 
+    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
+
     Returns
     -------
     Identification
@@ -144,8 +149,10 @@ def identify(
         aircraft = with_throw_errors(aircraft, servos)
         reading |= {"servos": servos, "needed": _flights.MEASURED}
         train = _flights.named_flights(flights, **reading)
+        aircraft = with_airspeed_errors(aircraft, train.values())
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
+        servos, train, test = with_signs_of_flights(servos, train, test)
         if calibrate:
             _check_calibration(train, steps.get("symmetric", False))
         columns = _flights.regressor_columns(train.values(), regressors)
@@ -160,7 +167,7 @@ def identify(
         }
         if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
-        if servos == FULL_THROW:
+        if reversed_of(servos) is not None:
             _warn(FULL_THROWS)
             warnings.filterwarnings("ignore", "Got surfaces up to", UserWarning)
         # The steps of the pipeline meet the same faults again.
@@ -184,6 +191,8 @@ def identify(
         X = model.fit_regressors(table, targets, **groups)
         model.noise_ = flight_noise(model, table, aircraft, regressors=X, **loads)
         seconds = time.monotonic() - began
+        if "propeller" in thrust_sources(loads["thrust"], train.values()):
+            aircraft = with_thrust_errors(aircraft, table, _named(model, X), loads["thrust"])
 
         fit = {
             "samples": int(targets.notna().any(axis=1).sum()),
@@ -197,7 +206,7 @@ def identify(
         }
         reconstruction = steps.get("reconstruction", "auto")
         settings = {"samples": fit["samples"], **loads, **settings_of(model, reconstruction, horizons)}
-        settings |= {"servos": servos} if servos == FULL_THROW else {}
+        settings |= {} if reversed_of(servos) is None else {"servos": servos}
         evaluations = evaluate_flights(test, model, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
@@ -308,6 +317,12 @@ def _check_calibration(train, symmetric) -> None:
             "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
             "which a symmetric model would learn from twice."
         )
+
+
+def _named(pipeline, X) -> pd.DataFrame:
+    """Return the regressors (n, d) by name, in their own units."""
+    scaler, names = pipeline["standardscaler"], pipeline["regressorselector"].regressors_
+    return pd.DataFrame(scaler.inverse_transform(X), columns=list(names))
 
 
 def _n_samples(samples, regressor, n_rows) -> int:

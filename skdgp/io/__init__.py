@@ -5,7 +5,7 @@
 
 from skdgp.io._autopilot.autopilot import AUTOPILOTS
 from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
-from skdgp.io._autopilot.servos import FULL_THROW
+from skdgp.io._autopilot.servos import FULL_THROW, servo_outputs
 from skdgp.io._errors import FlightReadError
 from skdgp.io._inspect import LogSummary, inspect_log, servo_template
 from skdgp.io._poses import flight_from_poses
@@ -26,5 +26,6 @@ __all__ = [
     "inspect_log",
     "read_flight",
     "read_flights",
+    "servo_outputs",
     "servo_template",
 ]

@@ -17,7 +17,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
-from skdgp.io._autopilot.autopilot import AUTOPILOTS, no_flight_because, on_one_clock, read_log
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, is_log, no_flight_because, on_one_clock, read_log
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
 from skdgp.io._autopilot.servos import template
@@ -37,7 +37,7 @@ NEEDS = {
 ADVICE = {
     "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one to fill in)",
     "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust columns, or take no thrust",
-    "airspeed": "airspeed: a pitot tube, calibrated and enabled",
+    "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
 STEADY, SHORT = 0.5, 1.0
@@ -193,7 +193,7 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     ('table', ('phi', 'theta', 'psi', 'v_north or u', 'v_east or v', 'v_down or w'))
     """
     path = Path(path)
-    if path.suffix.lower() not in AUTOPILOTS:
+    if not is_log(path):
         return _of_table(path, read_flight(path))
     flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
@@ -224,7 +224,7 @@ def servo_template(path: PathLike) -> str:
     Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was sent to servos.
     """
     path = Path(path)
-    if path.suffix.lower() not in AUTOPILOTS:
+    if not is_log(path):
         raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
     return template(read_log(path))
 

@@ -16,7 +16,7 @@ from skdgp._flight.channels import CHANNELS
 from skdgp._flight.clock import flight_codes, part_restarts, rows_back
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
-from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, on_one_clock
+from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat
@@ -57,8 +57,9 @@ def read_flight(
     ----------
     path : str or path, or several
         ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB v5 to v7: vectors
-        named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin`` (ArduPilot). Several: as
-        :func:`read_flights`.
+        named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin`` (ArduPilot), ``.tlog`` (MAVLink
+        telemetry of both, by the extra ``mavlink``), a folder with a Parquet file of each topic (Flight Review of PX4).
+        Several: as :func:`read_flights`.
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the file; further flights
         in a log of an autopilot are ``name#2``, ``name#3``.
@@ -107,15 +108,15 @@ def read_flight(
             raise TypeError("Got several paths and one flight, but expected a mapping of flight identifier to path.")
         return read_flights(path, **options)
     path = Path(path)
-    if path.suffix.lower() not in TABLES | AUTOPILOTS:
+    if not is_log(path) and path.suffix.lower() not in TABLES:
         raise FlightReadError(
             f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: convert or "
             "rename it."
         )
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     try:
-        if path.suffix.lower() in AUTOPILOTS:
+        if is_log(path):
             return _from_autopilot(path, flight, options)
         given = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if given:

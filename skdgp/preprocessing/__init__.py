@@ -10,6 +10,7 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 """
 
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.turns import airspeed_from_turns
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._elevons import ElevonSplitter
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
@@ -27,5 +28,6 @@ __all__ = [
     "LagCorrector",
     "RateNondimensionalizer",
     "RegressorSelector",
+    "airspeed_from_turns",
     "inspect_flight",
 ]

@@ -43,7 +43,8 @@ class Aircraft:
     thrust_line : ThrustLine or mapping, optional
         Position and direction of the engine's force; without it, through the centre of gravity and forward.
     propeller : Propeller or mapping, optional
-        Thrust as a function of propeller speed and airspeed, for flights without thrust columns.
+        Thrust as a function of propeller speed and airspeed, for flights without thrust columns; or a mapping of the
+        parameters of `Propeller.from_size`, such as diameter and pitch.
     deviations : mapping of str to ScaleFactor or mapping, optional
         Errors of the sizes, by their cause. A pair (value, standard deviation) for mass, wing_area, span or chord, or
         (matrix, three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own. `Aircraft.estimate` fills it.
@@ -89,7 +90,10 @@ class Aircraft:
         object.__setattr__(self, "deviations", factors or None)
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
             value = getattr(self, name)
-            if isinstance(value, Mapping):
+            if isinstance(value, Mapping) and kind is Propeller and "pitch" in value:
+                check_keys(value, list(signature(Propeller.from_size).parameters), ["diameter"], name)
+                value = Propeller.from_size(**value)
+            elif isinstance(value, Mapping):
                 value = _build(kind, value, name)
             elif value is not None and not isinstance(value, kind):
                 raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or a mapping.")

@@ -16,6 +16,20 @@ from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.checks import check_columns, check_names, check_table
 
+USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
+USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
+"""c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter: least squares of the wind-tunnel data of 178 propellers
+of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098 points, each propeller
+with the same weight, in the ranges below."""
+USUAL_STD = 0.23
+"""Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
+.4 to .9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
+MEASURED_DIAMETERS, MEASURED_PITCHES = (0.17, 0.49), (0.35, 1.1)
+"""Of these propellers: diameter [m], pitch / diameter."""
+LOADED_SPEED, LOADED_THRUST_STD = 0.75, 0.35
+"""Speed at full throttle over that of the motor without load, and what its deviation of .1 makes of the thrust, which
+goes with its third power or so in flight; guesses."""
+
 
 def as_floats(values: Any) -> Array:
     """Return values as floats; a single NaN if one is a truth value or no number."""
@@ -50,7 +64,10 @@ class Propeller:
     max_advance_ratio : float, optional
         Largest advance ratio that was measured; flights beyond it get a warning.
     speed_range : pair of float, optional
-        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle is a control.
+        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle is a control, and
+        gives the thrust of flights without propeller_speed.
+    load_std : float, default=0.0
+        Relative standard deviation of thrust and torque. `identify` says what it makes of derivatives.
 
     Examples
     --------
@@ -66,6 +83,7 @@ class Propeller:
     rotation: int = 1
     max_advance_ratio: float | None = None
     speed_range: Sequence[float] | None = None
+    load_std: float = 0.0
 
     def __post_init__(self):
         for name in ("diameter", "max_advance_ratio"):
@@ -91,6 +109,9 @@ class Propeller:
             if speeds.shape != (2,) or not 0 <= speeds[0] < speeds[1] < np.inf:
                 raise ValueError(f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s].")
             object.__setattr__(self, "speed_range", tuple(speeds.tolist()))
+        std = as_floats(self.load_std)
+        if std.shape != () or not 0 <= std < np.inf:
+            raise ValueError(f"Got load_std={self.load_std!r} of a propeller, but expected a number, 0 or more.")
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
@@ -181,6 +202,69 @@ class Propeller:
             rotation=rotation,
             max_advance_ratio=None if static else float(np.max(2 * np.pi * airspeed / (speed * diameter))),
         )
+
+    @classmethod
+    def from_size(
+        cls,
+        diameter: float,
+        pitch: float,
+        *,
+        motor_constant: float | None = None,
+        voltage: float | None = None,
+        rotation: int = 1,
+    ) -> Propeller:
+        r"""Return the usual propeller of two blades of a size, with the deviation of its thrust.
+
+        With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site; Brandt & Selig 2011),
+
+        .. math:: C_T = .048 + .092 x - (.136 - .123 x) J - .104 J^2,
+
+        and C_Q likewise. The thrust of propellers that were not in the fit is 23 % off, root mean square. Raises
+        ValueError if a size is not positive, or of the motor's constant and the voltage there is one alone; warns
+        beyond the sizes that were measured, diameters of .17 to .49 m and x of .35 to 1.1.
+
+        Parameters
+        ----------
+        diameter, pitch : float
+            [m]; a "10x5" has 0.254 and 0.127.
+        motor_constant, voltage : float, optional
+            Speed of the electric motor per volt without load [rad/s/V], 0.1047 times the rpm per volt; voltage of the
+            battery in flight [V]. At full throttle a motor turns at about .75 times their product, and the thrust at a
+            throttle is then some 40 % off. Without them flights need propeller_speed.
+        rotation : {1, -1}
+            1 turns clockwise seen from behind.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Propeller
+        >>> propeller = Propeller.from_size(0.254, 0.127)
+        >>> propeller.thrust(propeller_speed=800.0, airspeed=[0.0, 10.0]).round(1), propeller.load_std
+        (array([7.8, 5.1]), 0.23)
+        """
+        sizes = {"diameter": diameter, "pitch": pitch, "motor_constant": motor_constant, "voltage": voltage}
+        known = {name: as_floats(value) for name, value in sizes.items() if value is not None}
+        if any(value.shape != () or not 0 < value < np.inf for value in known.values()) or len(known) == 3:
+            raise ValueError(
+                f"Got {sizes} of a propeller, but expected numbers > 0 of diameter and pitch [m], and of both or none "
+                "of motor_constant [rad/s/V] and voltage [V]."
+            )
+        ratio = float(pitch) / float(diameter)
+        for what, value, (low, high) in (
+            ("diameter", diameter, MEASURED_DIAMETERS),
+            ("pitch / diameter", ratio, MEASURED_PITCHES),
+        ):
+            if not low <= value <= high:
+                warnings.warn(
+                    f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from others with {low:g} to "
+                    f"{high:g}: it may be further off than its deviation says.",
+                    stacklevel=2,
+                )
+        speed_range, std = None, USUAL_STD
+        if motor_constant is not None and voltage is not None:
+            speed_range = (0.0, LOADED_SPEED * motor_constant * voltage)
+            std = round(float(np.hypot(std, LOADED_THRUST_STD)), 2)
+        thrust, torque = (tuple(a + b * ratio for a, b in table) for table in (USUAL_THRUST, USUAL_TORQUE))
+        return cls(diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std)
 
     def _load(
         self,

@@ -19,13 +19,18 @@ MOMENTS = ("Ixx", "Iyy", "Izz")
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
 PRODUCT = "Ixz"
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
-FORCE = {"mass": 1.0, "wing_area": -1.0}
+PRESSURE = "dynamic pressure"
+FORCE = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
 POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {
-    name: {moment: 1.0, "wing_area": -1.0, length: -1.0}
+    name: {moment: 1.0, "wing_area": -1.0, length: -1.0, PRESSURE: -1.0}
     for name, moment, length in zip(COEFFICIENTS[3:], MOMENTS, ("span", "chord", "span"), strict=True)
 }
 """A measured coefficient is proportional to these powers: m f / (qbar S), and I omega_dot / (qbar S b) but for products
 of inertia and gyroscopic moments."""
+
+
+SPEED_POWERS = dict.fromkeys(RATE_LENGTHS, 0.5) | dict.fromkeys(ACCELERATION_LENGTHS, 1.0)
+"""A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure."""
 
 
 @dataclass(frozen=True)
@@ -37,23 +42,29 @@ class ScaleFactor:
     std : float
         Relative standard deviation.
     powers : mapping of str to float
-        Powers with which quantities follow it: mass, wing_area, span, chord, Ixx, Iyy, Izz, and full throws of
-        controls. An error of 1 % of the aspect ratio b^2 / S is one of -1 % of ``wing_area`` and, as c = S / b, of
-        -1 % of ``chord``. The product Ixz has no size to be relative to: its errors are of sqrt(Ixx Izz).
+        Powers with which quantities follow it: mass, wing_area, span, chord, Ixx, Iyy, Izz, dynamic pressure, and full
+        throws of controls. An error of 1 % of the aspect ratio b^2 / S is one of -1 % of ``wing_area`` and, as
+        c = S / b, of -1 % of ``chord``. The product Ixz has no size to be relative to: its errors are of
+        sqrt(Ixx Izz).
     source : str
         What it was estimated from.
+    added : mapping of str to float
+        Of an error that adds to coefficients, as that of the thrust does: what one of 100 % adds to them and to their
+        slopes by regressors of a model, "CX", "CX_alpha", ...
     """
 
     std: float
     powers: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
+    added: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
         std = as_floats(self.std)
         if std.shape != () or not 0 <= std < np.inf:
             raise ValueError(f"Got std={self.std!r} of a scale factor, but expected a relative deviation, 0 or more.")
         object.__setattr__(self, "std", float(std))
-        object.__setattr__(self, "powers", {str(name): float(power) for name, power in self.powers.items()})
+        for name in ("powers", "added"):
+            object.__setattr__(self, name, {str(key): float(value) for key, value in getattr(self, name).items()})
 
 
 class Kind(NamedTuple):
@@ -103,6 +114,7 @@ REMEDIES = {
     "chord": "measure the chord of the wing along the span",
     "mean aerodynamic chord": "measure the chord of the wing along the span",
     "length": "measure the length from nose to tail",
+    "airspeed": "fit an airspeed sensor",
     **dict.fromkeys(INERTIAS, "swing it about each axis on two cords (bifilar pendulum)"),
 }
 """Measurements of an hour at most, by the scale factor that they narrow."""
@@ -195,6 +207,7 @@ def errors_of_sizes(
 
     A relative error scales them (`relative_errors`). One of Ixz by e sqrt(Ixx Izz) leaves N / Izz in the moment L, and
     L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl, from L = Ixx p_dot - Ixz r_dot + ...
+    One of the thrust is ``added``.
     """
     relative = relative_errors(deviations, regressors)
     errors = values * relative.reshape(len(relative), *(1,) * (values.ndim - 2), *relative.shape[1:])
@@ -203,18 +216,22 @@ def errors_of_sizes(
         product = factor.std * factor.powers.get(PRODUCT, 0.0)
         error[..., 3, :] -= product * ratio * values[..., 5, :]
         error[..., 5, :] -= product / ratio * values[..., 3, :]
+        names = [[f"{row}_{column}".rstrip("_") for column in ("", *regressors)] for row in COEFFICIENTS]
+        error += factor.std * np.array([[factor.added.get(name, 0.0) for name in row] for row in names])
     return errors
 
 
 def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:
     """Return relative errors of the coefficients and of their slopes, (factors, 6, 1 + regressors).
 
-    Slopes are by the non-dimensional rates, and by controls in the unit of the log, so that a full throw which is wrong
-    by 1 % makes the effect of the control wrong by -1 %.
+    Slopes are by the non-dimensional rates, p b / 2V, and by controls in the unit of the log, so that a full throw
+    which is wrong by 1 % makes the effect of the control wrong by -1 %.
     """
     errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
     for k, factor in enumerate(deviations.values()):
         of_coefficient = [sum(p * factor.powers.get(name, 0.0) for name, p in POWERS[c].items()) for c in COEFFICIENTS]
-        of_regressor = [0.0, *(-factor.powers.get(LENGTHS.get(name, name), 0.0) for name in regressors)]
+        of_length = [factor.powers.get(LENGTHS.get(name, name), 0.0) for name in regressors]
+        of_speed = [factor.powers.get(PRESSURE, 0.0) * SPEED_POWERS.get(name, 0.0) for name in regressors]
+        of_regressor = np.array([0.0, *np.subtract(of_speed, of_length)])
         errors[k] = factor.std * np.add.outer(of_coefficient, of_regressor)
     return errors

@@ -94,9 +94,10 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     """Return the propulsive force (n, 3) [N] and moment (n, 3) [N m] along a flight, in body axes about the CG.
 
     ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ... ``thrust_n``, or without
-    any of these r_T x F_T at the thrust line's position. "propeller": that of the aircraft at ``propeller_speed``,
-    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None: zero, for a glider, or
-    for an unknown thrust as part of the coefficients. Raises ValueError if nothing gives the thrust.
+    any of these r_T x F_T at the thrust line's position. "propeller": that of the aircraft at ``propeller_speed``, or
+    where it knows its ``speed_range`` at ``throttle``, ``airspeed`` and ``density``. "auto": columns where there are
+    any, else the propeller. None: zero, for a glider, or for an unknown thrust as part of the coefficients. Raises
+    ValueError if nothing gives the thrust.
     """
     if thrust not in THRUST_CHOICES:
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
@@ -110,7 +111,7 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         )
     if has_columns and thrust != "propeller":
         return _loads_by_axis(flight, aircraft, (len(flight),))
-    if propeller is None or "propeller_speed" not in flight:
+    if propeller is None or not knows_speed(propeller, flight):
         lacking = "the aircraft has no propeller" if propeller is None else "it has no propeller_speed [rad/s]"
         raise ValueError(
             f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
@@ -119,9 +120,16 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
             "thrust in the coefficients (regressors with throttle and airspeed explain it)."
         )
     check_columns(flight, ["airspeed", "density"])
-    speed, airspeed, density = (flight[c].to_numpy(float) for c in ("propeller_speed", "airspeed", "density"))
+    airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
+    logged = "propeller_speed" in flight
+    speed = flight["propeller_speed"].to_numpy(float) if logged else propeller.speed_at(flight["throttle"])
     _warn_beyond_bench(propeller, speed, airspeed)
     return propeller_loads(aircraft, speed, airspeed, density)
+
+
+def knows_speed(propeller: Propeller, flight: pd.DataFrame) -> bool:
+    """Return whether a flight gives the speed of the propeller: its own column, or the throttle."""
+    return "propeller_speed" in flight or (propeller.speed_range is not None and "throttle" in flight)
 
 
 def propulsion_loads(

@@ -18,11 +18,17 @@ from skdgp.io._autopilot.clock import clock_parts, gaps
 from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
 from skdgp.io._autopilot.dataflash import read_dataflash
 from skdgp.io._autopilot.formats import Log, Topic
-from skdgp.io._autopilot.servos import FULL_THROW, full_throws, read_servos, with_throws
-from skdgp.io._autopilot.ulog import read_ulog
+from skdgp.io._autopilot.servos import full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._autopilot.tlog import read_tlog
+from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
 from skdgp.io._errors import FlightReadError
 
-AUTOPILOTS: dict[str, Callable[[Path], Log]] = {".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash}
+AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+    ".bin": read_dataflash,
+    ".tlog": read_tlog,
+}
 """Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2
 """Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
@@ -58,8 +64,15 @@ class FlightLog:
     remarks: list[str]
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a path is that of a log of an autopilot: it has its suffix, or is a folder of topics."""
+    return path.suffix.lower() in AUTOPILOTS or path.is_dir()
+
+
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
+    if path.is_dir():
+        return read_topic_tables(path)
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     return AUTOPILOTS[path.suffix.lower()](path)
@@ -68,10 +81,11 @@ def read_log(path: Path) -> Log:
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
-    servos = servos if servos == FULL_THROW else read_servos(servos)
+    turned = reversed_of(servos)
+    entries = read_servos(servos) if turned is None else {}
     with np.errstate(all="ignore"):  # what is damaged may hold any number
         log = read_log(path)
-        servos = full_throws(log) if servos == FULL_THROW else with_throws(servos, log)
+        servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
         topics, remarks = clock_parts(log.topics)
         speed = threshold(log, airborne if airborne is not False else True)
         parts: list[Part] = []

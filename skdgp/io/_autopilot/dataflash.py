@@ -9,6 +9,7 @@ https://ardupilot.org/plane/docs/logmessages.html.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -92,8 +93,12 @@ SERVOS = {
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
 """By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
-V_TAIL = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
-"""Weights by SERVOn_FUNCTION: left = elevator + rudder, right = elevator - rudder of commands that go up and right."""
+MOST_SERVOS = 16
+MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "aileron": {24: 0.5, 25: 0.5}}
+"""Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
+and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
+LEFT_FLAPERON = 24
+"""Later versions of ArduPilot turn its sign. It moves with the right one or against it, which the outputs show."""
 
 
 def read_dataflash(path: Path) -> Log:
@@ -129,8 +134,8 @@ def read_dataflash(path: Path) -> Log:
         slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        servos=_servos(topics.get("RCOU", ()), parameters),
-        mixing=_mixing(topics.get("RCOU", ()), parameters),
+        servos=servos_of(topics.get("RCOU", ()), parameters),
+        mixing=mixing_of(topics.get("RCOU", ()), parameters),
     )
 
 
@@ -253,26 +258,49 @@ class _Reader:
             yield "the file ends within a message: it was cut off"
 
 
-def _servos(outputs, parameters) -> dict[str, ServoChannel]:
+def servos_of(
+    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> dict[str, ServoChannel]:
+    """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
     channels: dict[str, ServoChannel] = {}
-    for n in range(1, 15):
-        surface, turned = SERVOS.get(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), (None, False))
-        if surface is not None and f"C{n}" in outputs:
-            channels.setdefault(surface, _channel(n, parameters, turned))
+    for function, n in _numbers(outputs, parameters, name):
+        if function in SERVOS:
+            surface, turned = SERVOS[function]
+            channels.setdefault(surface, _channel(name.format(n), n, parameters, turned))
     return channels
 
 
-def _channel(n, parameters, turned) -> ServoChannel:
-    keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
-    low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
-    return ServoChannel(f"RCOU.C{n}", low, trim, high, turned != bool(back))
-
-
-def _mixing(outputs, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
-    """Return elevator and rudder of a V-tail; none where one of its servos is missing."""
-    by_function = {whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)): n for n in range(14, 0, -1) if f"C{n}" in outputs}
+def mixing_of(
+    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
+    """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
+    by_function = dict(reversed(_numbers(outputs, parameters, name)))
     return {
-        control: tuple((weight, _channel(by_function[each], parameters, False)) for each, weight in weights.items())
-        for control, weights in V_TAIL.items()
+        control: _mixed(weights, {each: by_function[each] for each in weights}, outputs, parameters, name)
+        for control, weights in MIXES.items()
         if set(weights) <= set(by_function)
     }
+
+
+def _mixed(weights, numbers, outputs, parameters, name) -> tuple[tuple[float, ServoChannel], ...]:
+    channels = {each: _channel(name.format(n), n, parameters, False) for each, n in numbers.items()}
+    sign = 1.0
+    if LEFT_FLAPERON in weights:
+        moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels.values()]
+        sign = -1.0 if moves[0] @ moves[1] < 0 else 1.0
+    return tuple(
+        (weight * (sign if each == LEFT_FLAPERON else 1.0), channels[each]) for each, weight in weights.items()
+    )
+
+
+def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:
+    """Return function and number of the servos that are logged."""
+    field = name.partition(".")[2]
+    numbers = [n for n in range(1, MOST_SERVOS + 1) if field.format(n) in outputs]
+    return [(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), n) for n in numbers]
+
+
+def _channel(channel, n, parameters, turned) -> ServoChannel:
+    keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
+    low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
+    return ServoChannel(channel, low, trim, high, turned != bool(back))

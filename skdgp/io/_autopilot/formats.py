@@ -73,6 +73,8 @@ class Topic:
             return self._walk(self.records, name).astype(float) * self.scale.get(name, 1.0)
 
     def _walk(self, values, name):
+        if name in (values.dtype.names or ()):  # columns of a table, such as "q[0]"
+            return values[name]
         for part in name.split("."):
             match = PART.fullmatch(part)
             if match is None:

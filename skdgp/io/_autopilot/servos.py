@@ -1,25 +1,41 @@
-"""Servo files (TOML): conversion of pulse widths to surface angles, and templates."""
+"""Servo files (TOML): pulse widths to surface angles, to controls of any mixing, and back; templates."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
+from skdgp._flight.checks import check_columns
 from skdgp.io._autopilot.formats import Log, ServoChannel
 from skdgp.io._errors import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
+PAIRS = {
+    "vtail": {"elevator": (0.5, 0.5), "rudder": (0.5, -0.5)},
+    "flaperon": {"aileron": (0.5, -0.5)},
+    "aileron": {"aileron": (0.5, -0.5)},
+    "elevator": {"elevator": (0.5, 0.5)},
+    "rudder": {"rudder": (0.5, 0.5)},
+}
+"""Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
+The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns down: nose left."""
+ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}
+"""Of elevons, which are columns of their own in a flight table."""
+MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
-"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1."""
+"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1; with
+", reversed rudder" after it, some of the other sign than the autopilot's parameters say."""
+REVERSED = ", reversed "
 NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
 NO_PULSE = 500.0
@@ -55,6 +71,26 @@ class Servo(NamedTuple):
             values = np.where(values < NO_PULSE, np.nan, values)
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
+    def output(self, angles: Vector) -> Vector:
+        """Return the values of the channel that turn the surface to angles [rad], the inverse of `deflection`.
+
+        Raises FlightReadError if some angles belong to several values.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).output(np.array([0.0, 0.15, -0.2]))
+        array([1500., 1700., 1300.])
+        """
+        sign = np.sign(self.angles[-1] - self.angles[0])
+        rising = sign * np.array(self.angles)
+        if not (np.diff(rising) > 0).all():
+            raise FlightReadError(
+                f"Got angles {list(self.angles)} of {self.channel}, but expected them to rise or fall throughout: "
+                "each angle must have one value of the channel."
+            )
+        return make_interp_spline(rising, self.inputs, k=1)(sign * np.asarray(angles, dtype=float))
+
 
 class Mixture(NamedTuple):
     """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
@@ -70,14 +106,19 @@ class Throw(NamedTuple):
     """Its standard deviation [rad]."""
 
 
-def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw]:
+def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw | Mixture]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
     ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
     ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
     its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
     full throw, ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that the
-    autopilot's parameters name. Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
+    autopilot's parameters name.
+
+    Surfaces that make controls together are ``[vtail_left]`` and ``[vtail_right]``, or flaperon, aileron, elevator,
+    rudder in place of vtail (`PAIRS`), or have any name and weights in ``[mixing]``, as in
+    ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of angles. Raises FlightReadError if the file
+    is no TOML, or a surface or number makes no sense.
 
     Examples
     --------
@@ -91,14 +132,125 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
             servos = read_toml(servos)
         except ValueError as error:
             raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
-    return {name: _servo(name, entry) for name, entry in servos.items()}
+    weights, found = _weights(servos), {}
+    mixed = {name for parts in weights.values() for name in parts}
+    each = {name: _servo(name, entry, (*MOVED, *mixed)) for name, entry in servos.items() if name != MIXING}
+    for control, parts in weights.items():
+        if not all(isinstance(each.get(name), Servo) for name in parts) or control in each:
+            raise FlightReadError(
+                f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of these in the servo "
+                f"file, and none of the {control} itself."
+            )
+        if len({each[name].channel.partition(".")[0] for name in parts}) > 1:
+            raise FlightReadError(f"Got channels of several topics for the {control}, but expected those of one.")
+        found[control] = Mixture(tuple((weight, each[name]) for name, weight in parts.items()))
+    return {name: servo for name, servo in each.items() if name not in mixed} | found
 
 
-def full_throws(log: Log) -> dict[str, Servo | Mixture]:
+def _weights(servos: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the weights of surfaces in the controls that they make, by the file or by their names."""
+    told = servos.get(MIXING, {})
+    if not isinstance(told, Mapping) or not all(
+        control in SURFACES and isinstance(parts, Mapping) and parts and all(map(_is_number, parts.values()))
+        for control, parts in told.items()
+    ):
+        raise FlightReadError(
+            f"Got mixing = {told!r}, but expected weights of surfaces for some of {list(SURFACES)}, as in "
+            "rudder = {fin = 0.5, nose = -0.5}."
+        )
+    weights = {control: {name: float(weight) for name, weight in parts.items()} for control, parts in told.items()}
+    for pair, controls in PAIRS.items():
+        sides = [f"{pair}_left", f"{pair}_right"]
+        if set(sides) <= set(servos) and not any(set(sides) & set(parts) for parts in weights.values()):
+            weights |= {control: dict(zip(sides, parts, strict=True)) for control, parts in controls.items()}
+    return weights
+
+
+def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -> pd.DataFrame:
+    """Return the values of the channels of servos that turn surfaces as a table says.
+
+    The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls, so the two surfaces
+    of an aileron turn by the same angle to either side. Reading the channels again gives the same controls.
+
+    Parameters
+    ----------
+    table : DataFrame
+        ``time`` [s] and elevator, aileron, rudder, elevons [rad], throttle, as of a flight or of
+        :meth:`skdgp.design.Wavetrain.table` with its trim.
+    servos : path or mapping
+        Of :func:`read_flight`, with a channel for each surface. Elevons take elevator and aileron where the table has
+        no elevons.
+
+    Returns
+    -------
+    DataFrame
+        ``time``, and a column for each channel, in its unit; beyond its ends by straight lines, so limit the inputs.
+
+    Raises
+    ------
+    FlightReadError
+        If the file makes no sense, gives a throw instead of a channel, a channel does not follow from angles, or the
+        servos cannot make the controls.
+    ValueError
+        If the table lacks a control.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from skdgp.io import servo_outputs
+    >>> servo = {"min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
+    >>> tail = {"vtail_left": servo | {"channel": "RCOU.C2"}, "vtail_right": servo | {"channel": "RCOU.C4"}}
+    >>> servo_outputs(pd.DataFrame({"time": [0.0], "elevator": [0.1], "rudder": [0.1]}), tail)
+       time  RCOU.C2  RCOU.C4
+    0   0.0   1700.0   1500.0
+    """
+    controls = {name: _parts_of(name, each) for name, each in read_servos(servos).items()}
+    elevons = [controls[name][0][1] for name in ELEVONS if name in controls]
+    if len(elevons) == len(ELEVONS) and not set(ELEVONS) & set(table):
+        controls = {name: parts for name, parts in controls.items() if name not in ELEVONS}
+        controls |= {name: tuple(zip(weights, elevons, strict=True)) for name, weights in ELEVON_WEIGHTS.items()}
+    check_columns(table, ["time", *controls])
+    channels = {servo.channel: servo for parts in controls.values() for _, servo in parts}
+    matrix = np.array([[sum(w for w, s in parts if s.channel == c) for c in channels] for parts in controls.values()])
+    if np.linalg.matrix_rank(matrix) < len(matrix):
+        raise FlightReadError(
+            f"Got {len(channels)} servos for {list(controls)}, but expected some that move each of these by itself: "
+            "look at the weights."
+        )
+    angles = table[list(controls)].to_numpy(float) @ np.linalg.pinv(matrix).T
+    outputs = {channel: servo.output(angle) for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)}
+    return pd.DataFrame({"time": table["time"].to_numpy(float), **outputs})
+
+
+def _parts_of(name, servo: Servo | Throw | Mixture) -> tuple[tuple[float, Servo], ...]:
+    if isinstance(servo, Throw):
+        raise FlightReadError(f"Got a throw of the {name}, but expected its channel: write its servo in full.")
+    return servo.parts if isinstance(servo, Mixture) else ((1.0, servo),)
+
+
+def reversed_of(servos: Any) -> tuple[str, ...] | None:
+    """Return the surfaces of other sign that servos in parts of the full throw have; None of a servo file.
+
+    Raises FlightReadError if one is no surface.
+
+    Examples
+    --------
+    >>> reversed_of("full throw, reversed rudder aileron"), reversed_of("full throw"), reversed_of("servo.toml")
+    (('rudder', 'aileron'), (), None)
+    """
+    if not isinstance(servos, str) or servos.partition(REVERSED)[0] != FULL_THROW:
+        return None
+    names = servos.partition(REVERSED)[2].split()
+    if strange := set(names) - set(ALL_SURFACES):
+        raise FlightReadError(f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}.")
+    return tuple(names)
+
+
+def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mixture]:
     """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
 
-    Where the parameters say how controls are mixed, these are elevator, aileron and rudder of any tail and wing. Raises
-    FlightReadError if there are none.
+    Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
+    aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
 
     Examples
     --------
@@ -113,10 +265,11 @@ def full_throws(log: Log) -> dict[str, Servo | Mixture]:
         for name, channel in log.servos.items()
         if not (log.mixing and name in ELEVONS)  # elevator and aileron are among the mixed
     }
-    return found | {
+    found |= {
         name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
         for name, parts in log.mixing.items()
     }
+    return {name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()}
 
 
 def throw_errors(servos: str | Path | Mapping[str, Any] | None) -> dict[str, float]:
@@ -131,7 +284,7 @@ def throw_errors(servos: str | Path | Mapping[str, Any] | None) -> dict[str, flo
     return {name: each.std / each.angle for name, each in throws.items() if each.std}
 
 
-def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Servo | Mixture]:
+def with_throws(servos: Mapping[str, Servo | Throw | Mixture], log: Log) -> dict[str, Servo | Mixture]:
     """Return the servos, those of a throw by the parameters of the autopilot; FlightReadError if these lack one."""
     throws = {name: each.angle for name, each in servos.items() if isinstance(each, Throw)}
     named = full_throws(log) if throws else {}
@@ -140,7 +293,7 @@ def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Serv
             f"Got the full throw of {lacking}, but expected surfaces that the parameters of the log name, "
             f"{sorted(named)}: give the channel of the others."
         )
-    found: dict[str, Servo | Mixture] = {name: each for name, each in servos.items() if isinstance(each, Servo)}
+    found = {name: each for name, each in servos.items() if not isinstance(each, Throw)}
     return found | {name: _scaled(named[name], angle) for name, angle in throws.items()}
 
 
@@ -160,9 +313,13 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
     return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
-def _servo(name, entry) -> Servo | Throw:
-    if name not in MOVED:
-        raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
+def _servo(name, entry, known) -> Servo | Throw:
+    if name not in known:
+        pairs = [f"{pair}_left and {pair}_right" for pair in PAIRS]
+        raise FlightReadError(
+            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of {', '.join(pairs)}, or a name "
+            "with its weight in mixing."
+        )
     if isinstance(entry, str):
         return _throw(name, entry)
     if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skdgp._compute.files import read_json
 from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
 from skdgp.io._errors import FlightReadError
 
@@ -87,6 +88,7 @@ RULES = (
 )
 
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "actuator_controls_1")
+TOPICS = {*OUTPUTS, *(rule.topic for rule in RULES)}
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
 """By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up, against our signs."""
 MIXED_TYPES = (*range(1, 9), 12)
@@ -112,19 +114,72 @@ def read_ulog(path: Path) -> Log:
         raise FlightReadError(
             f"Got {path}, a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
         )
+    return _log("PX4 ULog", topics, reader.parameters, reader.information, reader.remarks())
+
+
+def read_topic_tables(path: Path) -> Log:
+    """Return a log of PX4 in a folder with a Parquet file for each topic, as Flight Review stores it.
+
+    Further instances of a topic are topic_1.parquet, ... Parameters and firmware are in metadata.json; without it the
+    servos of surfaces are not known. Raises FlightReadError if no file is a topic, ImportError without pyarrow.
+    """
+    try:
+        from pyarrow.parquet import read_table
+    except ImportError as error:
+        raise ImportError(
+            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]'."
+        ) from error
+    metadata, topics = _metadata(path / "metadata.json"), {}
+    for file in sorted(path.glob("*.parquet")):
+        try:
+            table = read_table(file)
+        except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
+            raise FlightReadError(f"Got {file}, which is no whole Parquet file ({error}): copy it again.") from error
+        records = table.to_pandas().select_dtypes(["number", "bool"]).to_records(index=False)
+        if len(records) and "timestamp" in (records.dtype.names or ()):
+            name = _topic_name(file.stem)
+            topics[name] = Topic(_sampled(name, records) * 1e-6, records["timestamp"].astype(float), records)
+    if not topics:
+        raise FlightReadError(
+            f"Got the folder {path}, but expected Parquet files of the topics of PX4 in it, with a timestamp, such as "
+            "vehicle_attitude.parquet."
+        )
+    parameters = {key: float(value) for key, value in metadata.get("parameters", {}).items() if _is_number(value)}
+    return _log("PX4 Parquet", topics, parameters, metadata, ())
+
+
+def _metadata(path) -> dict:
+    try:
+        return read_json(path) if path.exists() else {}
+    except ValueError as error:
+        raise FlightReadError(f"Got {path}, but expected JSON: {error}") from error
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _topic_name(stem: str) -> str:
+    """Return topic or topic#1 of the name of a file; names of topics may end in a number themselves."""
+    name, _, number = stem.rpartition("_")
+    is_instance = name and number.isdecimal() and stem not in TOPICS
+    return instance_name(name, int(number)) if is_instance else stem
+
+
+def _log(kind, topics, parameters, information, remarks) -> Log:
     return Log(
-        kind="PX4 ULog",
+        kind=kind,
         topics=topics,
         rules=RULES,
-        parameters=reader.parameters,
-        firmware=_firmware(reader.information),
-        vehicle=_vehicle(topics, reader.parameters),
-        remarks=tuple(reader.remarks()),
-        slowest_airspeed=reader.parameters.get("FW_AIRSPD_MIN", np.nan),
+        parameters=parameters,
+        firmware=_firmware(information),
+        vehicle=_vehicle(topics, parameters),
+        remarks=tuple(remarks),
+        slowest_airspeed=parameters.get("FW_AIRSPD_MIN", np.nan),
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
-        servos=_servos(topics, reader.parameters),
-        mixing=_mixing(topics, reader.parameters),
+        servos=_servos(topics, parameters),
+        mixing=_mixing(topics, parameters),
     )
 
 

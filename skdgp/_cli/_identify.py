@@ -96,8 +96,8 @@ def _aircraft(run: Run) -> Aircraft | str:
     if "propeller" in told:
         diameter, pitch = (INCH * value for value in opt.factors_of(told["propeller"]))
         constant, voltage = opt.factors_of(told["motor"]) if "motor" in told else (None, None)
-        motor = {} if constant is None else {"motor_constant": constant * np.pi / 30, "voltage": voltage}
-        known["propeller"] = Propeller.from_size(diameter, pitch, **motor)
+        constant = None if constant is None else constant * np.pi / 30  # rad/s of rpm
+        known["propeller"] = Propeller.from_size(diameter, pitch, motor_constant=constant, voltage=voltage)
     return Aircraft.estimate(**known, kind=told.get("kind", "conventional"), name=Path(options.train[0]).stem)
 
 

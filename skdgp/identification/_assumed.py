@@ -97,7 +97,7 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
     known = np.isfinite(shares).all(axis=1) & np.isfinite(regressors.to_numpy()).all(axis=1)
     shares, values = shares[known], regressors.to_numpy()[known]
     slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
-    names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressors)]
+    names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
     added = {
         coefficient + name: float(value)
         for coefficient, column in zip(COEFFICIENTS, np.vstack([shares.mean(axis=0), slopes]).T, strict=True)

@@ -4,8 +4,9 @@
 
 `identify` learns the flights of two aircraft of JSBSim, and in turn one thing is withheld: inertia and area
 (`Aircraft.estimate` of mass, span and kind), the thrust, the vanes, the angles of the surfaces (in parts of their
-largest deflection), or all of these. Derivatives at the mean of the flight are compared with the true ones, slopes of
-the polynomial of third order of the noise-free columns; their bands are value +- 1.96 sqrt(std^2 + std_aircraft^2).
+largest deflection), or all of these; and the airspeed alone, which is then that of turns. Derivatives at the mean of
+the flight are compared with the true ones, slopes of the polynomial of third order of the noise-free columns; their
+bands are value +- 1.96 sqrt(std^2 + std_aircraft^2).
 "share" compares the ratios of the derivatives of a coefficient to its main one, by rates in rad/s: no size is in them,
 so their bands are those of the log alone. "width" is the median ratio of bands to those with everything told.
 The error of the held-out flight is over the spread of what was measured there, with the same sizes.
@@ -35,7 +36,7 @@ FLIGHTS = {
     "c172p": ("train_latlon", "test_calm", "conventional"),
 }
 THINGS = ("sizes", "thrust", "vanes", "angles")
-WITHHELD = {"nothing": (), **{name: (name,) for name in THINGS}, "all of these": THINGS}
+WITHHELD = {"nothing": (), **{name: (name,) for name in THINGS}, "all of these": THINGS, "airspeed": ("airspeed",)}
 SURFACES = ("elevator", "aileron", "rudder")
 REGRESSORS = ("alpha", "beta", "p", "q", "r", *SURFACES)
 MAIN = dict(zip(COEFFICIENTS, ("alpha", "beta", "alpha", "aileron", "elevator", "beta"), strict=True))
@@ -66,6 +67,8 @@ def withhold(things, aircraft, kind, *flights):
         flights = [
             table.drop(columns=[n for n in table if n.startswith(("thrust_", "propeller"))]) for table in flights
         ]
+    if "airspeed" in things:
+        flights = [table.drop(columns="airspeed") for table in flights]
     if "vanes" in things:
         flights = [table.drop(columns=["alpha", "beta"]) for table in flights]
     if "angles" in things:

@@ -72,3 +72,14 @@ def test_errors_of_dynamic_pressure_scale_coefficients_and_slopes():
     """C = 2 F / (rho V^2 S): V^2 1 % too large makes C 1 % too small, and p b / 2V .5 % too small."""
     errors = relative_errors({"airspeed": ScaleFactor(0.01, {PRESSURE: 1.0})}, ("alpha", "p"))
     assert errors[0] == pytest.approx(np.tile([-0.01, -0.01, -0.005], (6, 1)))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "most"), [("c172p_test_calm", 0.5), ("viggen_uav_test_twoalt", 1.0)])
+def test_flights_of_other_aerodynamics(shared_data, name, most):
+    """In calm air and in gusts to 14 kt: root mean square of the error [m/s], and what the deviation says of it."""
+    flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
+    found = airspeed_from_turns(flight[["time", *GROUND[2:], "phi", "theta", "psi"]])
+    error = found["airspeed"] - flight["airspeed_true"]
+    assert np.sqrt(np.mean(error**2)) < most
+    assert np.mean(np.abs(error) < 1.96 * found["airspeed_std"]) > 0.85

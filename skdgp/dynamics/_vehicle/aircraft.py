@@ -89,15 +89,15 @@ class Aircraft:
         object.__setattr__(self, "inertia", inertia)
         object.__setattr__(self, "deviations", factors or None)
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
-            value = getattr(self, name)
-            if isinstance(value, Mapping) and kind is Propeller and "pitch" in value:
-                check_keys(value, list(signature(Propeller.from_size).parameters), ["diameter"], name)
-                value = Propeller.from_size(**value)
-            elif isinstance(value, Mapping):
-                value = _build(kind, value, name)
-            elif value is not None and not isinstance(value, kind):
-                raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or a mapping.")
-            object.__setattr__(self, name, value)
+            part: Any = getattr(self, name)
+            if isinstance(part, Mapping) and kind is Propeller and "pitch" in part:
+                check_keys(part, list(signature(Propeller.from_size).parameters), ["diameter"], name)
+                part = Propeller.from_size(**part)
+            elif isinstance(part, Mapping):
+                part = _build(kind, part, name)
+            elif part is not None and not isinstance(part, kind):
+                raise TypeError(f"Got {type(part).__name__} for {name}, but expected {kind.__name__} or a mapping.")
+            object.__setattr__(self, name, part)
 
     @cached_property
     def inertia_inverse(self) -> np.ndarray:

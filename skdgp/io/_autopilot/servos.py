@@ -136,14 +136,15 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
     mixed = {name for parts in weights.values() for name in parts}
     each = {name: _servo(name, entry, (*MOVED, *mixed)) for name, entry in servos.items() if name != MIXING}
     for control, parts in weights.items():
-        if not all(isinstance(each.get(name), Servo) for name in parts) or control in each:
+        mixture = [(weight, servo) for name, weight in parts.items() if isinstance(servo := each.get(name), Servo)]
+        if len(mixture) < len(parts) or control in each:
             raise FlightReadError(
                 f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of these in the servo "
                 f"file, and none of the {control} itself."
             )
-        if len({each[name].channel.partition(".")[0] for name in parts}) > 1:
+        if len({servo.channel.partition(".")[0] for _, servo in mixture}) > 1:
             raise FlightReadError(f"Got channels of several topics for the {control}, but expected those of one.")
-        found[control] = Mixture(tuple((weight, each[name]) for name, weight in parts.items()))
+        found[control] = Mixture(tuple(mixture))
     return {name: servo for name, servo in each.items() if name not in mixed} | found
 
 
@@ -315,9 +316,9 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
 
 def _servo(name, entry, known) -> Servo | Throw:
     if name not in known:
-        pairs = [f"{pair}_left and {pair}_right" for pair in PAIRS]
+        sides = [f"{pair}_left and {pair}_right" for pair in PAIRS]
         raise FlightReadError(
-            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of {', '.join(pairs)}, or a name "
+            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of {', '.join(sides)}, or a name "
             "with its weight in mixing."
         )
     if isinstance(entry, str):

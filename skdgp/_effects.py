@@ -63,10 +63,10 @@ class Effects:
         mean, variance = {}, {}
         for name, term in self._terms.items():
             if not return_std:
-                mean[name] = term.predict(X) * regressor._scale
+                mean[name] = term.predict(X) * regressor.scale_
                 continue
             values, squares = term.predict(X, return_variance=True)
-            mean[name], variance[name] = values * regressor._scale, np.sqrt(squares) * regressor._scale
+            mean[name], variance[name] = values * regressor.scale_, np.sqrt(squares) * regressor.scale_
         return (mean, variance) if return_std else mean
 
 
@@ -123,7 +123,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     rows = samples_of(regressor, before, X)
     rows = rows[:: -(-len(rows) // MAX_ROWS)]
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
-    posterior, scale = regressor.posterior_, regressor._scale
+    posterior, scale = regressor.posterior_, regressor.scale_
     columns = posterior.kernel.term_regressors()
     terms = {_name(some, names): CentredTerm(posterior, some, rows) for some in columns}
     intercept = sum(term.values.mean(axis=0) for term in terms.values())
@@ -138,7 +138,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
             curves[name] = Curve(in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
     return Effects(
-        intercept=regressor._center + intercept * scale,
+        intercept=regressor.center_ + intercept * scale,
         importance=pd.DataFrame.from_dict(importance, orient="index", columns=regressor.output_names_),
         curves=curves,
         samples=units,

@@ -91,7 +91,7 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
     found = effects(pipeline)
     mean, std = found.evaluate(new, return_std=True)
     model, X, Z = pipeline[-1], *(pipeline[:-1].transform(x) for x in (data[0], new))
-    Y = ((data[1] - model._center) / model._scale).to_numpy()
+    Y = ((data[1] - model.center_) / model.scale_).to_numpy()
     observed = [np.isfinite(y) for y in Y.T]
     inputs, y = [X[rows] for rows in observed], np.concatenate([Y[rows, i] for i, rows in enumerate(observed)])
     kernel, noise = model.kernel_, np.repeat(model.posterior_.noise, [rows.sum() for rows in observed])
@@ -105,9 +105,9 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
         for i in range(2):
             rows = slice(i * len(points), (i + 1) * len(points))
             expected = centring @ cross[rows] @ np.linalg.solve(C, y)
-            np.testing.assert_allclose(mean[title][:, i], expected * model._scale[i], atol=1e-7)
+            np.testing.assert_allclose(mean[title][:, i], expected * model.scale_[i], atol=1e-7)
             variance = np.diag(centring @ covariance[rows, rows] @ centring.T)
-            np.testing.assert_allclose(std[title][:, i], np.sqrt(variance) * model._scale[i], rtol=1e-4, atol=1e-6)
+            np.testing.assert_allclose(std[title][:, i], np.sqrt(variance) * model.scale_[i], rtol=1e-4, atol=1e-6)
 
 
 def test_sparse_terms_approach_the_exact_ones(data):

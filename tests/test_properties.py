@@ -160,7 +160,7 @@ def test_uncertainty_is_one(seed, inference):
     own = std.reshape(len(at), -1).T.ravel() / spread
     np.testing.assert_allclose(np.sqrt(np.diag(cov)), own, rtol=1e-6, atol=1e-7 * np.sqrt(cov.max()))
     assert (own > 0).all()
-    prior = np.sqrt(model.kernel_.diag(at)) * np.repeat(model._scale, len(at))
+    prior = np.sqrt(model.kernel_.diag(at)) * np.repeat(model.scale_, len(at))
     assert (own <= prior / spread * (1 + 1e-9)).all()
 
 

@@ -59,7 +59,7 @@ class TestPartialFit:
     def test_is_conditioning_on_everything_at_the_same_hyperparameters(self, data, model, kind, size):
         X, Y = data
         before, theta = model.posterior_, model.theta_.copy()
-        center, scale = model._center, model._scale
+        center, scale = model.center_, model.scale_
         for a in range(40, 60, size):
             assert model.partial_fit(X[a : a + size], Y[a : a + size]) is model
         if kind == "exact":
@@ -72,7 +72,7 @@ class TestPartialFit:
         np.testing.assert_allclose(std, np.sqrt(variance) * scale, rtol=1e-8)
         assert model.log_marginal_likelihood_value_ == pytest.approx(reference.log_marginal_likelihood, rel=1e-8)
         np.testing.assert_array_equal(model.theta_, theta)
-        assert (model._center is center, model._scale is scale) == (True, True)
+        assert (model.center_ is center, model.scale_ is scale) == (True, True)
 
     @KINDS
     def test_rows_without_a_target_change_nothing(self, data, model, kind):

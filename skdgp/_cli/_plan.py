@@ -20,7 +20,7 @@ from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
 from skdgp._excitation.wavetrain import AXES, Wavetrain
-from skdgp.design import Envelope, Limits, Plan, write_ardupilot_lua, write_csv, write_flight_card
+from skdgp.design import Envelope, Limits, Pilot, Plan, write_ardupilot_lua, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
@@ -63,6 +63,7 @@ def plan(run: Run) -> None:
         read_servos(options.servos)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
+    detents = None if options.pilot is None else {one: DETENTS[one] for one in axes} | _by_axis(options.pilot)
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
     with listening(console.progress), console.counting_interrupts():
@@ -76,12 +77,8 @@ def plan(run: Run) -> None:
             limits=limits,
             envelope=_envelope(options),
             altitude=options.altitude,
-            gusts=None if options.gusts == "none" else "auto",
-            pause="auto" if options.pause is None else options.pause,
-            rate=options.rate,
-            n_paths=options.paths,
+            pilot=Pilot("auto" if options.pause is None else options.pause, options.rate, detents),
             thrust=thrust,
-            detents=None if options.pilot is None else {one: DETENTS[one] for one in axes} | _by_axis(options.pilot),
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
@@ -91,7 +88,14 @@ def plan(run: Run) -> None:
 
 def _envelope(options: argparse.Namespace) -> Envelope:
     given = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
-    return Envelope(**given, growth=float(options.growth), risk=options.risk, margin=options.margin)
+    return Envelope(
+        **given,
+        growth=float(options.growth),
+        risk=options.risk,
+        margin=options.margin,
+        gusts=None if options.gusts == "none" else "auto",
+        n_paths=options.paths,
+    )
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:

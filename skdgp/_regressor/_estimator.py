@@ -146,6 +146,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
         value in ``max_iter`` further iterations. If not, ``fit`` warns.
+    center_, scale_ : ndarray (P,)
+        The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
         Column names of Y, or y0, y1, ...
     n_features_in_ : int
@@ -287,14 +289,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             check_memory(n_values, "Exact inference on", FIT_REMEDY, 1 + most_factors(self, clock is not None))
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
-        Z, self._center, self._scale = _checks.standardize(Y, self.trend is not None)
+        Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
         found = task.run(fit_structure, self, X, Z, clock is not None)
         posterior, learned = found.posterior, found.learned
         self.weights_ = weights_of(posterior)
         _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
         if not learned.interrupted:
             _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_))
-        misfit, variance, memory = np.zeros((3, len(self._scale)))
+        misfit, variance, memory = np.zeros((3, len(self.scale_)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X[:n_measured], Z[:n_measured], clock[:n_measured])
@@ -304,8 +306,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
         misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)  # it is a part of what the search took for noise
-        self.misfit_variance_, self.noise_variance_ = misfit * self._scale**2, (learned.noise - misfit) * self._scale**2
-        self.drift_variance_, self.drift_memory_ = variance * self._scale**2, memory
+        self.misfit_variance_, self.noise_variance_ = misfit * self.scale_**2, (learned.noise - misfit) * self.scale_**2
+        self.drift_variance_, self.drift_memory_ = variance * self.scale_**2, memory
         self._root = learned.root
         self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
         self.log_marginal_likelihood_value_ = found.posterior.log_marginal_likelihood
@@ -366,7 +368,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         _checks.check_magnitudes(Y, self.output_names_, "targets", 0.0, _checks.Y_RANGE[1])
         loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
-        data = Data.from_table(X, (Y - self._center) / self._scale, loading)
+        data = Data.from_table(X, (Y - self.center_) / self.scale_, loading)
         if self.inference_ == "exact":
             n_values = self.posterior_.samples().n_values + data.n_values
             n_factors = sum(isinstance(member, ExactPosterior) for member in self.posterior_.members)
@@ -456,7 +458,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         coupling["output_names"] = list(self.output_names_)
         return coupling
 
-    # -- predictions: y = _center + _scale z for the normalised outputs z ------------------------------------
+    # -- predictions: y = center_ + scale_ z for the normalised outputs z ------------------------------------
 
     def predict(
         self,
@@ -500,21 +502,21 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if return_std:
             mean, variance = mean
             noise = self.noise_variance_ if include_noise else 0.0
-            variance = variance + (self.misfit_variance_ + noise) / self._scale**2
+            variance = variance + (self.misfit_variance_ + noise) / self.scale_**2
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
-            return self._squeeze(mean * self._scale + self._center), self._squeeze(np.sqrt(variance) * self._scale)
-        mean = self._squeeze(mean * self._scale + self._center)
+            return self._squeeze(mean * self.scale_ + self.center_), self._squeeze(np.sqrt(variance) * self.scale_)
+        mean = self._squeeze(mean * self.scale_ + self.center_)
         if not return_cov:
             return mean
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
         cov = self.posterior_.covariance(X)
         if include_noise:
-            noise = (self.misfit_variance_ + self.noise_variance_) / self._scale**2
+            noise = (self.misfit_variance_ + self.noise_variance_) / self.scale_**2
             cov[np.diag_indices_from(cov)] += np.repeat(noise, len(X))
         loading = self._loading(X, include_input_noise)
-        blocks = cov.reshape(len(self._scale), len(X), len(self._scale), len(X))
+        blocks = cov.reshape(len(self.scale_), len(X), len(self.scale_), len(X))
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
-        scale = np.repeat(self._scale, len(X))
+        scale = np.repeat(self.scale_, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
     def predict_gradient(self, X: Matrix, return_std: bool = False) -> Any:
@@ -533,9 +535,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         X = self._check_regressors(X)
         if not return_std:
-            return self._squeeze(self.posterior_.gradient(X) * self._scale[:, None])
+            return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
         mean, variance = self.posterior_.gradient(X, return_variance=True)
-        return self._squeeze(mean * self._scale[:, None]), self._squeeze(np.sqrt(variance) * self._scale[:, None])
+        return self._squeeze(mean * self.scale_[:, None]), self._squeeze(np.sqrt(variance) * self.scale_[:, None])
 
     def slope_errors(self, X: Matrix) -> SlopeErrors | None:
         r"""Return errors of the slopes that the posterior does not contain, from the samples of the fit.
@@ -569,7 +571,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         (1, 1, 1, 20)
         """
         errors = slope_errors(self.posterior_, self._check_regressors(X))
-        return None if errors is None else errors.scaled(self._scale[:, None])
+        return None if errors is None else errors.scaled(self.scale_[:, None])
 
     def function_errors(self) -> FunctionErrors | None:
         """Return errors of the function that the posterior does not contain, from the samples of the fit.
@@ -595,7 +597,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         check_is_fitted(self)
         errors = function_errors(self.posterior_)
-        return None if errors is None else errors._replace(weights=errors.weights * self._scale)
+        return None if errors is None else errors._replace(weights=errors.weights * self.scale_)
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
         """Return samples of the joint posterior of all outputs at X, without misfit.
@@ -617,7 +619,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         white = check_random_state(random_state).standard_normal((len(cov), n_samples))
         draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
-        return self._squeeze((mean[..., None] + draws) * self._scale[:, None] + self._center[:, None])
+        return self._squeeze((mean[..., None] + draws) * self.scale_[:, None] + self.center_[:, None])
 
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors.
@@ -660,7 +662,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
             raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
         names = getattr(self, "feature_names_in_", None)
-        return self.posterior_.paths(n_paths, random_state).in_units(self._center, self._scale, self._single, names)
+        return self.posterior_.paths(n_paths, random_state).in_units(self.center_, self.scale_, self._single, names)
 
     def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
@@ -710,7 +712,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             With ``eval_gradient``.
         """
         check_is_fitted(self)
-        P = len(self._scale)
+        P = len(self.scale_)
         if theta is None:
             if not eval_gradient:
                 return self.log_marginal_likelihood_value_
@@ -740,7 +742,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 f"from 0 on: one number, or one for each of the {len(X)} rows."
             )
         if self._root is None or not factor.any():
-            return np.zeros((len(X), len(self._scale), 0))
+            return np.zeros((len(X), len(self.scale_), 0))
         return np.sqrt(factor.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
 
     def _check_regressors(self, X):

@@ -17,7 +17,7 @@ from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan, flown_plan
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._plan import Plan
-from skdgp.design._planner import plan
+from skdgp.design._planner import Known, Pilot, plan
 from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 
 __all__ = [
@@ -25,8 +25,10 @@ __all__ = [
     "Envelope",
     "FlownPlan",
     "Information",
+    "Known",
     "Limits",
     "Multisine",
+    "Pilot",
     "Plan",
     "Signal",
     "Steps",

@@ -93,7 +93,7 @@ def write_flight_card(
     >>> import tempfile
     >>> from pathlib import Path
     >>> import numpy as np
-    >>> from skdgp.design import plan, write_flight_card
+    >>> from skdgp.design import Known, plan, write_flight_card
     >>> from skdgp.dynamics import Aerodynamics, Aircraft
     >>> def linear(X):
     ...     alpha, q, elevator = X.T
@@ -101,7 +101,7 @@ def write_flight_card(
     ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
     >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=8.0,
-    ...              axes=["elevator"], goal=["Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
+    ...              axes=["elevator"], goal=["Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
     >>> path = write_flight_card(Path(tempfile.mkdtemp()) / "card.html", found)
     >>> "nose down" in path.read_text(encoding="utf-8")
     True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.design._information import regressors_of
-from skdgp.dynamics import Aerodynamics, Aircraft
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence
 
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
@@ -57,6 +58,11 @@ class Envelope:
     margin : float, default=0.15
         Fraction by which the response to a manoeuvre may exceed the model's: slopes learned in gusts err by more than
         the posterior says.
+    gusts : Turbulence, "auto" or None, default="auto"
+        In which the risk is predicted. "auto": that of the training flights, with a warning if the model does not know
+        it. None: calm air.
+    n_paths : int, default=200
+        Aircraft drawn for each prediction. A risk of 5 % is then known to 1.5 %.
 
     Examples
     --------
@@ -77,6 +83,8 @@ class Envelope:
     growth: float = 0.2
     risk: float = 0.05
     margin: float = 0.15
+    gusts: Turbulence | Literal["auto"] | None = "auto"
+    n_paths: int = 200
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):

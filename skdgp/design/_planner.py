@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
@@ -38,7 +38,6 @@ from skdgp.dynamics import (
     Aircraft,
     SimulationWarning,
     Trim,
-    Turbulence,
     as_aerodynamics,
     linearize,
     stability_derivatives,
@@ -63,6 +62,62 @@ VAGUE = 1e-8
 """Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
 
 
+class Known(NamedTuple):
+    """What is known before a flight is planned; what is not given is what the model knows.
+
+    Parameters
+    ----------
+    information : Information, optional
+        Of earlier flights; by default that of the model's posterior at the trims.
+    noise : DataFrame or mapping, optional
+        As for `expected_information`; by default `coefficient_noise` of the model.
+    bands : DataFrame, optional
+        As `input_bands` returns, for a model without recognisable modes.
+    curvature : bool, default=False
+        Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
+        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
+        coefficients are linear.
+
+    Examples
+    --------
+    >>> from skdgp.design import Known
+    >>> Known(noise={"Cm": 0.004}).curvature
+    False
+    """
+
+    information: Information | None = None
+    noise: pd.DataFrame | Mapping[str, float] | None = None
+    bands: pd.DataFrame | None = None
+    curvature: bool = False
+
+
+class Pilot(NamedTuple):
+    r"""Who flies a plan: an autopilot, or with ``detents`` a pilot.
+
+    Parameters
+    ----------
+    pause : float or "auto"
+        At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
+        the phugoid's period, in which the airspeed returns, and at least 3 s. The period is Lanchester's, of the
+        airspeed alone: :math:`\sqrt{2} \pi V / g`.
+    rate : float, default=50.0
+        Of the autopilot [Hz].
+    detents : mapping of str to float, optional
+        Of all axes [rad, or 1 of the throttle]: the plan then holds only steps, whose times are half seconds and whose
+        levels are multiples of these.
+
+    Examples
+    --------
+    >>> from skdgp.design import Pilot
+    >>> Pilot(detents={"elevator": 0.0175}).rate
+    50.0
+    """
+
+    pause: float | Literal["auto"] = "auto"
+    rate: float = 50.0
+    detents: Mapping[str, float] | None = None
+
+
 def plan(
     model: Any,
     aircraft: Aircraft,
@@ -75,16 +130,9 @@ def plan(
     envelope: Envelope | None = None,
     altitude: float | None = None,
     banks: Sequence[float] = (0.0,),
-    gusts: Turbulence | Literal["auto"] | None = "auto",
-    known: Information | None = None,
-    noise: pd.DataFrame | Mapping[str, float] | None = None,
-    bands: pd.DataFrame | None = None,
-    curvature: bool = False,
-    pause: float | Literal["auto"] = "auto",
-    rate: float = 50.0,
-    n_paths: int = 200,
+    known: Known | None = None,
+    pilot: Pilot | None = None,
     thrust: Any = "auto",
-    detents: Mapping[str, float] | None = None,
     random_state: Seed = 0,
 ) -> Plan:
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
@@ -128,32 +176,12 @@ def plan(
         [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
-    gusts : Turbulence, "auto" or None, default="auto"
-        Of the check. "auto": that of the training flights, with a warning if the model does not know it. None: calm
-        air.
-    known : Information, optional
-        Of earlier flights; by default that of the model's posterior at the trims.
-    noise : DataFrame or mapping, optional
-        As for `expected_information`; by default `coefficient_noise` of the model.
-    bands : DataFrame, optional
-        As `input_bands` returns, for a model without recognisable modes.
-    curvature : bool, default=False
-        Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
-        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
-        coefficients are linear.
-    pause : float or "auto"
-        At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
-        the phugoid's period, in which the airspeed returns, and at least 3 s. The period is Lanchester's, of the
-        airspeed alone: :math:`\sqrt{2} \pi V / g`.
-    rate : float, default=50.0
-        Of the autopilot [Hz].
-    n_paths : int, default=200
-        Aircraft drawn for each check. A risk of 5 % is then known to 1.5 %.
+    known : Known, optional
+        What is known before the flight; by default what the model knows.
+    pilot : Pilot, optional
+        Who flies, and how long between manoeuvres; by default an autopilot of 50 Hz.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
-    detents : mapping of str to float, optional
-        Of all axes [rad, or 1 of the throttle]: a pilot flies. The library then holds only steps, whose times are half
-        seconds and whose levels are multiples of these.
     random_state : int, RandomState instance or None, default=0
         Of the draws.
 
@@ -176,7 +204,7 @@ def plan(
     Examples
     --------
     >>> import numpy as np
-    >>> from skdgp.design import plan
+    >>> from skdgp.design import Known, plan
     >>> from skdgp.dynamics import Aerodynamics, Aircraft
     >>> def linear(X):
     ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
@@ -187,7 +215,7 @@ def plan(
     >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
     >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
-    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, noise={"Cm": 0.004})
+    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
@@ -196,20 +224,20 @@ def plan(
         seed = int(check_random_state(random_state).randint(2**31 - 1))
         planner = Planner(
             model, aircraft, airspeeds=airspeeds, seconds=seconds, axes=axes, limits=limits, envelope=envelope,
-            altitude=altitude, banks=banks, gusts=gusts, known=known, noise=noise, bands=bands, curvature=curvature,
-            pause=pause, rate=rate, n_paths=n_paths, thrust=thrust, detents=detents, seed=seed, goal=goal,
+            altitude=altitude, banks=banks, known=known, pilot=pilot, thrust=thrust, seed=seed, goal=goal,
         )  # fmt: skip
         return planner.search(goal)
 
 
 def _check_options(
-    airspeeds: Any, seconds: Any, axes: Any, limits: Any, envelope: Any, banks: Any, known: Any, bands: Any, pause: Any,
-    n_paths: Any, detents: Any,
+    airspeeds: Any, seconds: Any, axes: Any, limits: Any, envelope: Envelope, banks: Any, known: Known, pilot: Pilot,
 ) -> None:  # fmt: skip
     """Raise TypeError or ValueError where an option of `plan` is none."""
     for name, value, kind in (
-        ("limits", limits, Mapping), ("detents", detents, Mapping), ("envelope", envelope, Envelope),
-        ("known", known, Information), ("bands", bands, pd.DataFrame),
+        ("limits", limits, Mapping), ("envelope", envelope, Envelope), ("known", known, Known), ("pilot", pilot, Pilot),
+        ("information", getattr(known, "information", None), Information),
+        ("bands", getattr(known, "bands", None), pd.DataFrame),
+        ("detents", getattr(pilot, "detents", None), Mapping),
     ):  # fmt: skip
         if not isinstance(value, kind | None):
             raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or None.")
@@ -217,6 +245,7 @@ def _check_options(
         raise ValueError(
             f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
+    pause, detents, n_paths = pilot.pause, pilot.detents, envelope.n_paths
     auto = isinstance(pause, str) and pause == "auto"
     for name, value, least, several in (
         ("airspeeds", airspeeds, 0.0, True), ("banks", banks, -np.inf, True), ("seconds", seconds, 0.0, False),
@@ -281,22 +310,22 @@ class Planner:
 
     def __init__(
         self, model, aircraft, *, airspeeds, seconds, axes, limits=None, envelope=None, altitude=None, banks=(0.0,),
-        gusts="auto", known=None, noise=None, bands=None, curvature=False, pause="auto", rate=50.0, n_paths=200,
-        thrust="auto", detents=None, seed=0, goal=None,
+        known=None, pilot=None, thrust="auto", seed=0, goal=None,
     ) -> None:  # fmt: skip
-        _check_options(airspeeds, seconds, axes, limits, envelope, banks, known, bands, pause, n_paths, detents)
+        envelope, known, pilot = envelope or Envelope(), known or Known(), pilot or Pilot()
+        _check_options(airspeeds, seconds, axes, limits, envelope, banks, known, pilot)
         self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed
         self.aerodynamics = as_aerodynamics(model)
-        self.envelope, self.detents, self.seconds = envelope or Envelope(), detents or {}, float(seconds)
-        if gusts == "auto" and self.aerodynamics.is_uncertain and self.aerodynamics.turbulence is None:
+        self.envelope, self.detents, self.seconds = envelope, pilot.detents or {}, float(seconds)
+        if envelope.gusts == "auto" and self.aerodynamics.is_uncertain and self.aerodynamics.turbulence is None:
             warnings.warn(
                 "The model does not know the turbulence of its flights, so risks are those without gusts. Give "
-                "gusts=Turbulence.low_altitude(height, wind_at_6m).",
+                "Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
                 stacklevel=3,
             )
         self._check_ranges()
-        self._check_paths(n_paths)
-        self.noise = noise_table(coefficient_noise(model) if noise is None else noise)
+        self._check_paths(envelope.n_paths)
+        self.noise = noise_table(coefficient_noise(model) if known.noise is None else known.noise)
         self.coefficients = list(map(str, self.noise.index))
         check_names(self.coefficients, COEFFICIENTS, "coefficients")
         check_goal(goal, self.aerodynamics, self.coefficients)
@@ -305,21 +334,22 @@ class Planner:
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(list(axes), limits)
-        self.pauses = [pause_of(point.airspeed) if pause == "auto" else float(pause) for point in self.trims]
+        self.pauses = [
+            pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause) for point in self.trims
+        ]
         if self.detents:  # a pilot counts
             self.pauses = [TICK * np.ceil(wait / TICK) for wait in self.pauses]
         self.rehearsals = [
             Rehearsal(
-                model, aircraft, point, self.limits, self.envelope, rate, min(RESPONSE, wait), n_paths, gusts, thrust,
-                seed,
+                model, aircraft, point, self.limits, self.envelope, pilot.rate, min(RESPONSE, wait), thrust, seed
             )
             for point, wait in zip(self.trims, self.pauses, strict=True)
         ]  # fmt: skip
         names = self.aerodynamics.regressors
         self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
-        self.before = self._known(known, self.at)
-        self.about = self.at if curvature else None
-        self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, bands)}
+        self.before = self._known(known.information, self.at)
+        self.about = self.at if known.curvature else None
+        self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)}
         if not self.library:
             raise ValueError(
                 f"Got {self.seconds:g} s, but no manoeuvre with pauses of {min(self.pauses):.3g} s is that short and "
@@ -625,7 +655,7 @@ class Planner:
 
     def _gusts(self) -> tuple[float, ...] | None:
         """Return the standard deviations of the gusts that were checked."""
-        gusts = self.rehearsals[0].gusts
+        gusts = self.envelope.gusts
         found = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
         return None if found is None or not self.aerodynamics.is_uncertain else tuple(map(float, found.intensity))
 

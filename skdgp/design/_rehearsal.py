@@ -86,9 +86,6 @@ class Rehearsal:
     rate: float
     response: float
     """That is flown after each manoeuvre [s]."""
-    n_paths: int
-    """Aircraft drawn for each check."""
-    gusts: Any
     thrust: Any
     seed: int
 
@@ -157,7 +154,7 @@ class Rehearsal:
     @cached_property
     def hold(self) -> Hold:
         """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
-        paths = self.drawn(self._still, self.n_paths, self.gusts)
+        paths = self.drawn(self._still, self.envelope.n_paths, self.envelope.gusts)
         begun = paths[paths["time"] <= self.response + 1e-6]
         risk, causes = self.risk(begun)
         if risk > self.envelope.risk:
@@ -189,7 +186,7 @@ class Rehearsal:
         """Number of aircraft drawn that may leave the envelope."""
         if not self.aerodynamics.is_uncertain:
             return 0
-        return int(np.floor(self.envelope.risk * (self.n_paths + 2) - 1 + ROUNDING))
+        return int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
 
     def room(self, flight: pd.DataFrame) -> float:
         """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
@@ -212,7 +209,9 @@ class Rehearsal:
     def checked(self, inputs: Inputs) -> Checked:
         """Return the risk of a manoeuvre and its flights, and how much larger it may be."""
         flight = self.flown([inputs])[0]
-        paths = self.drawn(inputs, self.n_paths, self.gusts) if self.aerodynamics.is_uncertain else flight
+        paths = (
+            self.drawn(inputs, self.envelope.n_paths, self.envelope.gusts) if self.aerodynamics.is_uncertain else flight
+        )
         more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
         flown = self._by_path(counted, len(more))
@@ -231,4 +230,4 @@ class Rehearsal:
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:
             return float(n_left), causes
-        return (n_left + 1) / (self.n_paths + 2), causes
+        return (n_left + 1) / (self.envelope.n_paths + 2), causes

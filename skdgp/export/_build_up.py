@@ -441,13 +441,13 @@ class Posterior:
         self.regressor, before, self.scalers, self.names = split_model(model)
         self.aerodynamics = as_aerodynamics(model)
         self.last = model[-1] if before is not None else model
-        self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor._scale
+        self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor.scale_
         outputs = self.regressor.output_names_
         self.order = [outputs.index(c) for c in COEFFICIENTS] if set(COEFFICIENTS) <= set(outputs) else list(range(6))
         self.samples = np.asarray(in_units(samples_of(self.regressor, before, X), self.scalers))
         self.tested = self.samples[:: -(-len(self.samples) // MAX_TESTED)]
         self.limits = np.stack([self.samples.min(axis=0), self.samples.max(axis=0)])
-        self.scale = self.regressor._scale[self.order]
+        self.scale = self.regressor.scale_[self.order]
 
     def lengths(self, aircraft: Aircraft) -> tuple[float, float]:
         """Return span and chord of the non-dimensional rates."""

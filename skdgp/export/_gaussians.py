@@ -128,12 +128,12 @@ def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], tr
             continue
         used = np.isin(np.arange(len(block.root)), block.regressors)
         r, a = used * block.root**2, form["centres"][block.rows] + block.shift
-        own = posterior.regressor._scale[i] * block.gain * own
+        own = posterior.regressor.scale_[i] * block.gain * own
         blocks[i].append(Gaussians(own, -0.5 * a**2 @ r, a * r, r, used))
     trend = trend.reshape(-1, P, trend.shape[1]).sum(axis=0)
     constants = trend[:, 0] - trend[:, 1:] @ form["trend_center"]
     return {
-        "constants": posterior.regressor._center[order] + constants[order] * scale,
+        "constants": posterior.regressor.center_[order] + constants[order] * scale,
         "slopes": trend[order, 1:] * scale[:, None],
         "blocks": [blocks[i] for i in order],
     }
@@ -159,7 +159,7 @@ def _drawn(
     bundle = regressor.sample_paths(n_draws, random_state).bundle
     if not isinstance(bundle, MixedPaths):
         bundle = MixedPaths.of_all([bundle], np.zeros((n_draws, P), dtype=int))
-    s = posterior.factors / regressor._scale
+    s = posterior.factors / regressor.scale_
     kept = 1.0 - np.tile(s, K)
     for k in range(n_draws):
         lines = kept[:, None] * trend
@@ -177,7 +177,7 @@ def _drawn(
                 elif isinstance(leaf, FeaturePaths):
                     gaussians.append([own[row] for own in leaf._weights])
                 else:
-                    waves.append(_waves(leaf, row, (taken * regressor._scale)[order], order))
+                    waves.append(_waves(leaf, row, (taken * regressor.scale_)[order], order))
             for i in np.flatnonzero(taken):
                 of_basis[member * P + i] += taken[i] * np.concatenate([own[i] for own in gaussians])
         joined = Waves(

@@ -64,8 +64,8 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         raise ValueError(f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}")
     regressors, shift, scale, limits = _inputs(pipeline)
     form = posterior_form(regressor.posterior_)
-    form["prior_variance"] += np.tile(regressor.misfit_variance_ / regressor._scale**2, len(form["mixture"]))
-    drift = np.zeros((2, len(regressor._scale)))
+    form["prior_variance"] += np.tile(regressor.misfit_variance_ / regressor.scale_**2, len(form["mixture"]))
+    drift = np.zeros((2, len(regressor.scale_)))
     if np.any(regressor.drift_variance_):
         drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])
     return PortableModel(
@@ -74,9 +74,9 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         aircraft=aircraft,
         shift=shift,
         scale=scale,
-        center=np.asarray(regressor._center, dtype=float),
-        output_scale=np.asarray(regressor._scale, dtype=float),
-        deviation_scale=np.asarray(regressor._scale * deviation, dtype=float),
+        center=np.asarray(regressor.center_, dtype=float),
+        output_scale=np.asarray(regressor.scale_, dtype=float),
+        deviation_scale=np.asarray(regressor.scale_ * deviation, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_ * np.square(deviation)),
         drift_variance=drift[0],
         drift_memory=drift[1],

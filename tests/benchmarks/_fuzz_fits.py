@@ -283,8 +283,8 @@ def _near(mean, Y, centred, what="mean"):
 
 
 def _prior(model, points):
-    variance = np.stack([model.kernel_.block_diag(i, points) for i in range(len(model._scale))], axis=1)
-    return np.sqrt(variance) * model._scale
+    variance = np.stack([model.kernel_.block_diag(i, points) for i in range(len(model.scale_))], axis=1)
+    return np.sqrt(variance) * model.scale_
 
 
 def _joint(model, points, prior, rounding):
@@ -307,7 +307,7 @@ def _joint(model, points, prior, rounding):
 
 def _bound(model):
     posterior = model.posterior_
-    data = data_from_shares(posterior.shares, len(model._scale))
+    data = data_from_shares(posterior.shares, len(model.scale_))
     exact = ExactPosterior(posterior.kernel, posterior.noise, data).log_marginal_likelihood
     excess = posterior.log_marginal_likelihood - exact
     if not excess <= 1e-4 * data.n_values + 1e-7 * abs(exact):
@@ -316,7 +316,7 @@ def _bound(model):
 
 def _same(what, model, got, expected, unit, rounding=0.0):
     """Compare predictions in prior deviations, or in the scale of the targets where that is larger."""
-    off = np.abs(got / model._scale - expected / model._scale) / np.maximum(unit / model._scale, 1.0)
+    off = np.abs(got / model.scale_ - expected / model.scale_) / np.maximum(unit / model.scale_, 1.0)
     if not off.max() <= SAME + rounding:
         raise Difference(f"{what} changes predictions by {off.max():.3g} deviations of the prior")
 
@@ -377,14 +377,14 @@ def _unmoved_at_zero(model, X, Y, points, still):
 def _online(model, X, Y, points, rng):
     """More samples one after another are as good as all at once."""
     rows = rng.integers(0, len(X), rng.integers(1, 4))
-    more, unit = X[rows] + X.std(axis=0) * rng.normal(size=(len(rows), X.shape[1])), model._scale
+    more, unit = X[rows] + X.std(axis=0) * rng.normal(size=(len(rows), X.shape[1])), model.scale_
     before = model.posterior_
     model.partial_fit(more, Y[rows])
     mean, _ = _predictions(model, points)
     posterior = model.posterior_
     if model.inference_ != "exact" or posterior is before:
         return
-    expected = posterior.scaled_noise(np.ones(len(unit))).predict(points) * unit + model._center
+    expected = posterior.scaled_noise(np.ones(len(unit))).predict(points) * unit + model.center_
     _same("partial_fit", model, mean, expected, _prior(model, points))
 
 

@@ -180,7 +180,7 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
         error = seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
         known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
         model = pipeline[-1]
-        model.posterior_ = model.posterior_.with_noise(known / model._scale**2)
+        model.posterior_ = model.posterior_.with_noise(known / model.scale_**2)
     random = correlated(X, Y, asked_of(subject, case))
     return known_by(pipeline, subject, case)._replace(function_random=random), pipeline[-1].kernel_
 

@@ -42,6 +42,7 @@ import itertools
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -58,6 +59,8 @@ from skdgp._flight.channels import HAT, RATE_LENGTHS
 from skdgp.datasets._example_flights import MEASURED, measure
 from skdgp.design import (
     Envelope,
+    Known,
+    Pilot,
     coefficient_noise,
     doublet,
     input_bands,
@@ -157,7 +160,8 @@ def planned(
     """Return the plan for each goal, and their planner, which knows what is safe."""
     planner = Planner(
         model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.allowed,
-        envelope=ENVELOPE, altitude=subject.altitude, known=known, noise=noise, rate=40.0, n_paths=n_paths, seed=seed,
+        envelope=replace(ENVELOPE, n_paths=n_paths), altitude=subject.altitude, known=Known(known, noise),
+        pilot=Pilot(rate=40.0), seed=seed,
     )  # fmt: skip
     return {name: planner.search(goal) for name, goal in GOALS.items()}, planner
 

@@ -21,7 +21,7 @@ from _common import finish, parser_of
 from closed_loop import AIR, EXPLORED, WIDE, Truth, _manoeuvres, learned, rows_of, seen
 from study import kept
 
-from skdgp.design import plan
+from skdgp.design import Known, Pilot, plan
 from skdgp.design._plan import errors_of
 from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
@@ -34,9 +34,9 @@ def run(subject: Any, truth: Truth, seed: int) -> dict[str, dict[str, float]]:
     first = seen(subject.fly([exploratory(subject)], EXPLORED, AIR, [seed, 0])[0], [seed, 0])
     model = learned(first, subject)
     make = partial(
-        plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=EXPLORED, axes=list(AXES), rate=40.0,
-        limits=subject.limits, altitude=subject.altitude, envelope=WIDE, pause=PAUSE,
-        noise=flight_noise(model, first, subject.aircraft),
+        plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=EXPLORED, axes=list(AXES),
+        pilot=Pilot(PAUSE, 40.0), limits=subject.limits, altitude=subject.altitude, envelope=WIDE,
+        known=Known(noise=flight_noise(model, first, subject.aircraft)),
     )  # fmt: skip
     plans = {name: make(goal=goal) for name, goal in GOALS.items()}
     weights = {name: plans[name].weights[name] for name in GOALS if name in plans[name].weights}

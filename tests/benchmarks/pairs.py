@@ -153,8 +153,8 @@ def result(task, seed, latents, **parameters):
     mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
     members = last.posterior_.members
     alone = [each.predict(X, return_variance=True) for each in members]
-    means = np.array([m for m, _ in alone]) * last._scale + last._center
-    function = np.array([v for _, v in alone]) * last._scale**2
+    means = np.array([m for m, _ in alone]) * last.scale_ + last.center_
+    function = np.array([v for _, v in alone]) * last.scale_**2
     noise = std**2 - last.predict(X, return_std=True, include_input_noise=False)[1] ** 2
     found = {"seconds": seconds, "outputs": list(task.targets), "date": time.strftime("%Y-%m-%d")}
     known = pipeline[:-1].transform(task.train)

@@ -41,7 +41,7 @@ from sklearn.preprocessing import PolynomialFeatures
 from study import kept
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import Information, coefficient_noise, expected_information, plan
+from skdgp.design import Information, Known, Pilot, coefficient_noise, expected_information, plan
 from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
 
@@ -61,12 +61,12 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     nothing = Information(np.zeros((6, size, size)), COEFFICIENTS, tuple(REGRESSORS))
     make = partial(
         plan, model, subject.aircraft, airspeeds=subject.airspeed, seconds=SECONDS, axes=list(AXES),
-        limits=subject.allowed, altitude=subject.altitude, rate=40.0, known=nothing, curvature=True,
-        pause=PAUSE,
+        limits=subject.allowed, altitude=subject.altitude, known=Known(nothing, noise, curvature=True),
+        pilot=Pilot(PAUSE, 40.0),
     )  # fmt: skip
     for growth in GROWTH:
         try:
-            found = make(noise=noise, envelope=replace(WIDE, growth=growth))
+            found = make(envelope=replace(WIDE, growth=growth))
             break
         except ValueError as error:
             print(error, flush=True)

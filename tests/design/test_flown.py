@@ -263,7 +263,8 @@ def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown
     )  # fmt: skip
     plan = design.plan(
         model, uav, airspeeds=[18.0, 27.0], seconds=20.0, axes=["elevator"], goal=["Cm_alpha", "Cm_elevator"],
-        limits={"elevator": 0.04}, noise=NOISE, envelope=design.Envelope(growth=np.inf), gusts=None, n_paths=18,
+        limits={"elevator": 0.04}, known=design.Known(noise=NOISE),
+        envelope=design.Envelope(growth=np.inf, gusts=None, n_paths=18),
     )  # fmt: skip
     assert plan.manoeuvres["airspeed"].value_counts().reindex([18.0, 27.0], fill_value=0).std() > 0
     said = posterior_information(model, [*read_plan(plan)["at"].values()], plan.before.coefficients)

@@ -1,23 +1,25 @@
 """A planned flight: what it teaches, what it risks, and what cannot be planned."""
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.signal import lsim
 
-from skdgp import listening
+from skdgp import design, listening
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import (
     Envelope,
     Information,
+    Known,
     Limits,
+    Pilot,
     _goals,
     _library,
     doublet,
     expected_information,
-    plan,
     posterior_information,
 )
 from skdgp.design._plan import errors_of
@@ -50,6 +52,17 @@ AXES = {
 BANDS = pd.DataFrame(
     {"doublet_width": 0.4, "three_two_one_one_width": 0.3, "lowest": 0.3, "highest": 1.2}, index=["elevator"]
 )
+
+
+def plan(model, aircraft, **options):
+    """Return `skdgp.design.plan`, its options side by side, also those of `Known`, `Pilot` and `Envelope`."""
+    for name, kind in (("known", Known), ("pilot", Pilot)):
+        if inside := {key: options.pop(key) for key in kind._fields if key in options}:
+            options[name] = kind(**inside)
+    checks = {key: options.pop(key) for key in ("gusts", "n_paths") if key in options}
+    if isinstance(envelope := options.get("envelope", Envelope()), Envelope):
+        options["envelope"] = replace(envelope, **checks)
+    return design.plan(model, aircraft, **options)
 
 
 def few(monkeypatch):
@@ -195,7 +208,9 @@ def test_the_posterior_is_the_information_of_a_linear_model(model):
 
 def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
     limits = {"elevator": Limits(0.06)}
-    rehearsal = Rehearsal(model, uav, trim(model, uav, 20.0), limits, Envelope(), 50.0, 1.0, 20, None, "auto", 0)
+    rehearsal = Rehearsal(
+        model, uav, trim(model, uav, 20.0), limits, Envelope(n_paths=20, gusts=None), 50.0, 1.0, "auto", 0
+    )
     several = [{"elevator": doublet(0.3, 0.02)}, {"elevator": doublet(0.5, 0.01)}]
     for beside, one in zip(rehearsal.flown(several), several, strict=True):
         (alone,) = rehearsal.flown([one])
@@ -334,7 +349,7 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"n_paths": 5}, "at least 18"),
         ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor"),
         ({"seconds": 7.0, "limits": {"elevator": 1.5}}, "every manoeuvre leaves .* by flown .*--growth"),
-        ({"known": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
+        ({"information": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
     ],
 )
 def test_what_cannot_be_planned_is_said(model, uav, monkeypatch, changed, words):
@@ -350,7 +365,7 @@ def test_what_cannot_be_planned_is_said(model, uav, monkeypatch, changed, words)
         ("limits", 0.05, "Mapping"),
         ("detents", 0.1, "Mapping"),
         ("envelope", {"bank": 1.0}, "Envelope"),
-        ("known", 5, "Information"),
+        ("information", 5, "Information"),
     ],
 )
 def test_options_of_other_types_are_refused(model, uav, name, value, expected):
@@ -389,7 +404,7 @@ def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, 
     known = planned[0].after
     for _ in range(10):
         known = known + known
-    options = AXES | {"known": known, "bands": BANDS, "goal": ["Cm_alpha", "Cm_q"], "seconds": 60.0}
+    options = AXES | {"information": known, "bands": BANDS, "goal": ["Cm_alpha", "Cm_q"], "seconds": 60.0}
     found = plan(model, uav, **options).manoeuvres
     assert len(found) > 5
     assert found["gain"].max() < 0.002 < found["gain"].sum()

@@ -473,7 +473,7 @@ class TestRegressor:
         model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
         members = np.array([member.noise for member in model.posterior_.members])
         weights = np.array(list(model.weights_.values()))
-        np.testing.assert_allclose(model.noise_variance_ / model._scale**2, np.sum(weights * members, axis=0))
+        np.testing.assert_allclose(model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0))
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_effects_add_up_to_the_mean(self, data, inference):
@@ -492,7 +492,7 @@ class TestRegressor:
         X, Y = data
         options = {"inference": inference, "n_inducing": 15, "n_latent": 1, "random_state": 0, "max_iter": 5}
         model = DependentGPRegressor(**options).fit(X[:40], Y[:40])
-        expected = model.posterior_.updated(Data.from_table(X[40:], (Y[40:] - model._center) / model._scale))
+        expected = model.posterior_.updated(Data.from_table(X[40:], (Y[40:] - model.center_) / model.scale_))
         before, weights = model.predict(X, return_std=True)[1], model.weights_
         after = [member.predict(X, True)[1] for member in expected.members]
         former = [member.predict(X, True)[1] for member in model.posterior_.members]
@@ -500,8 +500,8 @@ class TestRegressor:
         model.partial_fit(X[40:], Y[40:])
         mean, variance = expected.predict(X, True)
         got, std = model.predict(X, return_std=True)
-        np.testing.assert_allclose(got, mean * model._scale + model._center, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(std, np.sqrt(variance) * model._scale, rtol=1e-6)
+        np.testing.assert_allclose(got, mean * model.scale_ + model.center_, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(std, np.sqrt(variance) * model.scale_, rtol=1e-6)
         assert model.weights_ is weights
         assert not np.allclose(std, before)
 

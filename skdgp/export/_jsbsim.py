@@ -343,13 +343,16 @@ def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
     """Yield the parts of a coefficient and their sum; exponentials of a part share the square of the regressors."""
     i = COEFFICIENTS.index(coefficient)
     names = [f"aero/scaled/{regressor}" for regressor in found.regressors]
-    for k, block in enumerate(found.blocks[i]):
-        square = f"aero/square/{coefficient}-{k}"
-        used = np.flatnonzero(block.used)
-        squares = (_of("product", float(-0.5 * block.curvature[n]), names[n], names[n]) for n in used)
+    for k, (block, weights) in enumerate(found.blocks[i]):
+        square, used = f"aero/square/{coefficient}-{k}", list(block.regressors)
+        centres, curvature = found.centres[block.rows] + block.shift, np.zeros(len(names))
+        curvature[used] = block.root[used] ** 2
+        squares = (_of("product", float(-0.5 * curvature[n]), names[n], names[n]) for n in used)
         yield _function(square, _of("sum", *squares))
         terms = []
-        for weight, constant, slopes in zip(block.weights, block.constants, block.slopes, strict=True):
+        for weight, constant, slopes in zip(
+            block.gain * weights, -0.5 * centres**2 @ curvature, centres * curvature, strict=True
+        ):
             exponent = _of("sum", square, *_plane(float(constant), slopes, found.regressors))
             terms.append(_of("product", float(weight), _of("exp", exponent)))
         yield _function(f"aero/part/{coefficient}-{k}", _of("sum", *terms))

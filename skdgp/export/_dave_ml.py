@@ -99,10 +99,6 @@ def write_dave_ml(
     DataFrame (6, 2)
         "loss", the root mean square difference of the outputs to the model at samples, and "deviation", that of the
         posterior.
-
-    Examples
-    --------
-    ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
     """
     check_choice("form", form, ("functions", "tables"))
     if n_checks < 1:

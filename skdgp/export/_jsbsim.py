@@ -78,7 +78,7 @@ def write_jsbsim(
     max_loss: float = 0.25,
     **options: Any,
 ) -> list[Path]:
-    """Write an aircraft that JSBSim loads: metrics, mass, inertia, thrust and aerodynamics.
+    """Write an aircraft that JSBSim loads, metrics, mass, inertia, thrust and aerodynamics; return the files.
 
     With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials, and further aircraft are
     functions drawn from the posterior, as sums of exponentials and cosines: those that ``sample_paths`` and
@@ -90,9 +90,8 @@ def write_jsbsim(
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude``
-    [lbf]. Raises ValueError if a
-    parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of Gaussian
-    processes and a linear trend (functions, and tables that lose more than ``max_loss``).
+    [lbf]. Raises ValueError if a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel
+    is not a sum of Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
 
     Parameters
     ----------
@@ -118,7 +117,6 @@ def write_jsbsim(
     Returns
     -------
     list of Path
-        The files.
     """
     check_choice("form", form, ("functions", "tables"))
     if n_draws < 0:

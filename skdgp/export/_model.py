@@ -286,8 +286,6 @@ class PortableModel:
     def with_identifiers(self) -> tuple[PortableModel, dict[str, str]]:
         """Return the model with identifiers for the names of its columns, regressors and outputs, and these by name."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
-        if all(name == short for name, short in names.items()):
-            return self, names
         regressors = (
             replace(r, name=names[r.name], sources=tuple(names[source] for source in r.sources))
             for r in self.regressors
@@ -359,14 +357,13 @@ class PortableModel:
         return X
 
     def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
-        """Return the mean of the coefficients and, with ``return_std``, their standard deviation.
+        """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
-        sources. Noise of the columns is not removed: that is the pipeline's task. Both results are (n, P), outputs in
-        the order of ``outputs``; the deviation is that of the coefficient, without the noise of its measurements.
-        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
-        fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a simulation). Errors
-        are those of ``regressor_values``.
+        sources; its noise is not removed. The deviation is that of the coefficient, without the noise of its
+        measurements. ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy
+        as those of the fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a
+        simulation). Errors are those of ``regressor_values``.
         """
         chunks = self._chunks(X)
         ends = np.cumsum([len(Z) for Z in chunks])
@@ -385,9 +382,8 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
-        the scatter of the members. The factor 2 is five times the largest found, in C,
-        ONNX and CasADi over 40 exact models of 8 to 60 samples on three kinds of processor. X and errors are those of
-        :meth:`predict`.
+        the scatter of the members. The factor 2 is five times the largest found, in C, ONNX and CasADi over 40 exact
+        models of 8 to 60 samples on three kinds of processor. X and errors are those of :meth:`predict`.
         """
         return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 

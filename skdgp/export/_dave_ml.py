@@ -37,7 +37,7 @@ STANDARD_NAMES = {
     "Cn": "aeroBodyMomentCoefficient_Yaw",
 }  # fmt: skip
 UNITS = {"-": "nd", "m/s": "m_s", "rad/s": "rad_s", "rad/s^2": "rad_s2", "m/s^2": "m_s2", "kg/m^3": "kg_m3"}
-CHECK_TOLERANCE = 1e-9
+N_CHECKS, CHECK_TOLERANCE = 16, 1e-9
 BASE = math.e  # of powers: fewer readers know the element exp
 MAX_FUNCTIONS = 6000  # Gaussian functions of all outputs: a model with more is reduced
 MAX_ENTRIES = 60000  # of the roots of the deviations of all outputs
@@ -58,13 +58,7 @@ class _Facts(NamedTuple):
 
 
 def write_dave_ml(
-    path: str | os.PathLike,
-    model: Any,
-    aircraft: Aircraft | None = None,
-    *,
-    form: str = "functions",
-    n_checks: int = 16,
-    **options: Any,
+    path: str | os.PathLike, model: Any, aircraft: Aircraft | None = None, *, form: str = "functions", **options: Any
 ) -> pd.DataFrame:
     r"""Write a model as a DAVE-ML 2.0 file with its uncertainty and check cases, and return its loss.
 
@@ -89,8 +83,6 @@ def write_dave_ml(
     aircraft : Aircraft, optional
         Of a pipeline.
     form : {"functions", "tables"}, default="functions"
-    n_checks : int, default=16
-        Number of check cases.
     **options
         Of :func:`build_up`, for tables.
 
@@ -101,8 +93,6 @@ def write_dave_ml(
         posterior.
     """
     check_choice("form", form, ("functions", "tables"))
-    if n_checks < 1:
-        raise ValueError(f"Got n_checks={n_checks!r}, but expected at least one check case.")
     build = model if isinstance(model, BuildUp) else None
     if build is None and aircraft is None:
         raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
@@ -122,7 +112,7 @@ def write_dave_ml(
         _check_loss(facts.loss, of_std)
         content = _functions(shown, of_std, _correlation(model, portable, facts.samples))
         values = shown.predict(facts.samples)[:, _order(portable)]
-    checks = _checks(facts, values, n_checks, internal=build is None)
+    checks = _checks(facts, values, internal=build is None)
     root = element("DAVEfunc", _header(facts, names), *_inputs(facts), *content, checks, xmlns=NAMESPACE)
     check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
     _indent(root)
@@ -255,9 +245,9 @@ def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str])
             yield _variable(functions[-1], _formula(exponential))
     squares = []
     for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
-        of = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
+        terms = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
-        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *of)))
+        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *terms)))
     tau = model.trend_scale[part] ** 2
     prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]
@@ -371,9 +361,9 @@ def _correlations(names: Sequence[str], k: int, correlation: Matrix) -> list[Ele
     ]
 
 
-def _checks(facts: _Facts | BuildUp, values: Matrix, n_checks: int, internal: bool) -> Element:
+def _checks(facts: _Facts | BuildUp, values: Matrix, internal: bool) -> Element:
     """Return predictions of the model, with the largest difference of the file's values at them as tolerance."""
-    rows = np.linspace(0, len(facts.samples) - 1, n_checks).astype(int)
+    rows = np.linspace(0, len(facts.samples) - 1, N_CHECKS).astype(int)
     tolerance = CHECK_TOLERANCE + np.abs(values - facts.predicted)[rows].max(axis=0)
     shots = []
     for k, row in enumerate(rows):

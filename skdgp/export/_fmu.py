@@ -348,11 +348,11 @@ def _description(
     outputs = [k for k, variable in enumerate(variables) if variable.kind in "sod"]
     unknown = [k for k in outputs if variables[k].kind != "s"]
     if second:
-        places = (("Outputs", outputs), ("InitialUnknowns", unknown))
-        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in of)) for tag, of in places]
+        groups = (("Outputs", outputs), ("InitialUnknowns", unknown))
+        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in group)) for tag, group in groups]
     else:
-        places = (("Output", outputs), ("InitialUnknown", unknown))
-        structure = [element(tag, valueReference=str(k)) for tag, of in places for k in of]
+        groups = (("Output", outputs), ("InitialUnknown", unknown))
+        structure = [element(tag, valueReference=str(k)) for tag, group in groups for k in group]
     names = f". Names: {text}" if (text := changes_text(renamed)) else ""
     return element(
         "fmiModelDescription",

@@ -220,7 +220,6 @@ def test_dtd(path, form):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"n_checks": 0}, "at least one check case"),
         ({"form": "graph"}, "expected 'functions' or 'tables'"),
         ({"aircraft": None}, "without an aircraft"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -286,11 +286,10 @@ class PortableModel:
     def with_identifiers(self) -> tuple[PortableModel, dict[str, str]]:
         """Return the model with identifiers for the names of its columns, regressors and outputs, and these by name."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
-        regressors = (
-            replace(r, name=names[r.name], sources=tuple(names[source] for source in r.sources))
-            for r in self.regressors
+        regressors = tuple(
+            replace(r, name=names[r.name], sources=tuple(map(names.__getitem__, r.sources))) for r in self.regressors
         )
-        return replace(self, regressors=tuple(regressors), outputs=tuple(names[name] for name in self.outputs)), names
+        return replace(self, regressors=regressors, outputs=tuple(map(names.__getitem__, self.outputs))), names
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these.
@@ -299,20 +298,17 @@ class PortableModel:
         """
         d = len(self.regressors)
         places = [(b.output, b.first_centre, b.first_column, b.size) for b in self.blocks]
-        depends = np.zeros((len(self.blocks), d), dtype=bool)
-        for row, block in zip(depends, self.blocks, strict=True):
-            row[list(block.regressors)] = True
+        depends = [[k in b.regressors for k in range(d)] for b in self.blocks]
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
-        single = {"mixture"} if len(self.mixture) == 1 else set()
-        named = [each.name for each in fields(self) if each.type in ARRAYS and each.name not in single]
+        named = [f.name for f in fields(self) if f.type in ARRAYS and (f.name != "mixture" or len(self.mixture) > 1)]
         return {
             **{name: getattr(self, name) for name in named},
             "block_place": np.array(places, dtype=np.int64).reshape(-1, 4),
             "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
             "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),
             "block_root": np.array(roots).reshape((-1, d, d) if full else (-1, d)),
-            "block_regressors": depends,
+            "block_regressors": np.array(depends, dtype=bool).reshape(-1, d),
             **{f"trend_root_{i}": root for i, root in enumerate(self.trend_roots)},
             **{f"weights_{k}": readout.weights for k, readout in enumerate(self.readouts)},
             **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
@@ -330,7 +326,7 @@ class PortableModel:
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the numbers and names that predictions depend on, as hexadecimal digits."""
-        formulas = [(r.name, r.unit, r.sources, r.factors, r.length, r.power) for r in self.regressors]
+        formulas = [astuple(regressor) for regressor in self.regressors]
         found = hashlib.sha256(repr((formulas, self.outputs)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(f"{name} {array.shape} ".encode())

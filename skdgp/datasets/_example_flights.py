@@ -71,10 +71,9 @@ MEASURED = (
 )  # fmt: skip
 """Columns that a logger would write; the truth comes after them."""
 TRUTH = (
-    "airspeed", "alpha", "beta", "alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az",
-    "u", "v", "w", "phi", "theta", "psi", "north", "east", "v_north", "v_east", "v_down", *WIND, "gravity",
-    *COEFFICIENTS,
-)  # fmt: skip
+    *("airspeed", "alpha", "beta", "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
+    *("u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS),
+)
 
 DESCR = """\
 Example flights: a simulated Brumby-like UAV

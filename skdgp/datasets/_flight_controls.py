@@ -86,10 +86,13 @@ class Autopilot:
         phi, theta, speed = seen["phi"], seen["theta"], seen["airspeed"]
         climb = np.clip(0.35 * (altitude - seen["altitude"]), -3.0, 4.0)
         elevator = self._elevator(climb + seen["v_down"], climb / speed, phi, theta, seen["q"], speed)
-        aileron = self._aileron(self._bank(seen, orbit) - phi, seen["p"])
+        bank_error = self._bank(seen, orbit) - phi
+        self.roll_integral = np.clip(self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05)
+        aileron = np.clip(0.085 * bank_error - 0.022 * seen["p"] + self.roll_integral, -0.12, 0.12)
         turning = STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / speed
         rudder = 0.22 * (seen["r"] - turning) - 0.10 * seen["beta"]
-        throttle = self._throttle(airspeed - speed, climb)
+        self.speed_integral = np.clip(self.speed_integral + 0.02 * (airspeed - speed) * self.step, -0.3, 0.3)
+        throttle = 0.08 * (airspeed - speed) + 0.06 * climb + self.speed_integral
         return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
     def _bank(self, seen: Mapping[str, Array], orbit: Array) -> Array:
@@ -111,11 +114,3 @@ class Autopilot:
         wanted = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
         turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
         return -0.30 * (wanted - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
-
-    def _aileron(self, bank_error: Array, p: Array) -> Array:
-        self.roll_integral = np.clip(self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05)
-        return np.clip(0.085 * bank_error - 0.022 * p + self.roll_integral, -0.12, 0.12)
-
-    def _throttle(self, speed_error: Array, climb: Array) -> Array:
-        self.speed_integral = np.clip(self.speed_integral + 0.02 * speed_error * self.step, -0.3, 0.3)
-        return 0.08 * speed_error + 0.06 * climb + self.speed_integral

@@ -194,69 +194,6 @@ class BuildUp:
         return pd.DataFrame([weights[name][1 : 1 + d] for name in weights], list(weights), list(self.regressors))
 
 
-class Axes(NamedTuple):
-    """Regressors of a table, as columns, and their breakpoints."""
-
-    columns: tuple[int, ...]
-    breakpoints: tuple[Vector, ...]
-
-    @property
-    def size(self) -> int:
-        """Number of cells."""
-        return int(np.prod([len(points) for points in self.breakpoints]))
-
-
-class _Basis:
-    """The functions whose sum is a coefficient: 1, the regressors less the reference, and hats of each table."""
-
-    def __init__(self, tables: Sequence[Axes], reference: Vector):
-        self.tables, self.reference = list(tables), reference
-        edges = np.cumsum([1 + len(reference), *(table.size for table in self.tables)])
-        self.slices = [slice(a, b) for a, b in pairwise(edges)]
-        self.size = int(edges[-1])
-
-    def __call__(self, X: Matrix) -> csr_array:
-        """Return their values at X, (n, size): few of a row are not zero."""
-        cells = [_cells(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
-        lines = np.broadcast_to(np.arange(1 + len(self.reference)), (len(X), 1 + len(self.reference)))
-        columns = [lines, *(k + rows.start for (k, _), rows in zip(cells, self.slices, strict=True))]
-        values = np.hstack([np.ones((len(X), 1)), X - self.reference, *(weights for _, weights in cells)])
-        places = np.arange(len(X) + 1) * values.shape[1]
-        return csr_array((values.ravel(), np.hstack(columns).ravel(), places), shape=(len(X), self.size))
-
-
-class _Projection:
-    """The weights of a basis that represent functions by their values at points, by penalised least squares."""
-
-    def __init__(self, basis: _Basis, points: Points):
-        self.basis, self.points, n_lines = basis, points, 1 + len(basis.reference)
-        self.scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(basis.size - n_lines)])
-        values, total = basis(points.X) * self.scale[None, :], points.weight.sum()
-        self.weighted = csr_array((values * points.weight[:, None]).T)
-        normal = (self.weighted @ values).toarray()
-        for table, rows in zip(basis.tables, basis.slices, strict=True):
-            normal[rows, rows] += total * _penalty(table)
-        np.einsum("aa->a", normal)[:] += 1e-12 * total
-        self.factor = cho_factor(normal, overwrite_a=True, check_finite=False)
-
-    def __call__(self, values: Matrix) -> Matrix:
-        """Return the weights (size, m) of functions with values (n, m) at the points."""
-        return self.scale[:, None] * cho_solve(self.factor, self.weighted @ values, check_finite=False)
-
-
-class Points(NamedTuple):
-    """Points of the projection."""
-
-    X: Matrix
-    """Samples, then mixtures of samples, (n, d)."""
-    weight: Vector
-    n_samples: int
-    reference: Vector
-    """Means of the regressors over all samples."""
-    scale: Vector
-    """Standard deviations of the same."""
-
-
 def build_up(
     model: Any,
     aircraft: Aircraft,
@@ -403,6 +340,162 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     write_atomically(path, text_writer(json.dumps(values) + "\n"))
 
 
+def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
+    ratio = loss["loss"] / loss["deviation"]
+    large = {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}
+    if large:
+        hint = "" if pairs == "all" else " pairs='all',"
+        raise ValueError(
+            f"Got a model that tables of at most two regressors change by {large} posterior deviations (root mean "
+            f"square over the samples), but expected at most {max_loss:g}. Try{hint} a smaller tolerance, a model with "
+            "structure='additive', or accept the loss: max_loss=np.inf."
+        )
+
+
+# -- the terms ---------------------------------------------------------------------------------------------------
+
+
+class Points(NamedTuple):
+    """Points at which functions are projected."""
+
+    X: Matrix
+    """Samples, then mixtures of samples, (n, d)."""
+    weight: Vector
+    n_samples: int
+    reference: Vector
+    """Means of the regressors over all samples."""
+    scale: Vector
+    """Standard deviations of the same."""
+
+
+def _points(samples: Matrix, most: int) -> Points:
+    """Return some samples, the extreme ones among them, and mixtures of samples."""
+    rng = check_random_state(0)
+    ends = np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])  # tables reach over all samples
+    flown = samples[np.union1d(rng.permutation(len(samples))[:most], ends)]
+    others = max(1000, int(OTHERS * len(flown)))
+    mixed = np.column_stack([rng.choice(column, others) for column in samples.T])
+    weight = np.concatenate([np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)])
+    scale = samples.std(axis=0)
+    X, scale = np.concatenate([flown, mixed]), np.where(scale > 0, scale, 1.0)
+    return Points(X, weight, len(flown), samples.mean(axis=0), scale)
+
+
+def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
+    """Return the columns of the terms to choose from: each regressor, and the allowed pairs."""
+    every = list(combinations(range(len(names)), 2))
+    with_alpha = [pair for pair in every if "alpha" in (names[pair[0]], names[pair[1]])]
+    return [*((k,) for k in range(len(names))), *{"all": every, "alpha": with_alpha, "none": []}[pairs]]
+
+
+def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
+    """Return breakpoints over the range of the regressors that vary, closer where samples are."""
+    flown = points.X[: points.n_samples]
+
+    def grid(x, n):
+        return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+
+    varying = [term for term in terms if all(np.ptp(flown[:, k]) > 0 for k in term)]
+    return [Axes(term, tuple(grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
+
+
+def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:
+    """Return the terms of each coefficient; those left out together change it by less than ``least`` (6,), RMS."""
+    basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.reference)
+    weights, flown = _Projection(basis, points)(mean), basis(points.X[: points.n_samples])
+    parts = np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices]) if basis.slices else np.empty((0, 0, 6))
+    kept = []
+    for i in range(len(COEFFICIENTS)):
+        size = np.array([part[:, i].std() for part in parts])
+        order = np.argsort(size)
+        left_out = np.cumsum(parts[order][:, :, i] - parts[order][:, :, i].mean(axis=1, keepdims=True), axis=0)
+        enough = np.sqrt(np.mean(left_out**2, axis=1)) > least[i] if len(order) else np.empty(0, bool)
+        first = int(np.argmax(enough)) if enough.any() else len(order)
+        kept.append([basis.tables[k].columns for k in sorted(order[first:])])
+    return kept
+
+
+def _chosen(points: Points, mean: Vector, least: float, terms: Sequence[tuple[int, ...]]) -> _Basis:
+    """Return the basis of the terms with as few breakpoints as change no table by more than ``least``."""
+    fine = _Basis(_grids(points, terms, SINGLE, PAIR), points.reference)
+    weights = _Projection(fine, points)(mean[:, None])[:, 0]
+    tables = []
+    for table, rows in zip(fine.tables, fine.slices, strict=True):
+        values = weights[rows].reshape([len(p) for p in table.breakpoints])
+        kept = tuple(
+            points_[_needed(points_, np.moveaxis(values, axis, 0).reshape(len(points_), -1), least)]
+            for axis, points_ in enumerate(table.breakpoints)
+        )
+        tables.append(table._replace(breakpoints=kept))
+    return _Basis(tables, points.reference)
+
+
+def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
+    """Return the breakpoints between which straight lines keep all columns within ``least`` (Douglas & Peucker)."""
+    needed, queue = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while queue:
+        a, b = queue.pop()
+        share = ((points[a : b + 1] - points[a]) / (points[b] - points[a]))[:, None]
+        off = np.abs(values[a : b + 1] - (1 - share) * values[a] - share * values[b]).max(axis=1)
+        worst = a + int(off.argmax())
+        if off.max() > least and a < worst < b:
+            needed.add(worst)
+            queue += [(a, worst), (worst, b)]
+    return sorted(needed)
+
+
+# -- sums of tables ----------------------------------------------------------------------------------------------
+
+
+class Axes(NamedTuple):
+    """Regressors of a table, as columns, and their breakpoints."""
+
+    columns: tuple[int, ...]
+    breakpoints: tuple[Vector, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return int(np.prod([len(points) for points in self.breakpoints]))
+
+
+class _Basis:
+    """The functions whose sum is a coefficient: 1, the regressors less the reference, and hats of each table."""
+
+    def __init__(self, tables: Sequence[Axes], reference: Vector):
+        self.tables, self.reference = list(tables), reference
+        edges = np.cumsum([1 + len(reference), *(table.size for table in self.tables)])
+        self.slices = [slice(a, b) for a, b in pairwise(edges)]
+        self.size = int(edges[-1])
+
+    def __call__(self, X: Matrix) -> csr_array:
+        """Return their values at X, (n, size): few of a row are not zero."""
+        cells = [_cells(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
+        lines = np.broadcast_to(np.arange(1 + len(self.reference)), (len(X), 1 + len(self.reference)))
+        columns = [lines, *(k + rows.start for (k, _), rows in zip(cells, self.slices, strict=True))]
+        values = np.hstack([np.ones((len(X), 1)), X - self.reference, *(weights for _, weights in cells)])
+        places = np.arange(len(X) + 1) * values.shape[1]
+        return csr_array((values.ravel(), np.hstack(columns).ravel(), places), shape=(len(X), self.size))
+
+
+class _Projection:
+    """The weights of a basis that represent functions by their values at points, by penalised least squares."""
+
+    def __init__(self, basis: _Basis, points: Points):
+        self.scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(basis.size - 1 - len(basis.reference))])
+        values, total = basis(points.X) * self.scale[None, :], points.weight.sum()
+        self.weighted = csr_array((values * points.weight[:, None]).T)
+        normal = (self.weighted @ values).toarray()
+        for table, rows in zip(basis.tables, basis.slices, strict=True):
+            normal[rows, rows] += total * _penalty(table)
+        np.einsum("aa->a", normal)[:] += 1e-12 * total
+        self.factor = cho_factor(normal, overwrite_a=True, check_finite=False)
+
+    def __call__(self, values: Matrix) -> Matrix:
+        """Return the weights (size, m) of functions with values (n, m) at the points."""
+        return self.scale[:, None] * cho_solve(self.factor, self.weighted @ values, check_finite=False)
+
+
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
     """Return the cells (n, 2) or (n, 4) of which a table at X (n, 1) or (n, 2) is a mean, and their weights."""
     cells, weights = np.zeros((len(X), 1), dtype=int), np.ones((len(X), 1))
@@ -432,6 +525,9 @@ def _curvature(points):
     for row, (a, b) in enumerate(pairwise(steps)):
         D[row, row : row + 3] = [mean / a, -mean / a - mean / b, mean / b]
     return D.T @ D
+
+
+# -- the model ---------------------------------------------------------------------------------------------------
 
 
 class Posterior:
@@ -508,90 +604,3 @@ class Posterior:
     def paths(self, n_paths: int, random_state: Seed, X: Matrix) -> Array:
         """Return the coefficients (n_paths, n, 6) of functions of the posterior."""
         return self.last.sample_paths(n_paths, random_state)(self._scaled(X))[..., self.order]
-
-
-def _points(samples: Matrix, most: int) -> Points:
-    rng = check_random_state(0)
-    ends = np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])  # tables reach over all samples
-    flown = samples[np.union1d(rng.permutation(len(samples))[:most], ends)]
-    others = max(1000, int(OTHERS * len(flown)))
-    mixed = np.column_stack([rng.choice(column, others) for column in samples.T])
-    weight = np.concatenate([np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)])
-    scale = samples.std(axis=0)
-    X, scale = np.concatenate([flown, mixed]), np.where(scale > 0, scale, 1.0)
-    return Points(X, weight, len(flown), samples.mean(axis=0), scale)
-
-
-def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
-    """Return the columns of the terms to choose from: each regressor, and the allowed pairs."""
-    every = list(combinations(range(len(names)), 2))
-    with_alpha = [pair for pair in every if "alpha" in (names[pair[0]], names[pair[1]])]
-    return [*((k,) for k in range(len(names))), *{"all": every, "alpha": with_alpha, "none": []}[pairs]]
-
-
-def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
-    """Return breakpoints over the range of the regressors that vary, closer where samples are."""
-    flown = points.X[: points.n_samples]
-
-    def grid(x, n):
-        return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
-
-    varying = [term for term in terms if all(np.ptp(flown[:, k]) > 0 for k in term)]
-    return [Axes(term, tuple(grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
-
-
-def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:
-    """Return the terms of each coefficient; those left out together change it by less than ``least`` (6,), RMS."""
-    basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.reference)
-    weights, flown = _Projection(basis, points)(mean), basis(points.X[: points.n_samples])
-    parts = np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices]) if basis.slices else np.empty((0, 0, 6))
-    kept = []
-    for i in range(len(COEFFICIENTS)):
-        size = np.array([part[:, i].std() for part in parts])
-        order = np.argsort(size)
-        left_out = np.cumsum(parts[order][:, :, i] - parts[order][:, :, i].mean(axis=1, keepdims=True), axis=0)
-        enough = np.sqrt(np.mean(left_out**2, axis=1)) > least[i] if len(order) else np.empty(0, bool)
-        first = int(np.argmax(enough)) if enough.any() else len(order)
-        kept.append([basis.tables[k].columns for k in sorted(order[first:])])
-    return kept
-
-
-def _chosen(points: Points, mean: Vector, least: float, terms: Sequence[tuple[int, ...]]) -> _Basis:
-    """Return the basis of the terms with as few breakpoints as change no table by more than ``least``."""
-    fine = _Basis(_grids(points, terms, SINGLE, PAIR), points.reference)
-    weights = _Projection(fine, points)(mean[:, None])[:, 0]
-    tables = []
-    for table, rows in zip(fine.tables, fine.slices, strict=True):
-        values = weights[rows].reshape([len(p) for p in table.breakpoints])
-        kept = tuple(
-            points_[_needed(points_, np.moveaxis(values, axis, 0).reshape(len(points_), -1), least)]
-            for axis, points_ in enumerate(table.breakpoints)
-        )
-        tables.append(table._replace(breakpoints=kept))
-    return _Basis(tables, points.reference)
-
-
-def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
-    """Return the breakpoints between which straight lines keep all columns within ``least`` (Douglas & Peucker)."""
-    needed, queue = {0, len(points) - 1}, [(0, len(points) - 1)]
-    while queue:
-        a, b = queue.pop()
-        share = ((points[a : b + 1] - points[a]) / (points[b] - points[a]))[:, None]
-        off = np.abs(values[a : b + 1] - (1 - share) * values[a] - share * values[b]).max(axis=1)
-        worst = a + int(off.argmax())
-        if off.max() > least and a < worst < b:
-            needed.add(worst)
-            queue += [(a, worst), (worst, b)]
-    return sorted(needed)
-
-
-def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
-    ratio = loss["loss"] / loss["deviation"]
-    large = {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}
-    if large:
-        hint = "" if pairs == "all" else " pairs='all',"
-        raise ValueError(
-            f"Got a model that tables of at most two regressors change by {large} posterior deviations (root mean "
-            f"square over the samples), but expected at most {max_loss:g}. Try{hint} a smaller tolerance, a model with "
-            "structure='additive', or accept the loss: max_loss=np.inf."
-        )

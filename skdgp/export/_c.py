@@ -107,7 +107,7 @@ class _Rounded(NamedTuple):
     column: Vector
 
     @classmethod
-    def of(cls, readout: Readout) -> _Rounded:
+    def from_readout(cls, readout: Readout) -> _Rounded:
         row = np.abs(readout.root).max(axis=1, initial=0.0)
         row[row == 0] = 1.0
         scaled = readout.root / row[:, None]
@@ -124,7 +124,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
     """Return the rounded root of each readout, or None where it stays as it is."""
     if precision == "double":
         return [None] * len(model.readouts)
-    rounded = [_Rounded.of(readout) for readout in model.readouts]
+    rounded = [_Rounded.from_readout(readout) for readout in model.readouts]
     readouts = [Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)]
     X = _points(model)
     std, other = (m.predict(X, True, False)[1] for m in (model, replace(model, readouts=tuple(readouts))))

@@ -38,7 +38,7 @@ STANDARD_NAMES = {
     "Cn": "aeroBodyMomentCoefficient_Yaw",
 }  # fmt: skip
 UNITS = {"-": "nd", "m/s": "m_s", "rad/s": "rad_s", "rad/s^2": "rad_s2", "m/s^2": "m_s2", "kg/m^3": "kg_m3"}
-CHECK_TOLERANCE = 1e-9
+N_CHECKS, CHECK_TOLERANCE = 16, 1e-9
 BASE = math.e  # of powers: fewer readers know the element exp
 MAX_FUNCTIONS = 6000  # Gaussian functions of all outputs: a model with more is reduced
 MAX_ENTRIES = 60000  # of the roots of the deviations of all outputs
@@ -59,12 +59,7 @@ class _Facts(NamedTuple):
 
 
 def write_dave_ml(
-    path: str | os.PathLike,
-    model: Any,
-    aircraft: Aircraft | None = None,
-    *,
-    form: str = "functions",
-    **options: Any,
+    path: str | os.PathLike, model: Any, aircraft: Aircraft | None = None, *, form: str = "functions", **options: Any
 ) -> pd.DataFrame:
     r"""Write a model as a DAVE-ML 2.0 file with its uncertainty and check cases, and return its loss.
 
@@ -97,10 +92,6 @@ def write_dave_ml(
     DataFrame (6, 2)
         "loss", the root mean square difference of the outputs to the model at samples, and "deviation", that of the
         posterior.
-
-    Examples
-    --------
-    ``write_dave_ml("uav.dml", saved.pipeline, saved.aircraft)`` writes what ``load_model("model.joblib")`` returns.
     """
     check_choice("form", form, ("functions", "tables"))
     build = model if isinstance(model, BuildUp) else None
@@ -255,9 +246,9 @@ def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str])
             yield _variable(functions[-1], _formula(exponential))
     squares = []
     for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
-        of = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
+        terms = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
-        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *of)))
+        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *terms)))
     tau = model.trend_scale[part] ** 2
     prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]

@@ -52,17 +52,17 @@ START_ALTITUDE = 1000.0
 START_AIRSPEED = 20.0
 SLOWEST_START, FASTEST_START = 5.0, 250.0
 COMPILERS = ("cc", "gcc", "clang")
-BASE_UNITS: dict[str, dict[str, int]] = {
-    "s": {"s": 1},
-    "m": {"m": 1},
-    "m/s": {"m": 1, "s": -1},
-    "m/s^2": {"m": 1, "s": -2},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rad/s^2": {"rad": 1, "s": -2},
-    "kg/m^3": {"kg": 1, "m": -3},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "N m": {"kg": 1, "m": 2, "s": -2},
+BASE_UNITS: dict[str, dict[str, str]] = {
+    "s": {"s": "1"},
+    "m": {"m": "1"},
+    "m/s": {"m": "1", "s": "-1"},
+    "m/s^2": {"m": "1", "s": "-2"},
+    "rad": {"rad": "1"},
+    "rad/s": {"rad": "1", "s": "-1"},
+    "rad/s^2": {"rad": "1", "s": "-2"},
+    "kg/m^3": {"kg": "1", "m": "-3"},
+    "N": {"kg": "1", "m": "1", "s": "-2"},
+    "N m": {"kg": "1", "m": "2", "s": "-2"},
 }
 FOLLOWING = (
     *(*EARTH_VELOCITY, "airspeed", "alpha", "beta", "altitude", "density"),
@@ -104,9 +104,8 @@ def write_fmu(
 ) -> str | None:
     r"""Write a model as an FMU for co-simulation; return the platform that it has a binary for.
 
-    The FMU is a C program with its description. It holds the C source, and a binary for this platform if there is a C
-    compiler (``CC``, cc, gcc or clang). It needs no Python.
-    ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
+    It holds C source, and a binary for this platform if there is a C compiler (``CC``, cc, gcc or clang); it needs no
+    Python. ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
 
     Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has
     a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a
@@ -115,7 +114,6 @@ def write_fmu(
     Parameters
     ----------
     path : path-like
-        Such as ``aircraft.fmu``.
     model : PortableModel
     form : {"aircraft", "coefficients"}, default="aircraft"
         "aircraft": six degrees of freedom, :math:`\dot x = f(x, u)` of :func:`skdgp.dynamics.simulate`, by the same
@@ -150,21 +148,20 @@ def write_fmu(
     found = _binary(sources, form, fmi)
     if found is not None:
         members[f"binaries/{found[0]}/{_identifier(form)}{found[1]}"] = found[2]
-    write_atomically(path, lambda temporary: _zip(temporary, members))
+
+    def write(temporary: Path) -> None:
+        with ZipFile(temporary, "w", ZIP_DEFLATED) as archive:
+            for name, content in sorted(members.items()):
+                member = ZipInfo(name)  # without a date: equal models are equal files
+                member.external_attr = 0o644 << 16
+                archive.writestr(member, content, ZIP_DEFLATED)
+
+    write_atomically(path, write)
     return None if found is None else found[0]
 
 
 def _identifier(form: str) -> str:
     return Path(FMU_FILES[form]).stem
-
-
-def _zip(path: Path, members: dict[str, str | bytes]) -> None:
-    """Write an archive that depends on its members alone."""
-    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
-        for name, content in sorted(members.items()):
-            member = ZipInfo(name)
-            member.external_attr = 0o644 << 16
-            archive.writestr(member, content, ZIP_DEFLATED)
 
 
 # -- variables -----------------------------------------------------------------------------------------------------
@@ -302,7 +299,9 @@ def _propulsion(model: PortableModel, places: dict[str, int]) -> str:
 
 def _binary(sources: dict[str, str], form: str, fmi: str) -> tuple[str, str, bytes] | None:
     """Return the platform, the suffix and the bytes of the shared library; None without one, with a warning."""
-    place, compiler = _platform(fmi), _compiler()
+    commands = [os.environ.get("CC", "").split(), *([name] for name in COMPILERS)]
+    compiler = next((command for command in commands if command and shutil.which(command[0])), None)
+    place = _platform(fmi)
     if place is None:
         why = "FMI has no name for this platform"
     elif compiler is None:
@@ -322,21 +321,12 @@ def _binary(sources: dict[str, str], form: str, fmi: str) -> tuple[str, str, byt
     return None
 
 
-def _compiler() -> list[str] | None:
-    """Return the command of the C compiler."""
-    for command in (os.environ.get("CC", "").split(), *([name] for name in COMPILERS)):
-        if command and (path := shutil.which(command[0])):
-            return [path, *command[1:]]
-    return None
-
-
 def _platform(fmi: str) -> tuple[str, str] | None:
     """Return the folder of binaries for this platform, and the suffix of its shared libraries."""
     system = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}.get(sys.platform)
-    machine = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}.get(
-        platform.machine().lower()
-    )
-    if system is None or machine is None or sys.maxsize < 2**32:
+    machine = platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    if system is None or machine not in ("x86_64", "aarch64") or sys.maxsize < 2**32:
         return None
     name, suffix = system
     return (f"{machine}-{name}" if fmi == "3.0" else name.removesuffix("dows") + "64"), suffix
@@ -356,25 +346,20 @@ def _description(
         "canInterpolateInputs" if second else "providesIntermediateUpdate",
     ]
     source = [element("SourceFiles", element("File", name=ROOTS[fmi]))] if second else []
-    units = [
-        element(
-            "Unit", element("BaseUnit", **{name: str(power) for name, power in BASE_UNITS[unit].items()}), name=unit
-        )
-        for unit in sorted({variable.unit for variable in variables} - {""})
-    ]
+    units = sorted({variable.unit for variable in variables} - {""})
     outputs = [k for k, variable in enumerate(variables) if variable.kind in "sod"]
     unknown = [k for k in outputs if variables[k].kind != "s"]
     if second:
-        places = (("Outputs", outputs), ("InitialUnknowns", unknown))
-        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in of)) for tag, of in places]
+        groups = (("Outputs", outputs), ("InitialUnknowns", unknown))
+        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in group)) for tag, group in groups]
     else:
-        places = (("Output", outputs), ("InitialUnknown", unknown))
-        structure = [element(tag, valueReference=str(k)) for tag, of in places for k in of]
+        groups = (("Output", outputs), ("InitialUnknown", unknown))
+        structure = [element(tag, valueReference=str(k)) for tag, group in groups for k in group]
     names = f". Names: {text}" if (text := changes_text(renamed)) else ""
     return element(
         "fmiModelDescription",
         element("CoSimulation", *source, modelIdentifier=_identifier(form), **dict.fromkeys(capable, "true")),
-        element("UnitDefinitions", *units),
+        element("UnitDefinitions", *(element("Unit", element("BaseUnit", **BASE_UNITS[u]), name=u) for u in units)),
         element("LogCategories", *(element("Category", name=name) for name in ("logStatusError", "logStatusDiscard"))),
         element("DefaultExperiment", startTime="0", stopTime=f"{STOP_TIME:g}", stepSize=repr(TIME_STEP)),
         element("ModelVariables", *(_described(k, variable, second) for k, variable in enumerate(variables))),

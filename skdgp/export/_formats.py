@@ -57,15 +57,15 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     unknown = [name for name in options if name not in known]
     if unknown:
         raise ValueError(f"Got the options {unknown} for the format {to}, but expected {known or 'none'}.")
-    if to in OF_ARRAYS:
+    if to in ARRAY_FORMATS:
         portable = portable_model(**model) if isinstance(model, Bunch) else model
-        return OF_ARRAYS[to](Path(folder), portable, **options)
+        return ARRAY_FORMATS[to](Path(folder), portable, **options)
     if not isinstance(model, Bunch):
         raise ValueError(
             f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
             "needs the pipeline and its samples, which a portable model does not hold."
         )
-    return OF_SAMPLES[to](Path(folder), model.pipeline, model.aircraft, **options)
+    return SAMPLE_FORMATS[to](Path(folder), model.pipeline, model.aircraft, **options)
 
 
 # -- of arrays -----------------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def _dave_ml(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "funct
     return {"files": [path], "loss": write_dave_ml(path, model, aircraft, form=form).to_dict("index")}
 
 
-OF_ARRAYS: dict[str, Callable[..., Facts]] = {
+ARRAY_FORMATS: dict[str, Callable[..., Facts]] = {
     "portable": partial(_one_file, "model.npz", save_portable),
     "c": _c,
     "casadi": partial(_one_file, "aero.casadi", write_casadi),
@@ -136,7 +136,7 @@ OF_ARRAYS: dict[str, Callable[..., Facts]] = {
     "fmu": _fmu,
 }
 """Formats of a portable model."""
-OF_SAMPLES: dict[str, Callable[..., Facts]] = {
+SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
     "build-up": _tables,
     "jsbsim": _jsbsim,
     "ardupilot": partial(_derivatives, "plane.json", write_ardupilot),
@@ -144,5 +144,5 @@ OF_SAMPLES: dict[str, Callable[..., Facts]] = {
     "dave-ml": _dave_ml,
 }
 """Formats of a pipeline and its samples."""
-FORMATS = OF_ARRAYS | OF_SAMPLES
+FORMATS = ARRAY_FORMATS | SAMPLE_FORMATS
 """The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""

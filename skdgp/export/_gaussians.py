@@ -13,24 +13,10 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import Posterior
+from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form
 from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths
 from skdgp.kernels._prior_paths import Waves as WavePaths
-
-
-class Gaussians(NamedTuple):
-    r"""Functions of one width: sum_k w_k exp(c_k + s_k . z - 1/2 sum_j r_j z_j^2)."""
-
-    weights: Vector
-    """w, (k,)."""
-    constants: Vector
-    """c, (k,)."""
-    slopes: Matrix
-    """s, (k, d)."""
-    curvature: Vector
-    """r, (d,)."""
-    used: np.ndarray
-    """Whether the functions depend on each regressor, (d,)."""
 
 
 class Waves(NamedTuple):
@@ -55,7 +41,9 @@ class GaussianSum:
     scale: Vector
     constants: Vector
     slopes: Matrix
-    blocks: list[list[Gaussians]]
+    centres: Matrix
+    blocks: list[list[tuple[Block, Vector]]]
+    """Gaussian functions of each coefficient, and their weights."""
     waves: Waves
     loss: pd.DataFrame
 
@@ -69,9 +57,8 @@ class GaussianSum:
         values = self.constants + z @ self.slopes.T
         values += np.cos(z @ self.waves.frequencies.T + self.waves.phases) @ self.waves.weights.T
         for i, blocks in enumerate(self.blocks):
-            for block in blocks:
-                exponent = block.constants + z @ block.slopes.T - 0.5 * (z**2 @ block.curvature)[:, None]
-                values[:, i] += np.exp(exponent) @ block.weights
+            for block, weights in blocks:
+                values[:, i] += block.functions(z, self.centres[block.rows]) @ weights
         return values
 
 
@@ -119,22 +106,19 @@ def _form(posterior: Posterior) -> dict[str, Any]:
 
 
 def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], trend: Matrix) -> dict[str, Any]:
-    """Return constants (6,), slopes (6, d) and Gaussian functions: sums over parts, for weights of basis and trend."""
+    """Return what the parts add up to, for weights of their basis and trend."""
     order, scale, P = posterior.order, posterior.scale, form["mixture"].shape[1]
-    blocks: list[list[Gaussians]] = [[] for _ in range(P)]
+    blocks: list[list[tuple[Block, Vector]]] = [[] for _ in range(P)]
     for block in form["blocks"]:
         i, own = block.output % P, weights[block.output][block.columns]
-        if not own.any():
-            continue
-        used = np.isin(np.arange(len(block.root)), block.regressors)
-        r, a = used * block.root**2, form["centres"][block.rows] + block.shift
-        own = posterior.regressor.scale_[i] * block.gain * own
-        blocks[i].append(Gaussians(own, -0.5 * a**2 @ r, a * r, r, used))
+        if own.any():
+            blocks[i].append((replace(block, gain=posterior.regressor.scale_[i] * block.gain), own))
     trend = trend.reshape(-1, P, trend.shape[1]).sum(axis=0)
     constants = trend[:, 0] - trend[:, 1:] @ form["trend_center"]
     return {
         "constants": posterior.regressor.center_[order] + constants[order] * scale,
         "slopes": trend[order, 1:] * scale[:, None],
+        "centres": form["centres"],
         "blocks": [blocks[i] for i in order],
     }
 

@@ -106,29 +106,16 @@ def gymnasium_env(
     >>> round(reward, 6), terminated, truncated
     (1.0, False, False)
     """
-    gymnasium = extra("gymnasium")
-    Env: Any = gymnasium.Env
-    task = _Task(model, aircraft, start, posterior, duration, dt, wind_at_6m, initial_std, limits, reward, thrust)
+    Env: Any = extra("gymnasium").Env
 
-    class AircraftEnv(Env):
+    class AircraftEnv(_Episodes, Env):
         metadata: dict[str, Any] = {"render_modes": []}
-        observation_space = gymnasium.spaces.Box(*task.box(OBSERVED), dtype=np.float64)
-        action_space = gymnasium.spaces.Box(*task.box(task.controls), dtype=np.float64)
 
-        def reset(self, *, seed=None, options=None):
-            super().reset(seed=seed)
-            return task.reset(self.np_random)
-
-        def step(self, action):
-            if task.simulator is None:
-                raise gymnasium.error.ResetNeeded("Got a step before an episode: call reset() first.")
-            return task.step(action)
-
-    return AircraftEnv()
+    return AircraftEnv(model, aircraft, start, posterior, duration, dt, wind_at_6m, initial_std, limits, reward, thrust)
 
 
-class _Task:
-    """The episodes of an environment."""
+class _Episodes:
+    """The methods of the environment, to be joined with ``gymnasium.Env``."""
 
     def __init__(
         self, model, aircraft, start, posterior, duration, dt, wind_at_6m, initial_std, limits, reward, thrust
@@ -144,7 +131,7 @@ class _Task:
         check_names(self.initial_std, OBSERVED, "observations")
         check_names(limits or {}, (*OBSERVED, *self.controls), "observations and controls of this aircraft")
         self.limits = self._limits() | dict(limits or {})
-        self.low, self.high = self.box(OBSERVED)
+        self.observation_space, self.action_space = self._box(OBSERVED), self._box(self.controls)
         self.simulator: Any = None
         begin = self.trim | self.held
         outside = {n: (begin[n], *pair) for n, pair in self.limits.items() if not pair[0] < begin[n] < pair[1]}
@@ -171,17 +158,19 @@ class _Task:
             found |= {name: (low, high) for name, (low, high) in flown if name in {"alpha", "beta"} | surfaces}
         return found
 
-    def box(self, names: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return the smallest and the largest values."""
+    def _box(self, names: tuple[str, ...]) -> Any:
+        """Return the space of the smallest to the largest values."""
         low, high = np.array([self.limits[name] for name in names], dtype=float).T
-        return low, high
+        return extra("gymnasium").spaces.Box(low, high, dtype=np.float64)
 
-    def reset(self, rng: np.random.Generator) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Array, dict[str, Any]]:
         """Return the first observation and info of an episode."""
+        super().reset(seed=seed)  # type: ignore[misc]
+        rng: np.random.Generator = self.np_random  # type: ignore[attr-defined]
         path, gusts = rng.integers(2**31 - 1, size=2).tolist()
         random_state = path if self.posterior else None
         off = rng.standard_normal(len(OBSERVED)) * [self.initial_std.get(name, 0.0) for name in OBSERVED]
-        begin = np.clip(np.add(list(self.trim.values()), off), self.low, self.high)
+        begin = self._clipped(np.add(list(self.trim.values()), off))
         wind = self._gusts(gusts) if self.wind_at_6m else None
         self.simulator = Simulator(self.model, self.aircraft, self.dt, wind=wind, thrust=self.thrust)
         named = dict(zip(OBSERVED, begin.tolist(), strict=True))
@@ -190,12 +179,14 @@ class _Task:
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Return what a step of Gymnasium returns; raise ValueError if the action is not a number for each control."""
+        if self.simulator is None:
+            raise extra("gymnasium").error.ResetNeeded("Got a step before an episode: call reset() first.")
         asked = np.asarray(action, dtype=float)
         if asked.shape != (len(self.controls),) or np.isnan(asked).any():
             raise ValueError(
                 f"Got the action {action!r}, but expected a number for each of {', '.join(self.controls)}."
             )
-        asked = np.clip(asked, *self.box(self.controls)).tolist()
+        asked = np.clip(asked, self.action_space.low, self.action_space.high).tolist()
         controls = self.held | dict(zip(self.controls, asked, strict=True))
         seen: dict[str, Any] = self.simulator.step(controls)
         if self.simulator.ended:
@@ -207,10 +198,14 @@ class _Task:
     def _seen(self, seen: dict[str, Any]) -> tuple[Array, dict[str, Any]]:
         """Return the observation, and what is seen with the reason why the episode ended."""
         values = np.array([seen[name] for name in OBSERVED])
-        left = [name for name, out in zip(OBSERVED, (values < self.low) | (values > self.high), strict=True) if out]
+        clipped = self._clipped(values)
+        left = [name for name, out in zip(OBSERVED, values != clipped, strict=True) if out]
         seen["ended"] = self.simulator.ended or (left[0] if left else "")
         self.last = seen
-        return np.clip(values, self.low, self.high), dict(seen)
+        return clipped, dict(seen)
+
+    def _clipped(self, observation: Array) -> Array:
+        return np.clip(observation, self.observation_space.low, self.observation_space.high)
 
     def _gusts(self, seed: int) -> Callable:
         """Return the wind of an episode as a function of time and position."""

@@ -78,7 +78,7 @@ def write_jsbsim(
     max_loss: float = 0.25,
     **options: Any,
 ) -> list[Path]:
-    """Write an aircraft that JSBSim loads: metrics, mass, inertia, thrust and aerodynamics.
+    """Write an aircraft that JSBSim loads, metrics, mass, inertia, thrust and aerodynamics; return the files.
 
     With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials, and further aircraft are
     functions drawn from the posterior, as sums of exponentials and cosines: those that ``sample_paths`` and
@@ -90,9 +90,8 @@ def write_jsbsim(
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude``
-    [lbf]. Raises ValueError if a
-    parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel is not a sum of Gaussian
-    processes and a linear trend (functions, and tables that lose more than ``max_loss``).
+    [lbf]. Raises ValueError if a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel
+    is not a sum of Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
 
     Parameters
     ----------
@@ -118,7 +117,6 @@ def write_jsbsim(
     Returns
     -------
     list of Path
-        The files.
     """
     check_choice("form", form, ("functions", "tables"))
     if n_draws < 0:
@@ -162,7 +160,7 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     aerodynamics: list[Element] = []
     for r in found.regressors:
         factors = _source(r, found.lengths, aircraft, controls)
-        aerodynamics.append(_function(f"aero/regressor/{r}", _of("product", *factors)))
+        aerodynamics.append(_function(f"aero/regressor/{r}", _apply("product", *factors)))
     if waves:
         aerodynamics += _waves(next(iter(waves.values())), [COEFFICIENTS.index(c) for c in waves])
     for c, part in parts.items():
@@ -230,16 +228,16 @@ def _propeller(name: str, propeller: Any, coefficients: Sequence[float], power: 
 
     def turns():
         if propeller.speed_range is None:
-            return _of("product", 0.5 / np.pi, SPEED)
+            return _apply("product", 0.5 / np.pi, SPEED)
         idle, full = (speed / (2 * np.pi) for speed in propeller.speed_range)
-        return _of("sum", idle, _of("product", full - idle, THROTTLE))
+        return _apply("sum", idle, _apply("product", full - idle, THROTTLE))
 
     terms = [
-        _of("product", c * (FOOT / propeller.diameter) ** k, *[AIRSPEED] * k, *(turns() for _ in range(2 - k)))
+        _apply("product", c * (FOOT / propeller.diameter) ** k, *[AIRSPEED] * k, *(turns() for _ in range(2 - k)))
         for k, c in enumerate(coefficients)
     ]
     scale = factor * propeller.diameter**power * SLUG / FOOT**3
-    return _function(name, _of("product", scale, "atmosphere/rho-slugs_ft3", _of("sum", *terms)))
+    return _function(name, _apply("product", scale, "atmosphere/rho-slugs_ft3", _apply("sum", *terms)))
 
 
 def _engine() -> Element:
@@ -300,7 +298,7 @@ def _load(coefficient: str) -> Element:
     """Return the force or the moment of a coefficient."""
     axis, lengths = AXES[coefficient], LENGTHS.get(coefficient, [])
     factors = ["aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}"]
-    load = _function(f"aero/{'moment' if lengths else 'force'}/{axis}", _of("product", *factors))
+    load = _function(f"aero/{'moment' if lengths else 'force'}/{axis}", _apply("product", *factors))
     return element("axis", load, name=axis, **({} if lengths else {"unit": "LBS"}))
 
 
@@ -310,7 +308,7 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
     slopes = found.derivatives.loc[coefficient].to_numpy()
     terms: list[Any] = [float(found.constants[coefficient] - slopes @ found.reference)]
     for regressor, slope in zip(found.regressors, slopes, strict=True):
-        terms.append(_of("product", float(slope), f"aero/regressor/{regressor}"))
+        terms.append(_apply("product", float(slope), f"aero/regressor/{regressor}"))
     for table in found.tables[coefficient]:
         axes = zip(("row", "column"), table.regressors, strict=False)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
@@ -325,40 +323,43 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
                 name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}",
             )
         )
-    return _function(f"aero/coefficient/{coefficient}", ElementTree.Comment(text), _of("sum", *terms))
+    return _function(f"aero/coefficient/{coefficient}", ElementTree.Comment(text), _apply("sum", *terms))
 
 
 def _waves(found: GaussianSum, outputs: Sequence[int]) -> Iterator[Element]:
     """Yield scaled regressors, and the waves of some coefficients."""
     for regressor, shift, scale in zip(found.regressors, found.shift, found.scale, strict=True):
-        away = _of("difference", f"aero/regressor/{regressor}", float(shift))
-        yield _function(f"aero/scaled/{regressor}", _of("product", 1.0 / scale, away))
+        away = _apply("difference", f"aero/regressor/{regressor}", float(shift))
+        yield _function(f"aero/scaled/{regressor}", _apply("product", 1.0 / scale, away))
     frequencies, phases, weights = found.waves
     for k in np.flatnonzero(weights[outputs].any(axis=0)):
-        phase = _of("sum", *_plane(float(phases[k]), frequencies[k], found.regressors))
-        yield _function(f"aero/wave-{k}", _of("cos", phase))
+        phase = _apply("sum", *_plane(float(phases[k]), frequencies[k], found.regressors))
+        yield _function(f"aero/wave-{k}", _apply("cos", phase))
 
 
 def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
     """Yield the parts of a coefficient and their sum; exponentials of a part share the square of the regressors."""
     i = COEFFICIENTS.index(coefficient)
     names = [f"aero/scaled/{regressor}" for regressor in found.regressors]
-    for k, block in enumerate(found.blocks[i]):
-        square = f"aero/square/{coefficient}-{k}"
-        used = np.flatnonzero(block.used)
-        squares = (_of("product", float(-0.5 * block.curvature[n]), names[n], names[n]) for n in used)
-        yield _function(square, _of("sum", *squares))
+    for k, (block, weights) in enumerate(found.blocks[i]):
+        square, used = f"aero/square/{coefficient}-{k}", list(block.regressors)
+        centres, curvature = found.centres[block.rows] + block.shift, np.zeros(len(names))
+        curvature[used] = block.root[used] ** 2
+        squares = (_apply("product", float(-0.5 * curvature[n]), names[n], names[n]) for n in used)
+        yield _function(square, _apply("sum", *squares))
         terms = []
-        for weight, constant, slopes in zip(block.weights, block.constants, block.slopes, strict=True):
-            exponent = _of("sum", square, *_plane(float(constant), slopes, found.regressors))
-            terms.append(_of("product", float(weight), _of("exp", exponent)))
-        yield _function(f"aero/part/{coefficient}-{k}", _of("sum", *terms))
+        for weight, constant, slopes in zip(
+            block.gain * weights, -0.5 * centres**2 @ curvature, centres * curvature, strict=True
+        ):
+            exponent = _apply("sum", square, *_plane(float(constant), slopes, found.regressors))
+            terms.append(_apply("product", float(weight), _apply("exp", exponent)))
+        yield _function(f"aero/part/{coefficient}-{k}", _apply("sum", *terms))
     own = found.waves.weights[i]
-    total = _of(
+    total = _apply(
         "sum",
         *(f"aero/part/{coefficient}-{k}" for k in range(len(found.blocks[i]))),
         *_plane(float(found.constants[i]), found.slopes[i], found.regressors),
-        *(_of("product", float(own[wave]), f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
+        *(_apply("product", float(own[wave]), f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
     )
     yield _function(f"aero/coefficient/{coefficient}", total)
 
@@ -366,10 +367,13 @@ def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
 def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[float | Element]:
     """Return the terms constant + slopes . z."""
     named = zip(slopes, regressors, strict=True)
-    return [constant, *(_of("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0)]
+    return [
+        constant,
+        *(_apply("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0),
+    ]
 
 
-def _of(operator: str, *operands: Content) -> Element:
+def _apply(operator: str, *operands: Content) -> Element:
     """Return an operation of numbers, properties and others; JSBSim complains of sums and products of one."""
     parts = [o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o) for o in operands]
     return parts[0] if len(parts) == 1 and operator in ("sum", "product") else element(operator, *parts)

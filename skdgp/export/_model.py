@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -286,21 +286,16 @@ class PortableModel:
     def with_identifiers(self) -> tuple[PortableModel, dict[str, str]]:
         """Return the model with identifiers for the names of its columns, regressors and outputs, and these by name."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
-        if all(name == short for name, short in names.items()):
-            return self, names
-        regressors = (
-            replace(r, name=names[r.name], sources=tuple(names[source] for source in r.sources))
-            for r in self.regressors
+        regressors = tuple(
+            replace(r, name=names[r.name], sources=tuple(map(names.__getitem__, r.sources))) for r in self.regressors
         )
-        return replace(self, regressors=tuple(regressors), outputs=tuple(names[name] for name in self.outputs)), names
+        return replace(self, regressors=regressors, outputs=tuple(map(names.__getitem__, self.outputs))), names
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these."""
         d = len(self.regressors)
         places = [(b.output, b.first_centre, b.first_column, b.size) for b in self.blocks]
-        depends = np.zeros((len(self.blocks), d), dtype=bool)
-        for row, block in zip(depends, self.blocks, strict=True):
-            row[list(block.regressors)] = True
+        depends = [[k in b.regressors for k in range(d)] for b in self.blocks]
         full = any(block.root.ndim == 2 for block in self.blocks)
         roots = [np.diag(b.root) if full and b.root.ndim == 1 else b.root for b in self.blocks]
         named = [each.name for each in fields(self) if each.type in ARRAYS]
@@ -310,7 +305,7 @@ class PortableModel:
             "block_gain": np.array([b.gain for b in self.blocks], dtype=float),
             "block_shift": np.array([b.shift for b in self.blocks]).reshape(-1, d),
             "block_root": np.array(roots).reshape((-1, d, d) if full else (-1, d)),
-            "block_regressors": depends,
+            "block_regressors": np.array(depends, dtype=bool).reshape(-1, d),
             **{f"trend_root_{i}": root for i, root in enumerate(self.trend_roots)},
             **{f"weights_{k}": readout.weights for k, readout in enumerate(self.readouts)},
             **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
@@ -328,7 +323,7 @@ class PortableModel:
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the numbers and names that predictions depend on, as hexadecimal digits."""
-        formulas = [(r.name, r.unit, r.sources, r.factors, r.length, r.power) for r in self.regressors]
+        formulas = [astuple(regressor) for regressor in self.regressors]
         found = hashlib.sha256(repr((formulas, self.outputs)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(f"{name} {array.shape} ".encode())
@@ -355,14 +350,13 @@ class PortableModel:
         return X
 
     def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
-        """Return the mean of the coefficients and, with ``return_std``, their standard deviation.
+        """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
-        sources. Noise of the columns is not removed: that is the pipeline's task. Both results are (n, P), outputs in
-        the order of ``outputs``; the deviation is that of the coefficient, without the noise of its measurements.
-        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
-        fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a simulation). Errors
-        are those of ``regressor_values``.
+        sources; its noise is not removed. The deviation is that of the coefficient, without the noise of its
+        measurements. ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy
+        as those of the fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a
+        simulation). Errors are those of ``regressor_values``.
         """
         chunks = self._chunks(X)
         ends = np.cumsum([len(Z) for Z in chunks])
@@ -381,9 +375,8 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
-        the scatter of the members. The factor 2 is five times the largest found, in C,
-        ONNX and CasADi over 40 exact models of 8 to 60 samples on three kinds of processor. X and errors are those of
-        :meth:`predict`.
+        the scatter of the members. The factor 2 is five times the largest found, in C, ONNX and CasADi over 40 exact
+        models of 8 to 60 samples on three kinds of processor. X and errors are those of :meth:`predict`.
         """
         return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 

@@ -184,15 +184,24 @@ def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
         center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
         tau = np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
     if isinstance(posterior, ExactPosterior):
-        form = _exact(posterior, gaussians, center, tau)
+        centres, blocks, readouts, weights, roots = _exact(posterior, gaussians, center, tau)
     else:
-        form = _sparse(posterior, tau)
-    prior = np.zeros(P) + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians)
-    return form | {"trend_center": center, "trend_scale": tau, "prior_variance": prior}
+        centres, blocks, readouts, weights, roots = _sparse(posterior, tau)
+    return {
+        "centres": centres,
+        "blocks": blocks,
+        "readouts": readouts,
+        "readout_of": np.arange(P) % len(readouts),
+        "trend_center": center,
+        "trend_scale": tau,
+        "trend_weights": weights,
+        "trend_roots": roots,
+        "prior_variance": np.zeros(P) + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians),
+    }
 
 
-def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> dict:
-    """Return the arrays of an exact posterior: its samples are the centres, its inverse factor is the root."""
+def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> tuple:
+    """Return the samples as centres, blocks, one readout with the inverse factor, weights and roots of the trends."""
     X, (P, e) = posterior.data.X, tau.shape
     if not isinstance(posterior._rows, slice):  # rows were appended: factor again in the order of the outputs
         posterior = ExactPosterior(posterior.kernel, posterior.noise, posterior.data)
@@ -217,18 +226,11 @@ def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center
     else:
         centres, readout = np.empty((0, e - 1)), Readout(np.empty(0), np.empty(0))
         roots = [np.array(rq(root, mode="r"))[:, -e:] for root in roots]
-    return {
-        "centres": centres,
-        "blocks": blocks,
-        "readouts": [readout],
-        "readout_of": np.zeros(P, dtype=int),
-        "trend_weights": weights,
-        "trend_roots": roots,
-    }
+    return centres, blocks, [readout], weights, roots
 
 
-def _sparse(posterior: SparsePosterior, tau: Matrix) -> dict[str, Any]:
-    """Return the arrays of a sparse or compact posterior: its inducing inputs are the centres."""
+def _sparse(posterior: SparsePosterior, tau: Matrix) -> tuple:
+    """Return the same of a sparse or compact posterior: inducing inputs are the centres, each output has a readout."""
     P, e = tau.shape
     summands, centres, m = [], [np.empty((0, e - 1))], 0
     for features in posterior.features.summands():
@@ -260,14 +262,7 @@ def _sparse(posterior: SparsePosterior, tau: Matrix) -> dict[str, Any]:
             root[:n] *= tau[i][:, None]
         roots.append(root[:n] if n else np.zeros((e, len(order))))
         readouts.append(Readout(w[n:], root[n:, n:].T[np.tril_indices(len(of_gaussians))]))
-    return {
-        "centres": np.concatenate(centres),
-        "blocks": blocks,
-        "readouts": readouts,
-        "readout_of": np.arange(P),
-        "trend_weights": weights,
-        "trend_roots": roots,
-    }
+    return np.concatenate(centres), blocks, readouts, weights, roots
 
 
 def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:

@@ -130,7 +130,9 @@ class _Part:
         p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, j))
         weight = 1 / np.sqrt(model._variance(j, p, half))[:, None]
         self.blocks = [block for block in model.blocks if block.output == j]
-        candidates = self._candidates()
+        step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))  # evenly from each block
+        places = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
+        candidates = np.array(places, dtype=int).reshape(-1, 2)
         g = weight * self._functions(Z, candidates)
         trend, _ = qr(weight * p, mode="economic")
         rest = g - trend @ (trend.T @ g)
@@ -156,14 +158,8 @@ class _Part:
     def _best(self) -> int:
         return min(range(self.number + 1), key=lambda number: max(self.fit(number).loss))
 
-    def _candidates(self):
-        """Return block and place of functions to choose from, (n, 2), evenly from each block."""
-        step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))
-        found = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
-        return np.array(found, dtype=int).reshape(-1, 2)
-
     def _functions(self, Z, places) -> Matrix:
-        """Return Gaussian functions, each alone, at scaled regressors, (n, len(places))."""
+        """Return Gaussian functions, by block and place in it (k, 2), at scaled regressors, (n, k)."""
         found = np.empty((len(Z), len(places)))
         for b, block in enumerate(self.blocks):
             columns = np.flatnonzero(places[:, 0] == b)
@@ -225,7 +221,7 @@ def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
     """Return the model with the functions that stay."""
     places, P = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist(), len(model.outputs)
     of_outputs = [[fit.loss for fit in fits[i::P]] for i in range(P)]
-    losses = [Loss(sum(loss.mean for loss in of), sum(loss.std for loss in of)) for of in of_outputs]
+    losses = [{"mean": sum(loss.mean for loss in of), "std": sum(loss.std for loss in of)} for of in of_outputs]
     return replace(
         model,
         centres=np.concatenate([fit.centres for fit in fits]),
@@ -238,6 +234,5 @@ def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
         readout_of=np.arange(len(fits)),
         trend_weights=np.stack([fit.trend_weights for fit in fits]),
         trend_roots=tuple(fit.trend_root for fit in fits),
-        provenance=model.provenance
-        | {"reduction": {name: loss._asdict() for name, loss in zip(model.outputs, losses, strict=True)}},
+        provenance=model.provenance | {"reduction": dict(zip(model.outputs, losses, strict=True))},
     )

@@ -15,7 +15,7 @@ class Objective:
 
     ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
     nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
-    what errors of regressors have in common between outputs: widths and amplitudes hardly change, but the variances of
+    the correlation of outputs by errors of the regressors: widths and amplitudes hardly change, but the variances of
     the regressors' noise must then be learned again.
     """
 

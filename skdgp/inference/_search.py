@@ -4,7 +4,7 @@
 2. All outputs, with widths that they share.
 3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better; in exact inference of many
    values, the last iterations are of all of them.
-4. The noise alone, where the third stage left it to be learned.
+4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
 
 Stages learn from rows that ``_rows`` chooses.
 """
@@ -72,7 +72,7 @@ class _Stages:
     """What the stages of a search of P outputs have in common.
 
     A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common``: whether the
-    likelihood knows what errors of regressors have in common.
+    likelihood includes the correlation of the outputs that errors of the regressors cause.
     """
 
     def __init__(self, P, held_out, optimizer, common, stop):
@@ -121,7 +121,7 @@ def search(
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
     The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
+    and without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so noise is
     learned again at the end. The other arguments are those of ``fit_exact``.
     """
     P, held_out, whole = Y.shape[1], None, (X, Y)

@@ -8,7 +8,7 @@ The same flights and the same regressors for several methods: who predicts a fli
 
 Simulated flights with known truth; about a minute. Every method learns the same rows, but for the trees, which take
 all of them. Needs matplotlib: pip install "skdgp[plot]". The comparison on flights that others simulated, with more
-methods, is docs/comparison.md. For your own method add a line to ``methods``: anything with ``fit`` and ``predict``.
+methods, is docs/results.md. For your own method add a line to ``methods``: anything with ``fit`` and ``predict``.
 """
 
 import argparse

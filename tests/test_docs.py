@@ -23,15 +23,14 @@ KNOWN = Aerodynamics(
 """The example aircraft as it is."""
 RUN_ELSEWHERE = {
     "README.md": "test_docs.py",  # its code is judged below
-    "export.md": "export/portable/test_command.py",  # its code reads a model, which that test lays ready
-    "export_jsbsim.md": "export/test_jsbsim.py",  # its code needs jsbsim
+    "export.md": "export/test_jsbsim.py",  # its code needs jsbsim, or a model: export/portable/test_command.py
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
-    "autopilot_logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
+    "logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
-UNJUDGED = {"command_line.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
+UNJUDGED = {"ten_minutes.md"}  # what their models learned matters little: short fits do
 SHORT = {"ten_minutes.md"}  # and short flights
-CALM = {"reconstruction.md"}  # has the first 40 s of a flight that no other page has: no more of it is simulated
+SECONDS = {"preprocessing.md": 40.0, "simulation.md": 90.0, "design.md": 90.0}  # of flights, as far as pages use them
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
 
 
@@ -50,8 +49,9 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
         request.getfixturevalue("no_mechanics")
     if page.name in SHORT:
         request.getfixturevalue("short_flights")
-    if page.name in CALM:
-        monkeypatch.setattr(_example_flights, "_flights", partial(_example_flights._flights, duration=40.0))
+    if page.name in SECONDS:
+        made = partial(_example_flights._flights, duration=SECONDS[page.name])
+        monkeypatch.setattr(_example_flights, "_flights", made)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {}

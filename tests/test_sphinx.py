@@ -93,4 +93,4 @@ def test_the_gallery_gives_an_example_what_it_takes(path, monkeypatch):
 def test_citations_name_the_version():
     version = skdgp.__version__
     assert f"\nversion: {version}\n" in (DOCS / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"version = {{{version}}}" in (DOCS / "citing.md").read_text(encoding="utf-8")
+    assert f"version = {{{version}}}" in (DOCS / "contributing.md").read_text(encoding="utf-8")

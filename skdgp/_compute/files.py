@@ -84,7 +84,7 @@ def sha256_of(file: BinaryIO, size: int) -> bytes:
 
 
 def plain(value: Any) -> Any:
-    """Return the value as JSON knows it: None for what is not finite, the text of what is no number, list or dict."""
+    """Return a value for JSON: None instead of NaN and infinity, text instead of types that JSON does not have."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):

@@ -19,13 +19,13 @@ SEARCHES = 2
 """Of a log, which hold out other blocks.
 
 On twelve pairs of flights, three seeds each, the mean of two has 0.98 of the error of one, of three 0.97
-(docs/choosing.md#the-average; tests/benchmarks/pairs.py prints what one search has alone)."""
+(docs/results.md#pairs-of-flights; tests/benchmarks/pairs.py prints what one search has alone)."""
 N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.
 
-Of the known values of seven electrodes (docs/published.md) the likelihood is 124, 202 and 213 with two, three and four.
+Of the known values of seven electrodes (docs/results.md) the likelihood is 124, 202 and 213 with two, three and four.
 """
-ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/choosing.md
+ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/theory.md
 
 
 def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:

@@ -302,7 +302,7 @@ def build_up(
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
 
-    Values are SI units and radians. Its keys are described on the page of the build-up.
+    Values are SI units and radians. Its keys are described in docs/export.md.
 
     Examples
     --------

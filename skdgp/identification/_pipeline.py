@@ -34,7 +34,7 @@ from skdgp.preprocessing import (
 
 DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
 LEAST_ROWS, MOST_ROWS = 5, 20000
-"""For each term of a polynomial, and for all of them."""
+"""Fewest rows for each term of the polynomial that is fitted, and most rows in all."""
 
 
 def make_identification_pipeline(

@@ -4,7 +4,7 @@
 2. All outputs, with widths that they share.
 3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better; in exact inference of many
    values, the last iterations are of all of them.
-4. The noise alone, where the third stage left it to be learned.
+4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
 
 Stages learn from ``some_rows`` of all, or from those that ``held_out_rows`` leaves.
 """
@@ -121,7 +121,7 @@ def search(
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
     The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    and without ``exact`` the search neglects what errors of regressors have in common between outputs, so noise is
+    and without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so noise is
     learned again at the end. The other arguments are those of ``fit_exact``.
     """
     P, held_out, whole = Y.shape[1], None, (X, Y)
@@ -366,7 +366,7 @@ class Objective:
 
     ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
     nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
-    what errors of regressors have in common between outputs: widths and amplitudes hardly change, but the variances of
+    the correlation of outputs by errors of the regressors: widths and amplitudes hardly change, but the variances of
     the regressors' noise must then be learned again.
     """
 

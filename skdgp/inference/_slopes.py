@@ -3,9 +3,9 @@
 A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
 neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
 the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: with
-past regressors as instruments, which correlate less with the present error; with third powers, since a smooth prior
-takes the mean slope of what saturates on both sides, as polynomials of second order do; and with what they leave of the
-outputs, which bounds the noise of each regressor.
+past regressors as instruments, which correlate less with the present error; with third powers, since a smooth prior and
+polynomials of second order find too small a slope at the trim of a function that saturates on both sides; and with the
+residuals of the outputs, which bound the noise of each regressor.
 """
 
 from __future__ import annotations

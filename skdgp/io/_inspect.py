@@ -290,7 +290,7 @@ def _flight(table) -> FlightSummary:
 
 
 def _contradictions(tables) -> tuple[str, ...]:
-    """Return what contradicts physics in the flights of a log; nothing of a clock that no filter could use."""
+    """Return what contradicts physics in the flights of a log; nothing if their clocks are too irregular to filter."""
     if not tables:
         return ()
     numbered = [table.assign(flight=number) for number, table in enumerate(tables, start=1)]

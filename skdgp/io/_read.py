@@ -66,7 +66,7 @@ def read_flight(
     rate : float, optional
         Rate of the clock [Hz]; autopilots only. By default that of the gyros, at most 50 Hz.
     servos : path or mapping, optional
-        Calibration of servos, channel to surface and angle, in TOML: see the page on logs of autopilots. Without it the
+        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the
         table has no surfaces. ``"full throw"``: surfaces from -1 to 1, parts of their full throw, of the servos that
         the autopilot's parameters name. Autopilots only.
     airborne : bool or float, default=True

@@ -37,7 +37,7 @@ BUDGETS = [1, 1.5, 2, 3, 4, 5, 7, 10, 15, 20, 30, 45, 60, 90]  # s
 TRIED_BUDGETS = [10, 20, 40]
 BEST = {"n_latent": 6, "n_inducing": 50, "batch": 512, "rate": 0.05, "decay": 1500}
 STEADY, STEADY_150 = {"decay": None}, {"decay": None, "n_inducing": 150}
-TRIED = {  # by what they differ from the best; the rows of the page
+TRIED = {  # by what they differ from the best; the rows of its table
     "the best": {},
     "rate .05 throughout": STEADY,
     "150 inducing points, rate .02 throughout": {**STEADY_150, "rate": 0.02},

@@ -1,4 +1,4 @@
-"""Bring the pages of benchmarks and of the comparison up to date: tables and pictures from the scripts' results.
+"""Bring the page of results up to date: marked tables and the picture from the scripts' results.
 
     python tests/benchmarks/page.py FOLDER
 
@@ -16,27 +16,11 @@ from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-from matplotlib.ticker import NullLocator
 
 from skdgp._display.style import PALETTE, tidy
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGES = (
-    *(
-        "benchmarks.md",
-        "comparison.md",
-        "control.md",
-        "design.md",
-        "first_model.md",
-        "results.md",
-        "dynamics.md",
-        "simulation.md",
-    ),
-    *("published.md", "study.md", "versions.md"),
-)
-COLOURS = {"skdgp": "blue", "LAPACK": "grey", "scikit-learn": "green", "GPyTorch": "vermillion", "GPy ": "purple"}
-DASHES = {"exact": "--", "one thread": "--", "150": ":"}
-COLOURS |= {"mogptk": "orange", "least": "grey"}
+PAGES = ("results.md",)
 
 
 def main(folder, docs=DOCS):
@@ -92,62 +76,6 @@ def described(machine):
     )
 
 
-def colour(name):
-    return PALETTE[next((colour for start, colour in COLOURS.items() if name.startswith(start)), "sky")]
-
-
-def ticks_at(ax, values):
-    """Label a logarithmic axis with these of the values that lie on it."""
-    low, high = ax.get_xlim()
-    ax.set_xticks([value for value in values if low <= value <= high])
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.xaxis.set_minor_locator(NullLocator())
-
-
-def heldout(results):
-    """Draw error over seconds, a line for each method."""
-    rows = results["error_over_time"]
-    figure, ax = plt.subplots(figsize=(6.6, 3.8), layout="constrained")
-    for method in dict.fromkeys(row["method"] for row in rows):
-        own = sorted((row["seconds"], row["NRMSE"]) for row in rows if row["method"] == method)
-        style = {
-            "color": colour(method),
-            "label": method,
-            "linestyle": next((style for word, style in DASHES.items() if word in method), "-"),
-        }
-        if method == "least squares":
-            ax.axhline(own[0][1], linewidth=1, **style | {"linestyle": ":"})
-        else:
-            ax.plot(*zip(*own, strict=True), marker="o", markersize=4, **style)
-    ax.set(xscale="log", xlabel="seconds of fitting", ylabel="NRMSE on the test flight")
-    tidy(ax)
-    ax.margins(x=0.03)
-    ticks_at(ax, (0.01, 0.1, 1, 2, 5, 10, 20, 50, 100, 200))
-    ax.legend(frameon=False, fontsize="small")
-    return figure
-
-
-def growth(results):
-    """Draw seconds over N, a line for each contender, and ours over LAPACK for variants."""
-    figure, (ax, beside) = plt.subplots(1, 2, figsize=(8.8, 3.8), layout="constrained", width_ratios=[1.5, 1])
-    rows = results["samples"]
-    for name in list(rows[0])[2:]:
-        points = [(row["N"], row[name]) for row in rows if row[name] is not None]
-        ax.loglog(*zip(*points, strict=True), marker="o", markersize=4, color=colour(name), label=name)
-    ax.set(xlabel="N, values observed", ylabel="seconds, one likelihood and gradient")
-    tidy(ax)
-    ax.margins(x=0.03)
-    ticks_at(ax, [row["N"] for row in rows])
-    ax.legend(frameon=False, fontsize="small")
-    rows = [row for table in ("latents", "regressors", "variants") for row in results[table]]
-    beside.barh([row[""] for row in rows], [row["ratio"] for row in rows], color=PALETTE["blue"], height=0.6)
-    beside.axvline(1, color=PALETTE["grey"], linewidth=1)
-    beside.set(xlabel="times LAPACK potrf + potri")
-    beside.invert_yaxis()
-    tidy(beside)
-    return figure
-
-
 FLIGHTS = {  # of the comparison
     "viggen_latlon": "delta, two altitudes",
     "viggen_lateral": "delta, from lateral alone",
@@ -189,7 +117,7 @@ def _called(row):
     return f"{row['method'].strip('*')}, {row['samples'] if row['samples'] < 1000 else 'all'}"
 
 
-PICTURES = {"heldout": heldout, "growth": growth, "comparison": comparison}
+PICTURES = {"comparison": comparison}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

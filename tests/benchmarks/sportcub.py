@@ -335,7 +335,7 @@ def run(task, method, n_paths):
 
 
 def tables(runs):
-    """Return the tables of the page."""
+    """Return the tables."""
     rows = {way: [] for way in ("direct", "poses")}
     bands, chosen = [], []
     for (way, name), run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0][1])):

@@ -184,9 +184,10 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
 
 @pytest.mark.parametrize("short_flights", [3000], indirect=True)
 def test_code_of_the_page_flies_steadily(short_flights, tmp_path, monkeypatch):
-    """The commands of export_jsbsim.md, whose trim by JSBSim is that of this package, flown for 10 s."""
+    """The build-up of export.md, and its aircraft, whose trim by JSBSim is that of this package, flown for 10 s."""
     pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")
-    text = (Path(__file__).resolve().parents[2] / "docs" / "export_jsbsim.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    text = text.partition("\n## The build-up\n")[2]
     monkeypatch.chdir(tmp_path)
     names = {}
     exec("\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)), names)

@@ -1,4 +1,4 @@
-"""The page autopilot_logs.md: its code runs on a log that is laid ready, and its table is that of the rules."""
+"""The page logs.md: its code runs on a log that is laid ready, and its table is that of the rules."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from skdgp.io import EQUIVALENT, QUATERNION
 from skdgp.io._autopilot import dataflash, ulog
 from skdgp.io._autopilot.servos import read_servos
 
-PAGE = (Path(__file__).parents[2] / "docs" / "autopilot_logs.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
 
 
 def blocks(language):
@@ -32,7 +32,7 @@ def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
     (tmp_path / "sortie.ulg").write_bytes(bytes(log))
     names = {}
     for block in blocks("python"):
-        exec(compile(block, "autopilot_logs.md", "exec"), names)
+        exec(compile(block, "logs.md", "exec"), names)
 
 
 def test_the_servo_file_is_one(tmp_path):

@@ -1,4 +1,4 @@
-"""The kernels of the page adding.md pass every test of the contract."""
+"""The kernels of the page kernels.md pass every test of the contract."""
 
 import importlib.util
 import re
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[1] / "docs" / "adding.md"
+PAGE = HERE.parents[1] / "docs" / "kernels.md"
 NAMES = ["four methods, of the page", "trend of the page"]
 
 

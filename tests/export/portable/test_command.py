@@ -126,13 +126,14 @@ def test_what_is_no_model(path, tmp_path, capsys):
 
 
 def test_code_of_the_page_runs(fitted_of, flight, tmp_path, monkeypatch):
-    """The Python of export.md, in one namespace with a flight."""
+    """The Python of the section of export.md, in one namespace with a flight."""
     page = Path(__file__).parents[3] / "docs" / "export.md"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted_of("sparse"))
     names = {"flight": flight}
-    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+    section = page.read_text(encoding="utf-8").partition("\n## The portable model\n")[2].partition("\n## ")[0]
+    for block in re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE):
         exec(compile(block, "export.md", "exec"), names)
     assert names["slopes"].shape == (30, 6, 5)
     X = names["model"].regressor_values(flight)

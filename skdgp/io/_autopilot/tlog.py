@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Vector
-from skdgp._flight.atmosphere import GRAVITY
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._autopilot.dataflash import mixing_of, servos_of
 from skdgp.io._autopilot.formats import (
@@ -43,7 +43,7 @@ OUTPUTS = "SERVO_OUTPUT_RAW"
 
 
 def _milli_g(values):
-    return 1e-3 * GRAVITY * values
+    return 1e-3 * STANDARD_GRAVITY * values
 
 
 def _milli(values):

@@ -48,10 +48,7 @@ LONG, SHORT = 1.0, 0.1
 IMPROVEMENT, WORSE = 0.5, 0.3
 """Least improvement of an agreement by a correction, and most that another may lose."""
 AGREES, LEAST_T = 0.3, 4.0
-"""Least agreement of two signals, and least t value.
-
-Signals whose agreement is below 0.3, and slopes whose t value is below -4, contradict each other. After a correction
-the agreement must be at least 0.3, and the t value at least 4."""
+"""Least agreement and t value after a correction. Signals that agree less contradict, and slopes with t below -4."""
 PARALLEL, MULTIPLE = 0.9, 1.5
 """Signals with this cosine or more contradict each other if one is so many times the other."""
 EXTRA_CHANNEL, TIE = 0.02, 0.01

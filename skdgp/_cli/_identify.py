@@ -56,7 +56,7 @@ def identify(run: Run) -> None:
       elevator, aileron, rudder (or elevon_left, elevon_right), throttle, and thrust_x, thrust_y, thrust_z
       (or propeller_speed, with a propeller in the aircraft's file). For the replay also phi, theta, psi,
       v_north, v_east, v_down. A column "flight" tells several flights in one file apart.
-      Logs of PX4 (.ulg) and ArduPilot (.bin) are read too; --servos gives the angles of their surfaces.
+      Logs of PX4 (.ulg), ArduPilot (.bin) and telemetry (.tlog) are read too; --servos gives angles of surfaces.
 
     Aircraft file:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],

@@ -65,6 +65,8 @@ def identify(
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`) learns them from
     the training flights. The model then predicts the test flights, and its predictions are scored and replayed.
 
+    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
+
     Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
     "transforming", "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
 
@@ -96,8 +98,6 @@ def identify(
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos": "full throw"}``.
-
-    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
 
     Returns
     -------

@@ -71,7 +71,8 @@ def identify(
     Parameters
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
-        Training flights at their full rate. A column ``flight`` separates several flights in one table.
+        Training flights at their full rate. A column ``flight`` separates several flights in one table. Those without
+        an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
@@ -96,8 +97,6 @@ def identify(
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos": "full throw"}``.
-
-    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
 
     Returns
     -------

@@ -17,10 +17,14 @@ from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
-from skdgp.identification import load_model, predict_flight
+from skdgp.identification import (
+    check_identified,
+    load_model,
+    named_flights,
+    predict_flight,
+    usable_flights_of_model,
+)
 from skdgp.identification import validate as judge
-from skdgp.identification._evaluation import check_identified, usable_flights_of_model
-from skdgp.identification._flights import named_flights
 
 NOTABLE_GUSTS = 0.5
 """Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""

@@ -197,17 +197,6 @@ def test_deflections_without_values_hide_what_they_hold_alone(plan, uav):
     assert compare_with_plan(plan, flight, uav, NOISE, BEFORE).manoeuvres["name"].tolist() == ["doublet"]
 
 
-def test_flights_shorter_than_the_manoeuvres_are_said_to_be(plan, uav):
-    plan["manoeuvres"] = plan["manoeuvres"][1:2]
-    with pytest.raises(ValueError, match="shorter than any of its manoeuvres"):
-        compare_with_plan(plan, flown([], seconds=1.0), uav, NOISE, BEFORE)
-
-
-def test_a_plan_is_read_as_it_was_written(plan, tmp_path):
-    (tmp_path / "plan.json").write_text(json.dumps(plan))
-    assert read_plan(tmp_path / "plan.json") == plan
-
-
 @pytest.mark.parametrize(
     ("where", "value"),
     [

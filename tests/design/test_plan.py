@@ -376,13 +376,6 @@ def test_the_throttle_stays_between_0_and_1():
     assert Envelope(growth=1.0).bounds(flown)["growth of throttle"] == (0.0, 1.0)
 
 
-def test_an_axis_that_is_no_deflection_has_limits_in_its_own_unit(model, uav, monkeypatch):
-    few(monkeypatch)
-    options = AXES | {"axes": ["thrust"], "limits": {"thrust": 5.0}, "bands": BANDS.set_axis(["thrust"])}  # [N]
-    found = plan(model, uav, **options | {"noise": NOISE.set_axis(["CX", "Cm"])}, seconds=8.0)
-    assert 1.0 < found.trains[0].table(50.0)["thrust"].max() <= 5.0
-
-
 def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, uav, monkeypatch):
     """Where much is known."""
     few(monkeypatch)
@@ -416,16 +409,6 @@ def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch,
         values = simulate(narrow, uav, found.trims[0], table, 0.04)[channel]
         inside.append(values.between(flown[0] - 0.1 * np.ptp(flown), flown[1] + 0.1 * np.ptp(flown)).all())
     assert inside == [True, False]
-
-
-def test_what_was_flown_limits_what_is_not_given(model):
-    bounds = Envelope(airspeed=(0.0, np.inf)).bounds(model)
-    assert "growth of airspeed" not in bounds
-    assert bounds["growth of bank"] == pytest.approx((-1.2, 1.2))
-    assert bounds["growth of altitude"] == (50.0, np.inf)
-    assert bounds["growth of load_factor"] == pytest.approx(np.array([-14.0, 34.0]) / 9.80665)
-    assert bounds["growth of alpha"] == pytest.approx((-0.14, 0.34))  # a regressor
-    assert not any(name.startswith("growth of") for name in Envelope(growth=np.inf).bounds(model))
 
 
 def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):

@@ -251,7 +251,7 @@ class TestLikelihood:
 class TestInvariance:
     """Units are the user's affair."""
 
-    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    @pytest.mark.parametrize("trend", ["linear", None])
     def test_units_of_the_outputs(self, data, new, trend):
         X, Y = data
         scale = np.array([2.0**12, 2.0**-7])  # exact in binary
@@ -264,7 +264,7 @@ class TestInvariance:
         for mine, other in zip(here, there, strict=True):
             np.testing.assert_allclose(other, mine * scale, rtol=1e-6)
 
-    @pytest.mark.parametrize("covariance_type", ["diag", "tied", "full"])
+    @pytest.mark.parametrize("covariance_type", ["diag", "full"])
     def test_units_and_origin_of_the_regressors(self, data, new, covariance_type):
         X, Y = data
         options = {"max_iter": 8, "random_state": 0, "n_latent": 1, "covariance_type": covariance_type}
@@ -337,7 +337,7 @@ def test_smallest_widths_reach_the_fit():
 class TestInterrupted:
     @pytest.mark.parametrize(
         ("inference", "at"),
-        [("exact", 1), ("exact", 40), ("exact", "last stage"), ("sparse", 1), ("sparse", 40), ("sparse", "last stage")],
+        [("exact", 1), ("exact", "last stage"), ("sparse", 40)],
     )
     def test_ctrl_c_keeps_the_best_so_far(self, data, new, inference, at):
         heard = []

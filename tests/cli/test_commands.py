@@ -219,15 +219,6 @@ class TestSimulate:
         said = run("simulate", "--trim", "35", "--climb", ".05", "--duration", ".2", "--paths", "0")
         assert said["end"]["altitude"] == pytest.approx(0.2 * 35 * np.sin(0.05), rel=1e-3)
 
-    def test_controls_of_a_table(self, run, tmp_path):
-        pd.DataFrame({"time": [5.0, 5.1, 5.5], "aileron": [0.0, 0.05, 0.05]}).to_csv(tmp_path / "roll.csv", index=False)
-        said = run("simulate", "--trim", "35", "--controls", tmp_path / "roll.csv", "--paths", "0")
-        assert said["duration"] == pytest.approx(0.5)
-        assert said["end"]["p"] > 0.1
-        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
-        assert flown["aileron"].iloc[-1] == 0.05
-        assert np.ptp(flown["elevator"]) == 0
-
     def test_deviations_and_a_doublet_are_about_the_trim(self, run, tmp_path):
         """Both fly the same controls: those of the trim, which are printed, and the deviations."""
         time = np.arange(0, 3.3, 0.02)
@@ -353,10 +344,6 @@ class TestDerivatives:
         assert "j" not in re.sub(r"[a-z]{2,}", "", printed)  # no complex numbers
         run("derivatives", "--airspeed", "36", "--paths", "0")
         assert "derivatives.png" not in files(tmp_path / "out")
-
-    def test_beyond_what_was_flown_is_told(self, path, capsys):
-        assert main(["derivatives", path, "--airspeed", "45", "--paths", "0"]) == 0
-        assert "The trim at 45 m/s is beyond what the model was learned from:" in capsys.readouterr().err
 
     def test_without_matplotlib(self, path, monkeypatch, capsys, tmp_path):
         monkeypatch.setattr(_output, "find_spec", lambda name: None)

@@ -280,8 +280,6 @@ class TestBadInput:
         ("change", "message"),
         [
             ({"mass": -1}, "Got mass=-1, but expected"),
-            ({"inertia": [[1, 0, 9], [0, 1, 0], [9, 0, 1]]}, "not positive definite"),
-            ({"weight": 3.0}, "unknown key 'weight'"),
             ({"mass": True}, "Got mass=True, but expected"),
             ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
             ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),

@@ -114,11 +114,6 @@ def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words
         aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
 
 
-def test_one_sample_has_coefficients_where_accelerations_are_measured(simulated, aircraft, true_coefficients):
-    got = aerodynamic_coefficients(simulated.iloc[[200]], aircraft, cutoff=None)
-    np.testing.assert_allclose(got.to_numpy(), true_coefficients[[200]], atol=1e-12)
-
-
 FLIGHTS = [
     ("viggen_uav_train_lateral", "viggen_uav"),
     ("viggen_uav_train_latlon", "viggen_uav"),

@@ -52,14 +52,6 @@ def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true
     np.testing.assert_allclose(flown.loc[good, STATES], flight.loc[good, STATES], atol=0.05)
 
 
-def test_slow_sensors_restart_where_they_speak(simulated, aircraft, true_coefficients, gravity):
-    slow = simulated.copy()
-    slow.loc[slow.index % 20 != 3, ["v_north", "v_east", "v_down"]] = np.nan
-    flown = replay(slow, aircraft, true_coefficients, horizon=1.0, gravity=gravity)
-    assert flown["v_east"].isna().sum() == 3
-    np.testing.assert_allclose(flown[STATES].iloc[3:], simulated[STATES].iloc[3:], atol=0.02)
-
-
 def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficients):
     flight = simulated.assign(psi=simulated["psi"] + 2 * np.pi * (simulated["psi"] > 2.0) - 2 * np.pi)
     flown = replay(flight, aircraft, true_coefficients)

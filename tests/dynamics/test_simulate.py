@@ -21,7 +21,6 @@ from skdgp.dynamics import (
     simulate,
     standard_density,
     trajectory_bands,
-    trim,
 )
 from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
@@ -286,13 +285,6 @@ class TestControls:
 
 
 class TestStarts:
-    def test_several_trims_are_several_starts(self, aircraft):
-        trims = trim(linear(), aircraft, [20.0, 24.0])
-        controls = {name: [t.controls[name] for t in trims] for name in trims[0].controls}
-        flown = simulate(linear(), aircraft, trims, controls, duration=1.0)
-        np.testing.assert_allclose(flown.groupby("start")["airspeed"].agg(np.ptp), 0.0, atol=1e-6)
-        np.testing.assert_allclose(flown.groupby("start")["airspeed"].first(), [20.0, 24.0])
-
     def test_the_air_is_that_of_the_altitude(self, aircraft):
         above_home = START | {"down": -50.0, "altitude": 1500.0}
         flown = simulate(linear(), aircraft, above_home, commands, duration=0.1)

@@ -109,13 +109,13 @@ class TestMixture:
         np.testing.assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
 
     def test_paths_have_its_mean_and_covariance(self, mixture):
-        n, at = 6000, AT[:4]
+        n, at = 2000, AT[:4]
         values = mixture.paths(n, 1)(at).swapaxes(1, 2).reshape(n, -1)  # output-major
         covariance = mixture.covariance(at)
         size = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.06)
+        np.testing.assert_allclose(values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.1)
         scale = np.multiply.outer(size, size)
-        np.testing.assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.1)
+        np.testing.assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.15)
 
     def test_paths_are_those_of_members_in_proportion_to_the_weights(self, mixture):
         """Far from the samples a trend grows, as no process does."""
@@ -347,7 +347,7 @@ class TestWeights:
     def test_few_rows_of_a_linear_function_have_honest_bands(self):
         """30 rows of 8 regressors: bands of 95 % hold new values of the function, with errors like those of a line."""
         held, ratios = [], []
-        for seed in range(6):
+        for seed in range(4):
             rng = np.random.default_rng(seed)
             slopes, X, new = rng.normal(size=(8, 2)), rng.normal(size=(30, 8)), rng.normal(size=(300, 8))
             Y = X @ slopes + rng.normal(0, 0.5, (30, 2))

@@ -56,18 +56,20 @@ def logs(tmp_path_factory, px4, ardupilot):
     return {suffix: np.frombuffer(content, np.uint8)[:30_000] for suffix, content in raw.items()}
 
 
-@pytest.mark.parametrize("damage", fuzz.BYTES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize("suffix", ROUNDS)
-def test_damaged_logs(logs, tmp_path, suffix, damage):
-    rng = np.random.default_rng([len(suffix), fuzz.BYTES.index(damage)])
+def test_damaged_logs(logs, tmp_path, suffix):
+    """Of every format some are read and some refused; a damaged log of an autopilot is mostly a good one."""
     path, outcomes = tmp_path / f"log{suffix}", []
-    for _ in range(ROUNDS[suffix]):
-        content = damage(logs[suffix], rng).tobytes()
-        path.write_bytes(content)
-        began = time.process_time()
-        outcomes.append(survives(path, len(content)))
-        assert time.process_time() - began < 2 * SECONDS
-    assert "read" in outcomes or suffix not in AUTOPILOTS  # a damaged log is mostly a good one
+    for kind, damage in enumerate(fuzz.BYTES):
+        rng = np.random.default_rng([len(suffix), kind])
+        for _ in range(ROUNDS[suffix]):
+            content = damage(logs[suffix], rng).tobytes()
+            path.write_bytes(content)
+            began = time.process_time()
+            outcomes.append(survives(path, len(content)))
+            assert time.process_time() - began < 2 * SECONDS
+    assert set(outcomes) == {"read", "refused"}
+    assert suffix not in AUTOPILOTS or outcomes.count("read") > 0.7 * len(outcomes)
 
 
 @pytest.fixture(scope="module")

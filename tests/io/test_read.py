@@ -125,10 +125,6 @@ class TestUnitsThatNumbersGiveAway:
             read_flight(write("log.csv", table(**{name: values})))
         read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
 
-    def test_rates(self, write):
-        with pytest.raises(FlightReadError, match=r"'p'.*degrees"):
-            read_flight(write("log.csv", table(p=60 * np.sin(np.arange(50)))))
-
     def test_heading(self, write):
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):

@@ -123,13 +123,6 @@ def assert_gradient(gradient, function, x):
         equal(gradient @ way, slope, rtol=1e-7, atol=1e-8)
 
 
-def prior_paths(kernel, n_paths, n_frequencies, seed):
-    try:
-        return kernel.prior_paths(n_paths, n_frequencies, np.random.RandomState(seed))
-    except NotImplementedError as missing:
-        pytest.skip(str(missing))
-
-
 def test_every_public_kernel_is_in_the_list():
     public = {
         obj for obj in vars(skdgp.kernels).values() if inspect.isclass(obj) and issubclass(obj, MultiOutputKernel)
@@ -313,7 +306,7 @@ class TestUse:
 
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
-        paths = prior_paths(kernel, 8000, 4, 12).values(X[None])
+        paths = kernel.prior_paths(8000, 4, np.random.RandomState(12)).values(X[None])
         stacked = paths.swapaxes(1, 2).reshape(len(paths), -1)
         K = kernel(X)
         variance = np.multiply.outer(np.diag(K), np.diag(K))
@@ -322,7 +315,7 @@ class TestUse:
 
     def test_slopes_of_paths_are_their_derivatives(self, kernel):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
-        paths = prior_paths(kernel, 3, 8, 14)
+        paths = kernel.prior_paths(3, 8, np.random.RandomState(14))
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 

@@ -99,12 +99,6 @@ class TestEveryMetric:
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(flat, rel=1e-12)
         assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(flat, rel=1e-12)
 
-    def test_one_sided_permutation_of_samples(self, metric):
-        y, mean, std = sample()
-        order = np.random.default_rng(2).permutation(len(y))
-        shuffled = metric(*(a[order] for a in arguments(metric, y, mean, std)))
-        assert shuffled == pytest.approx(metric(*arguments(metric, y, mean, std)), rel=1e-12)
-
     def test_output_never_observed(self, metric):
         y, mean, std = sample()
         y[:, 1] = np.nan

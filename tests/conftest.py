@@ -12,11 +12,11 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from joblib import Memory
 from threadpoolctl import threadpool_limits
 
-from skdgp import datasets
+from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
 from skdgp.identification import _identification
-from skdgp.inference import _optimize, _singles
+from skdgp.inference import _optimize, _rows, _search, _singles
 from skdgp.report import FlightMechanics
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start, as _threads below for this one
@@ -82,10 +82,12 @@ def short_flights(monkeypatch, request):
 
 @pytest.fixture
 def short_fits(monkeypatch):
-    """Cut short what ``max_iter`` does not rule: the fits of each output alone, from one width, of this process.
+    """Cut short what ``max_iter`` does not rule, in this process: fits of each output alone, from one width, few rows.
 
     For tests of what is done with a model, whatever it has learned.
     """
+    for module in (_rows, _search):
+        monkeypatch.setattr(module, "SEARCH_VALUES", (300, 300))
     monkeypatch.setattr(_singles, "WIDTH_FACTORS", _singles.WIDTH_FACTORS[:1])
     monkeypatch.setattr(_singles, "TRIAL_ITERATIONS", 2)
     monkeypatch.setattr(_singles, "SINGLE_ITERATIONS", 2)
@@ -93,7 +95,7 @@ def short_fits(monkeypatch):
 
 @pytest.fixture
 def hasty_fits(monkeypatch, short_fits, request):
-    """Stop every search of this process after two iterations, or another number.
+    """Stop every search of this process after two iterations, or another number, with few inducing inputs.
 
     For pages and commands that only use what was learned.
     """
@@ -103,6 +105,7 @@ def hasty_fits(monkeypatch, short_fits, request):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
     monkeypatch.setattr(_optimize, "minimize", hasty)
+    monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, "n_inducing", 40)
 
 
 @pytest.fixture

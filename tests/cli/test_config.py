@@ -48,7 +48,7 @@ class TestRepeat:
         ("command", "words", "table"),
         [
             ("predict", ["test.csv", "--include-noise", "-o", "{}/out.csv"], "out.csv"),
-            ("simulate", ["--trim", "35", "--wind", "-3", "1", "0", "--duration", ".2", "--paths", "3", "-o", "{}"], "bands.csv"),
+            ("simulate", shlex.split("--trim 35 --wind -3 1 0 --paths 3 --duration .2 -o {}"), "bands.csv"),
             ("derivatives", ["--airspeed", "34", "36", "--paths", "5", "-o", "{}"], "derivatives.csv"),
         ],
     )  # fmt: skip

@@ -54,9 +54,8 @@ class TestScikitLearnContract:
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
             DependentGPRegressor(max_iter=2, trend="constant", covariance_type="full", n_latent=1),
-            DependentGPRegressor(max_iter=2, structure="joint"),
         ],
-        ids=["exact", "sparse", "full", "joint"],
+        ids=["exact", "sparse", "full"],
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):

@@ -126,7 +126,7 @@ def test_a_callback_may_stop_the_search():
     assert np.isfinite(model.predict(X, return_std=True)).all()
 
 
-@pytest.mark.parametrize("where", ["alone", "pipeline", "search"])
+@pytest.mark.parametrize("where", ["alone", "search"])
 def test_the_progress_bar_shows_the_log_likelihood(where, monkeypatch):
     pytest.importorskip("rich", reason="the progress bar needs rich")
     monkeypatch.setenv("COLUMNS", "160")

@@ -101,12 +101,6 @@ class TestEquationsOfFlight:
         truth = true(flight, *COEFFICIENTS)
         assert (abs(found.to_numpy() - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
 
-    def test_propeller_stands_in_for_the_thrust_columns(self, flight, data):
-        told = aerodynamic_coefficients(noise_free(flight), data.aircraft, cutoff=None)
-        without = noise_free(flight).loc[:, lambda table: ~table.columns.str.startswith("thrust")]
-        found = aerodynamic_coefficients(without, data.aircraft, cutoff=None, thrust="propeller")
-        np.testing.assert_allclose(found, told, atol=1e-12)
-
 
 def regressors(flight, data):
     """The true model's regressors from truth columns; its rates are inertial, as gyros have them."""
@@ -185,12 +179,6 @@ class TestTables:
 
     def test_every_column_is_in_the_vocabulary(self, data):
         assert {name.removesuffix("_true") for name in data.train} - set(CHANNELS) == {"gravity"}
-
-    @pytest.mark.shared
-    def test_columns_are_those_of_the_shared_flights(self, data, shared_data):
-        shared = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
-        assert set(data.train) == {*shared, "north", "east"}
-        assert data.train.flight.dtype.name == shared.flight.dtype.name
 
     def test_noise_levels_are_as_stated(self, flight):
         for name, level in SENSOR_NOISE.items():

@@ -81,13 +81,6 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
 
 
-def test_a_roll_and_a_spiral_may_become_one_oscillation():
-    A = LATERAL.copy()
-    A[1, 1], A[1, 0], A[1, 2] = -0.02, -0.012, -0.6
-    table = mode_table(A, ACROSS)
-    assert set(table.index) == {"Dutch roll", "roll-spiral"}
-
-
 class TestSpread:
     def test_is_that_of_the_frequency_and_the_damping(self):
         rng = np.random.default_rng(0)

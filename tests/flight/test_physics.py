@@ -50,26 +50,7 @@ def east_north_up(flight):
     return flight.assign(v_north=flight["v_east"], v_east=flight["v_north"], v_down=-flight["v_down"])
 
 
-SIGNED = [
-    "alpha",
-    "beta",
-    "p",
-    "q",
-    "r",
-    "ax",
-    "ay",
-    "az",
-    "phi",
-    "theta",
-    "psi",
-    "v_north",
-    "v_east",
-    "v_down",
-    "north",
-    "east",
-    "altitude",
-    "rudder",
-]
+SIGNED = ["alpha", "beta", "p", "r", "ax", "az", "phi", "psi", "v_north", "v_down", "north", "altitude", "rudder"]
 FAULTS = {
     **{f"sign of {name}": (opposite(name), {name}, f"sign of {name}") for name in SIGNED},
     "sign of elevator": (controls(-1, 1), ELEVONS, "exchanged and of the wrong sign"),
@@ -77,7 +58,7 @@ FAULTS = {
     "sign of elevons": (controls(-1, -1), ELEVONS, "sign of elevon_left, elevon_right"),
     **{
         f"{names} in degrees": (scaled(DEGREES, *names.split()), set(names.split()), "in degrees")
-        for names in ("alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "p q r", "phi theta psi", "rudder")
+        for names in ("alpha", "r", "theta", "psi", "p q r", "phi theta psi", "rudder")
     },
     "g": (scaled(1 / G, "ax", "ay", "az"), {"ax", "ay", "az"}, "in g: multiply by 9.8066"),
     "knots": (scaled(1 / 0.514444, "airspeed"), {"airspeed"}, "in knots"),

@@ -88,7 +88,7 @@ LETTERS = [*b"time flight alpha [deg] , ; 0 1 . # \xff".split(), b"\t", b'"', b"
 WORDS = st.one_of(st.binary(max_size=300), st.lists(st.sampled_from(LETTERS), max_size=60).map(b"".join))
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".MAT"]), head=st.integers(0, 3), content=WORDS)
 def test_any_bytes(folder, suffix, head, content):
     heads = HEADS.get(suffix.lower(), [])

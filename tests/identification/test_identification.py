@@ -205,9 +205,11 @@ def result(example):
 
 @pytest.fixture(scope="module")
 def stopped(result, tmp_path_factory):
-    """Return the same result as if the fit had not converged, and the folder where it is saved."""
+    """Return the same result as if the fit had not converged, and the folder where it is saved, without pictures."""
     stopped = replace(result, fit=result.fit | {"converged": False})
-    return stopped, stopped.save(tmp_path_factory.mktemp("saved") / "new" / "folder")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skdgp.report._page.find_spec", lambda name: None)
+        return stopped, stopped.save(tmp_path_factory.mktemp("saved") / "new" / "folder")
 
 
 def test_few_rows_are_among_the_messages(result):

@@ -45,13 +45,6 @@ def test_draws_what_is_wanted(model):
         display.plot(Figure(), regressors="beta")
 
 
-def test_a_trend_has_no_bars(model):
-    X, Y = effects(model).samples, np.arange(100.0).reshape(50, 2)
-    display = EffectsDisplay.from_model(DependentGPRegressor(structure="trend").fit(X, Y), ax=Figure())
-    assert display.axes_.shape == (2, 2)
-    assert display.bars_ == [None] * 4
-
-
 def test_joint_processes_alone_have_no_curves(model):
     X = effects(model).samples
     joint = DependentGPRegressor(trend="constant", n_latent=0, optimizer=None).fit(X, X["alpha"])

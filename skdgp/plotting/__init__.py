@@ -17,13 +17,14 @@ n_bins : int, default=2000
     Time slices of a long record: the lowest and the highest sample of each are drawn.
 legend : bool, default=True
     Whether to draw a legend.
+time_span : (begin, end), optional
+    Part of a record to draw [s], default all.
 """
 
-from skdgp.plotting._build_up import BuildUpDisplay
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
-from skdgp.plotting._effects import EffectsDisplay
+from skdgp.plotting._effects import BuildUpDisplay, EffectsDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay

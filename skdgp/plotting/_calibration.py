@@ -20,9 +20,9 @@ from skdgp.plotting._display import (
     choose,
     grid_columns,
     names_of,
-    predict_with_std,
+    predicted,
 )
-from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, symbol, tidy
+from skdgp.plotting._style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol, tidy
 
 N_BINS = 20
 
@@ -40,16 +40,12 @@ class CalibrationDisplay(Display):
 
     Parameters
     ----------
-    nominal : (L,)
-        Probabilities of the intervals.
-    observed : (L, P)
-        Share of values inside; NaN for an output never observed.
+    nominal, observed : (L,), (L, P)
+        Probabilities of the intervals; shares of values inside, NaN for an output never observed.
     pit : (B, P)
         Density of the probability integral transform in B equal bins from 0 to 1; one is uniform, NaN never observed.
-    output_names : P names
-        The outputs.
-    n_values : (P,) int
-        Number of observed values per output.
+    output_names, n_values : P names, (P,) int
+        The outputs, and how many values of each were observed.
 
     Attributes
     ----------
@@ -57,8 +53,8 @@ class CalibrationDisplay(Display):
         Coverage curves or histograms, one per output drawn.
     diagonal_ : Line2D
         The curve of a calibrated model.
-    ax_, axes_, figure_ : Axes, ndarray of Axes, Figure
-        The first panel, all panels and their figure.
+    ax_ : Axes
+        The first panel.
 
     Examples
     --------
@@ -80,15 +76,9 @@ class CalibrationDisplay(Display):
     n_values: np.ndarray
 
     def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, kind: str = "coverage") -> Self:
-        """Draw the coverage curves or the histograms.
+        """Draw the ``kind`` "coverage", all outputs in one panel, or "pit", a histogram per output.
 
-        Parameters
-        ----------
-        ax, outputs, legend
-            See :mod:`skdgp.plotting`.
-        kind : {"coverage", "pit"}, default="coverage"
-            Coverage by level, all outputs in one panel; or the histogram of the probability integral transform, a panel
-            per output.
+        The other options are those of :mod:`skdgp.plotting`.
         """
         check_choice("kind", kind, ("coverage", "pit"))
         chosen = choose(self.output_names, outputs)
@@ -131,13 +121,11 @@ class CalibrationDisplay(Display):
             return (bars,)
 
         options: dict[str, Any] = {"by_column": True, "sharex": True, "sharey": True}
+        options["xlabel"] = r"$\Phi$((measured - mean) / std)"
         (self.bars_,) = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (3.2, 1.5), **options)
-        top = np.max(self.pit[:, chosen], initial=1.0, where=self.pit[:, chosen] > 0)
-        self.axes_.flat[0].set_ylim(0, 1.05 * top)
+        self.axes_.flat[0].set_ylim(0, 1.05 * np.nan_to_num(self.pit[:, chosen]).max(initial=1.0))
         for left in self.axes_[:, 0]:
             left.set_ylabel("density")
-        for bottom in self.axes_[-1]:
-            bottom.set_xlabel(r"$\Phi$((measured - mean) / std)")
 
     @classmethod
     def from_predictions(
@@ -150,15 +138,15 @@ class CalibrationDisplay(Display):
         output_names: Any = None,
         **plot_options: Any,
     ) -> Self:
-        """Compute coverage and transform of predictions, and draw.
+        """Compute coverage and transform of predictions, and draw them with the options of :meth:`plot`.
 
         Parameters
         ----------
         measured, mean, std : (n, P)
             Values (NaN = not observed, left out), their predictions and standard deviations. For measured
             values these must include the measurement noise; for truth they must not.
-        levels : (L,), default 5 % to 95 % in steps of 5 %, and 99 %
-            Probabilities of the intervals.
+        levels : (L,)
+            Probabilities of the intervals, default 5 % to 95 % in steps of 5 %, and 99 %.
         output_names : P names, optional
             Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
         **plot_options
@@ -171,14 +159,14 @@ class CalibrationDisplay(Display):
         return cls(
             nominal=nominal,
             observed=shares_inside(z, nominal),
-            pit=_densities(norm.cdf(z)),
+            pit=np.column_stack([_density(column) for column in norm.cdf(z).T]),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
             n_values=np.count_nonzero(~np.isnan(z), axis=0),
         ).plot(**plot_options)
 
     @classmethod
     def from_estimator(cls, estimator: Any, X: Any, Y: Any, *, include_noise: bool = True, **options: Any) -> Self:
-        """Predict with a fitted estimator, and draw.
+        """Predict with a fitted estimator, and draw with the options of :meth:`from_predictions`.
 
         Parameters
         ----------
@@ -192,14 +180,11 @@ class CalibrationDisplay(Display):
         **options
             See :meth:`from_predictions`.
         """
-        check_matplotlib(cls.__name__)
-        mean, std = predict_with_std(estimator, X, include_noise)
-        if not hasattr(Y, "columns"):
-            options.setdefault("output_names", getattr(estimator, "output_names_", None))
-        return cls.from_predictions(Y, mean, std, **options)
+        mean, std, names = predicted(estimator, X, Y, include_noise)
+        return cls.from_predictions(Y, mean, std, **{"output_names": names, **options})
 
 
-def _densities(transformed: Matrix) -> Matrix:
-    """Return the histogram of each column, (B, P), relative to a uniform one."""
+def _density(values: Vector) -> Vector:
+    """Return the histogram, relative to a uniform one."""
     with np.errstate(invalid="ignore"):
-        return np.column_stack([np.histogram(column, N_BINS, (0, 1), density=True)[0] for column in transformed.T])
+        return np.histogram(values, N_BINS, (0, 1), density=True)[0]

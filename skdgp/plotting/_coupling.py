@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from skdgp._compute.typing import ArrayLike, Matrix
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting._display import names_of, panels
 from skdgp.plotting._style import scale_beside, symbol
@@ -19,21 +19,13 @@ class CouplingDisplay:
 
     Parameters
     ----------
-    correlation : (P, P)
+    correlation, output_names : (P, P), P names
         Correlations between -1 and 1; NaN where there is none.
-    output_names : P names
-        The outputs.
 
     Attributes
     ----------
-    image_ : QuadMesh
-        The coloured cells.
-    text_ : ndarray of Text, (P, P)
-        The written values.
-    colorbar_ : Colorbar or None
-        The scale.
-    ax_, figure_
-        Where it is drawn.
+    image_, text_, colorbar_ : QuadMesh, ndarray (P, P) of Text, Colorbar or None
+        The coloured cells, the written values and the scale.
 
     Examples
     --------
@@ -79,7 +71,15 @@ class CouplingDisplay:
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names
             correlation = correlation.correlation
-        matrix = _check_correlation(correlation)
+        matrix = np.asarray(correlation, dtype=float)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+            raise ValueError(f"Got a correlation of shape {matrix.shape}, but expected (P, P).")
+        largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
+        if largest > 1 + 1e-6:
+            raise ValueError(
+                f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
+                "standard deviations first."
+            )
         names = names_of(correlation, len(matrix), output_names, COEFFICIENTS)
         return cls(correlation=matrix, output_names=names).plot(**plot_options)
 
@@ -88,16 +88,3 @@ class CouplingDisplay:
         """Draw the ``output_correlation()`` of a fitted regressor, or of a pipeline that ends in one."""
         last = estimator.steps[-1][1] if hasattr(estimator, "steps") else estimator
         return cls.from_correlation(last.output_correlation(), **plot_options)
-
-
-def _check_correlation(correlation: ArrayLike) -> Matrix:
-    matrix = np.asarray(correlation, dtype=float)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
-        raise ValueError(f"Got a correlation of shape {matrix.shape}, but expected (P, P).")
-    largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
-    if largest > 1 + 1e-6:
-        raise ValueError(
-            f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
-            "standard deviations first."
-        )
-    return matrix

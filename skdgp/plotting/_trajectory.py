@@ -33,27 +33,19 @@ class TrajectoryDisplay(Display):
 
     Parameters
     ----------
-    time : (n,)
-        [s].
-    values : (n_paths, n, k)
-        The states, SI units and radians; NaN after the end of a path.
+    time, values, names : (n,), (n_paths, n, k), k names
+        Time [s]; states, columns of a flight table in SI units and radians, NaN after the end of a path.
     std : (n, k), optional
         Standard deviations, of one path.
-    mean : (n, k), optional
-        The trajectory of the model's mean, beside an ensemble.
-    truth : (n, k), optional
-        The true states.
+    mean, truth : (n, k), optional
+        The trajectory of the model's mean, beside an ensemble; the true states.
     beyond : (n,), optional
         Share of the paths outside the range of the training data.
-    names : k names
-        Columns of a flight table.
 
     Attributes
     ----------
-    lines_, bands_, paths_, truth_ : lists of artists
+    lines_, bands_, paths_, truth_, beyond_ : lists of artists
         One per panel; None where there was nothing to draw. ``paths_`` holds a list for each panel.
-    beyond_ : list of artists
-        The marks outside the range of the training data.
 
     Examples
     --------
@@ -79,16 +71,10 @@ class TrajectoryDisplay(Display):
     def plot(
         self, ax: Any = None, *, level: float = 0.95, legend: bool = True, n_columns: int = 2, show_paths: bool = False
     ) -> Self:
-        """Draw the panels.
+        """Draw the panels, ``n_columns`` side by side, and with ``show_paths`` at most 40 paths.
 
-        Parameters
-        ----------
-        ax, level, legend
-            See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of the paths in the band.
-        n_columns : int, default=2
-            Panels side by side.
-        show_paths : bool, default=False
-            Whether to draw paths, at most 40.
+        Of an ensemble, ``level`` is the share of the paths in the band. Other options are those of
+        :mod:`skdgp.plotting`.
         """
         level = check_level(level)
 
@@ -140,16 +126,15 @@ class TrajectoryDisplay(Display):
         columns: Any = DEFAULT_COLUMNS,
         **plot_options: Any,
     ) -> Self:
-        """Draw the result of :func:`skdgp.dynamics.simulate`.
+        """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
         Parameters
         ----------
         trajectories : DataFrame
             One trajectory, or the paths of one start (column ``path``).
-        truth : DataFrame, optional
-            The recorded flight, with the same columns; interpolated to the times of the simulation.
-        mean : DataFrame, optional
-            Beside the paths of one start, the trajectory that the mean of the model flies: the line.
+        truth, mean : DataFrame, optional
+            The recorded flight, interpolated to the times of the simulation; and, beside paths, the trajectory that the
+            mean of the model flies: the line.
         start : optional
             Start to draw, where there are several; by default the first.
         columns : names

@@ -127,8 +127,9 @@ class EffectsDisplay(_CurveDisplay):
             return None, None, bars
 
         keys = [(i, column) for i in rows for column in columns]
-        size, shared = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15), {"sharex": "col", "sharey": "row"}
-        self.lines_, self.bands_, self.bars_ = self._draw_panels(ax, draw, keys, len(columns), size, **shared)
+        size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
+        artists = self._draw_panels(ax, draw, keys, len(columns), size, sharex="col", sharey="row")
+        self.lines_, self.bands_, self.bars_ = artists
         self.figure_.align_labels(self.axes_.ravel())
         if legend:
             legend_of_figure(self.axes_[-1, 0])
@@ -267,7 +268,7 @@ class BuildUpDisplay(_CurveDisplay):
         if n_grid < 2 or n_pairs < 0:
             raise ValueError(f"Got n_grid={n_grid!r}, n_pairs={n_pairs!r}, but expected n_grid >= 2 and n_pairs >= 0.")
         samples = pd.DataFrame(build.samples, columns=list(build.regressors))
-        at = dict(zip(build.regressors, np.linspace(*build.limits, n_grid).T, strict=True))
+        at = dict(zip(build.regressors, np.linspace(build.limits[0], build.limits[1], n_grid).T, strict=True))
         terms = {name: build.effects(name) for name in build.tables}
         curves = {}
         for regressor, points in at.items():

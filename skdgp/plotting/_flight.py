@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
-from skdgp._compute.typing import Indices, Vector
 from skdgp._flight.channels import ELEVONS, SURFACES
 from skdgp._flight.checks import check_choice, check_columns, check_table
 from skdgp._flight.clock import flight_rows
@@ -20,7 +18,6 @@ from skdgp.plotting._lines import line_points
 from skdgp.plotting._style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 
 INPUTS = ("throttle", *SURFACES)
-COLOR_STEPS = 32
 START_MARKERS = "os^Dv*"
 PATH_POINTS = 600  # of one flight; a picture resolves no more
 
@@ -36,12 +33,10 @@ class FlightDisplay(Display):
 
     Attributes
     ----------
-    axes_, figure_ : ndarray of Axes, Figure
-        The panels, inputs by rows and flights by columns, or the one with the path; and their figure.
-    lines_ : list of artists
-        The lines, panel by panel; for a path one per flight.
-    starts_ : list of Line2D
-        The first point of each path.
+    axes_ : ndarray of Axes
+        The panels, inputs by rows and flights by columns, or the one with the path.
+    lines_, starts_ : lists of artists
+        The lines, panel by panel; for a path one per flight, and its first point.
     colorbar_ : Colorbar or None
         The scale of altitude or time along a path.
 
@@ -87,18 +82,27 @@ class FlightDisplay(Display):
         """
         names = self._names(flights)
         channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
-        size = (2 + 4 * len(names), 1 + 1.3 * len(channels))
-        axes = panels(ax, len(channels), len(names), figsize=size, sharex="col", sharey="row")
-        self.lines_ = []
-        for column, name in zip(axes.T, names, strict=True):
-            for one, channel in zip(column, channels, strict=True):
-                self.lines_.append(self._draw_input(one, name, channel, n_bins))
-            column[-1].set_xlabel("time [s]")
-            if titles:
-                column[0].set_title(plain(name), fontsize="medium", loc="left")
-        for row, channel in zip(axes, channels, strict=True):
-            row[0].set_ylabel(axis_label(channel))
-        self.axes_, self.figure_, self.colorbar_ = axes, axes.flat[0].figure, None
+
+        def draw(ax, key):
+            name, channel = key
+            tidy(ax)
+            if name == names[0]:
+                ax.set_ylabel(axis_label(channel))
+            if titles and channel == channels[0]:
+                ax.set_title(plain(name), fontsize="medium", loc="left")
+            table = self.flights[name]
+            if channel not in table.columns:
+                ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", fontsize="small")
+                return (None,)
+            values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
+            points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
+            color = CYCLE[list(self.flights).index(name) % len(CYCLE)]
+            return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))
+
+        keys, size = [(name, channel) for name in names for channel in channels], (4 + 2 / len(names), 1.3)
+        options: dict[str, Any] = {"xlabel": "time [s]", "by_column": True, "sharex": "col", "sharey": "row"}
+        (self.lines_,) = self._draw_panels(ax, draw, keys, len(names), size, **options)
+        self.colorbar_ = None
         return self
 
     def plot_path(
@@ -119,20 +123,32 @@ class FlightDisplay(Display):
             Flights to draw, default all.
         """
         names = self._names(flights)
-        color_by = self._check_color(color_by, names)
+        altitude = all("altitude" in self.flights[name].columns for name in names)
+        if color_by is None:
+            color_by = "flight" if len(names) > 1 else "altitude" if altitude else "time"
+        check_choice("color_by", color_by, ("flight", "altitude", "time"))
+        if color_by == "altitude" and not altitude:
+            raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
         paths = {name: ground_path(self.flights[name], name) for name in names}
-        ax = panels(ax, 1, 1, figsize=(6.0, 5.4))[0, 0]
-        draw = _draw_plain if color_by == "flight" else _draw_coloured
-        self.lines_, scale = draw(ax, paths, color_by)
+        self.axes_ = panels(ax, 1, 1, figsize=(6.0, 5.4))
+        ax, self.colorbar_ = self.axes_[0, 0], None
+        self.figure_ = ax.figure
+        if color_by == "flight":
+            self.lines_ = [
+                ax.plot(path["east"], path["north"], color=CYCLE[k % len(CYCLE)], linewidth=1.2, label=plain(name))[0]
+                for k, (name, path) in enumerate(paths.items())
+            ]
+        else:
+            self.lines_ = _draw_coloured(ax, paths, color_by)
         self.starts_ = [_draw_start(ax, path, name, k) for k, (name, path) in enumerate(paths.items())]
         tidy(ax)
         ax.margins(0.05)
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))
-        self.colorbar_ = None if scale is None else scale_beside(ax, scale, axis_label(color_by))
+        if color_by != "flight":
+            self.colorbar_ = scale_beside(ax, self.lines_[0], axis_label(color_by))
         if legend:
             legend_above(ax, self.lines_ if color_by == "flight" else self.starts_)
-        self.axes_, self.figure_ = np.array([[ax]]), ax.figure
         return self
 
     @property
@@ -148,26 +164,6 @@ class FlightDisplay(Display):
     def _names(self, flights) -> list[str]:
         names = tuple(self.flights)
         return [names[k] for k in choose(names, flights)]
-
-    def _draw_input(self, ax, name, channel, n_bins):
-        table = self.flights[name]
-        tidy(ax)
-        if channel not in table.columns:
-            ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", fontsize="small")
-            return None
-        values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
-        points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
-        color = CYCLE[list(self.flights).index(name) % len(CYCLE)]
-        return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))[0]
-
-    def _check_color(self, color_by, names) -> str:
-        altitude = all("altitude" in self.flights[name].columns for name in names)
-        if color_by is None:
-            return "flight" if len(names) > 1 else "altitude" if altitude else "time"
-        check_choice("color_by", color_by, ("flight", "altitude", "time"))
-        if color_by == "altitude" and not altitude:
-            raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
-        return color_by
 
     @classmethod
     def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:
@@ -191,43 +187,24 @@ def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[st
     return {str(name): table for name, table in flights.items()}
 
 
-def _draw_plain(ax, paths, color_by):
-    lines = []
-    for k, (name, path) in enumerate(paths.items()):
-        color = CYCLE[k % len(CYCLE)]
-        lines += ax.plot(path["east"], path["north"], color=color, linewidth=1.2, label=plain(name))
-    return lines, None
+def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
+    """Return time, north and east [m], and altitude where known, at no more than 600 points, equally far apart.
 
-
-def _draw_coloured(ax, paths, color_by):
-    from matplotlib import colormaps
-    from matplotlib.collections import LineCollection
-
-    values = np.concatenate([path[color_by].to_numpy() for path in paths.values()])
-    low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
-    cmap = colormaps["viridis"].resampled(COLOR_STEPS)
-    lines = []
-    for name, path in paths.items():
-        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on white ones.
-        ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
-        pieces, shades = _pieces(path, path[color_by].to_numpy(), low, high)
-        line = LineCollection(pieces, array=shades, cmap=cmap, linewidths=1.6, capstyle="round", label=plain(name))
-        line.set_clim(low, high)
-        lines.append(ax.add_collection(line))
-    ax.autoscale_view()
-    return lines, lines[0]
-
-
-def _pieces(path, values, low, high):
-    """Return the path in pieces of one shade each, which share their end points, and the shades' values."""
-    step = (high - low) / COLOR_STEPS or 1.0
-    middle = 0.5 * (values[:-1] + values[1:])
-    shade = np.clip(np.floor((middle - low) / step), 0, COLOR_STEPS - 1)
-    change = np.flatnonzero(np.diff(shade)) + 1
-    points = path[["east", "north"]].to_numpy()
-    edges = [0, *change, max(len(points) - 1, 0)]
-    pieces = [points[a : b + 1] for a, b in pairwise(edges)]
-    return pieces, low + (shade[edges[:-1]] + 0.5) * step if shade.size else np.full(len(pieces), low)
+    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
+    """
+    time = flight["time"].to_numpy(dtype=float)
+    if {"north", "east"} <= set(flight.columns):
+        north, east = flight[["north", "east"]].to_numpy(dtype=float).T
+    else:
+        check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
+        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
+        north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
+    points = {"time": time, "north": north, "east": east}
+    if "altitude" in flight.columns:
+        points["altitude"] = flight["altitude"].to_numpy(dtype=float)
+    distance = np.append(0.0, np.cumsum(np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))))
+    rows = np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1)
+    return pd.DataFrame(points).iloc[np.unique(rows)]
 
 
 def start_marker(k: int) -> str:
@@ -243,28 +220,19 @@ def _draw_start(ax, path, name, k):
     return ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=label, **style)[0]
 
 
-def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
-    """Return time, north and east [m], and altitude where known, at no more than 600 points.
+def _draw_coloured(ax, paths, color_by):
+    from matplotlib.collections import LineCollection
 
-    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
-    """
-    time = flight["time"].to_numpy(dtype=float)
-    if {"north", "east"} <= set(flight.columns):
-        north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
-    else:
-        check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
-        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
-        north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
-    points = {"time": time, "north": north, "east": east}
-    if "altitude" in flight.columns:
-        points["altitude"] = flight["altitude"].to_numpy(dtype=float)
-    return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
-
-
-def _evenly_spread(north: Vector, east: Vector) -> Indices:
-    """Return indices at equal distances along the path."""
-    step = np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))
-    distance = np.concatenate([[0.0], np.cumsum(step)])
-    if distance[-1] == 0:
-        return np.array([0])
-    return np.unique(np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1))
+    values = np.concatenate([path[color_by].to_numpy() for path in paths.values()])
+    low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
+    lines = []
+    for name, path in paths.items():
+        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on white ones.
+        ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
+        points, along = path[["east", "north"]].to_numpy(), path[color_by].to_numpy()
+        pieces, shades = list(np.stack([points[:-1], points[1:]], axis=1)), 0.5 * (along[:-1] + along[1:])
+        line = LineCollection(pieces, array=shades, cmap="viridis", linewidths=1.6, capstyle="round", label=plain(name))
+        line.set_clim(low, high)
+        lines.append(ax.add_collection(line))
+    ax.autoscale_view()
+    return lines

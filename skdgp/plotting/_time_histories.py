@@ -372,7 +372,7 @@ def _limit(ax: Any, lines: list[Vector]) -> None:
 
 
 def _mark_restarts(ax: Any, time: Vector, window: np.ndarray | None) -> Any:
-    restarts = [] if window is None else time[np.flatnonzero(window[1:] != window[:-1]) + 1]
+    restarts = time[:0] if window is None else time[1:][window[1:] != window[:-1]]
     if not 0 < len(restarts) <= MAX_MARKS:
         return None
     style = {"color": PALETTE["grey"], "markersize": 5, "label": "restart", "transform": ax.get_xaxis_transform()}

@@ -8,7 +8,6 @@ from skdgp.report._card import write_flight_card
 from skdgp.report._content import (
     THRESHOLDS,
     FlightMechanics,
-    FlightRecord,
     FlightResult,
     ModelSummary,
     ReportContent,
@@ -20,7 +19,6 @@ from skdgp.report._write import render_report, write_report
 __all__ = [
     "THRESHOLDS",
     "FlightMechanics",
-    "FlightRecord",
     "FlightResult",
     "ModelSummary",
     "ReportContent",

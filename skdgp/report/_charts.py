@@ -17,7 +17,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
 from skdgp.plotting._flight import ground_path
 from skdgp.plotting._style import display_unit
-from skdgp.report._content import FlightResult, ReportContent, measured_states
+from skdgp.report._content import FlightResult, ReportContent
 from skdgp.report._tables import state, symbol, text
 
 TICK = 1e-4
@@ -51,8 +51,7 @@ class Panel(NamedTuple):
 
 def thinning(content: ReportContent) -> int:
     """Return of how many samples a chart keeps one, so that the page stays light."""
-    tables = [record.table for record in content.train]
-    n_values = sum(5 * len(table) for table in tables)
+    n_values = sum(5 * len(table) for table in content.train.values())
     for result in content.test:
         horizons = 0 if result.replay is None else result.replay["horizon"].nunique()
         n_values += len(result.time) * (24 + 10 * horizons + 5)
@@ -78,7 +77,7 @@ def state_chart(result: FlightResult, horizon: float, span, every: int) -> str:
     """Return the chart of the lateral states that were replayed and measured."""
     rows = result.replay_over(horizon)
     panels = []
-    for name, measured in measured_states(result).items():
+    for name, measured in result.measured_states.items():
         factor, unit = display_unit(name)
         replayed = factor * rows[name].to_numpy(dtype=float)
         series = [

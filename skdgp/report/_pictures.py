@@ -24,7 +24,7 @@ from skdgp.plotting import (
 )
 from skdgp.plotting._flight import START_MARKERS, named_flights, start_marker
 from skdgp.plotting._style import PALETTE, QUIET, ROLES, display_unit, draw_curve, mark_samples, tidy
-from skdgp.report._content import FlightResult, measured_states
+from skdgp.report._content import FlightResult
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
@@ -99,7 +99,7 @@ def coefficient_panels(result: FlightResult, span) -> list[str]:
 
 def state_panels(result: FlightResult, horizon: float, span) -> list[str]:
     """Return one panel for each lateral state that was replayed and measured."""
-    states, rows, table = list(measured_states(result)), result.replay_over(horizon), cast("pd.DataFrame", result.table)
+    states, rows, table = list(result.measured_states), result.replay_over(horizon), cast("pd.DataFrame", result.table)
 
     def draw(ax, name):
         StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False)

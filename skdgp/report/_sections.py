@@ -21,7 +21,6 @@ from skdgp.report._content import (
     ModelSummary,
     ReportContent,
     Verdict,
-    measured_states,
 )
 from skdgp.report._tables import (
     DASH,
@@ -236,7 +235,7 @@ def what_was_done(content: ReportContent) -> str:
     is_bound = "sparse" in (model.inference or "")  # which is not comparable with the likelihood of an exact model
     likelihood = "Log likelihood, lower bound" if is_bound else "Log likelihood"
     pairs += [
-        ("Learned from", _all_flown([(record.name, record.table["time"]) for record in content.train])),
+        ("Learned from", _all_flown([(name, table["time"]) for name, table in content.train.items()])),
         ("Tested on", _all_flown([(result.name, result.time) for result in content.test])),
         ("Samples", _samples(model)),
         ("Regressors", ", ".join(map(str, model.regressors))),
@@ -374,7 +373,7 @@ def _coefficients(result: FlightResult, span, every: int, draw: bool) -> str:
 
 
 def _states(result: FlightResult, horizon: float, span, every: int, draw: bool) -> str:
-    rows, names = result.replay_over(horizon), list(measured_states(result))
+    rows, names = result.replay_over(horizon), list(result.measured_states)
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
@@ -473,7 +472,7 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
 
 def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
-    pairs = [(f"{record.name} (train)", record.table) for record in content.train]
+    pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
     tables: dict[str, pd.DataFrame] = {}
     for name, flight in pairs:

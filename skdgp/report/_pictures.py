@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from io import StringIO
 from typing import Any, cast
@@ -87,14 +88,11 @@ def coefficient_panels(result: FlightResult, span) -> list[str]:
         truth=result.truth,
         output_names=COEFFICIENTS,
     )
-    return [
-        strip(
-            lambda ax, name=name: display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False),
-            label=f"{name} against time: measured, and estimated with its 95 % band",
-            bottom=name in COEFFICIENTS[-2:],
-        )
-        for name in COEFFICIENTS
-    ]
+
+    def draw(ax, name):
+        display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False)
+
+    return _strips(COEFFICIENTS, draw, "measured, and estimated with its 95 % band")
 
 
 def state_panels(result: FlightResult, horizon: float, span) -> list[str]:
@@ -104,13 +102,14 @@ def state_panels(result: FlightResult, horizon: float, span) -> list[str]:
     def draw(ax, name):
         StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False)
 
+    return _strips(states, draw, "measured, and replayed with its band")
+
+
+def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
+    """Return a strip for each name, two side by side."""
     return [
-        strip(
-            lambda ax, name=name: draw(ax, name),
-            label=f"{name} against time: measured, and replayed with its band",
-            bottom=name in states[-2:],
-        )
-        for name in states
+        strip(partial(draw, name=name), label=f"{name} against time: {words}", bottom=name in names[-2:])
+        for name in names
     ]
 
 
@@ -127,12 +126,12 @@ def calibration_panel(values, mean, std) -> str:
 def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) -> list[str]:
     """Return one panel for each regressor named: its effect on an output; all have the same vertical scale."""
     k = list(display.importance).index(output)
-    curves = [display.curves[name] for name in names]
-    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves)
+    curves = {name: display.curves[name] for name in names}
+    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves.values())
 
-    def draw(ax, name, curve):
+    def draw(ax, name):
         tidy(ax)
-        factor, unit = display_unit(name)
+        curve, (factor, unit) = curves[name], display_unit(name)
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], 0.95, "effect")
         mark_samples(ax, factor * display.samples[name])
         edges = factor * curve.at[[0, -1]]
@@ -144,25 +143,17 @@ def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) ->
         ax.get_xticklabels()[-1].set_horizontalalignment("right")
         ax.set_xlabel(unit, labelpad=-7)
 
-    return [
-        picture(
-            lambda ax, name=name, curve=curve: draw(ax, name, curve),
-            label=f"Effect of {name} on {output}",
-            size=(2.0, 1.35),
-            margins=(0.23, 0.98, 0.19, 0.97),
-        )
-        for name, curve in zip(names, curves, strict=True)
-    ]
+    place = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
+    return [picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place) for name in names]
 
 
 def envelope_panels(display: EnvelopeDisplay) -> list[str]:
     """Return one panel for each pair of regressors: density of the samples, relative uncertainty, another flight."""
+    words = "where samples were flown, and how uncertain the model is there"
+    place = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
     return [
         picture(
-            lambda ax, pair=pair: display.plot(ax, pairs=[pair], legend=False),
-            label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
-            size=(2.9, 2.45),
-            margins=(0.21, 0.97, 0.18, 0.98),
+            partial(display.plot, pairs=[pair], legend=False), label=f"{pair[1]} against {pair[0]}: {words}", **place
         )
         for pair in display.pairs
     ]
@@ -227,7 +218,7 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
 
 def adapt(svg: str, label: str, attributes: str = "") -> str:
     """Return an SVG document as an element of a page: no prolog, variables for colours, unique names."""
-    ((width, height),) = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    size = re.search(r'viewBox="0 0 [\d.]+ [\d.]+"', svg)[0]  # type: ignore[index]
     body = svg[svg.index(">", svg.index("<svg")) + 1 : svg.rindex("</svg>")]
     body = re.sub(r"<!--.*?-->|<style.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r" font-family: [^;\"]*;?", "", body)
@@ -235,15 +226,13 @@ def adapt(svg: str, label: str, attributes: str = "") -> str:
     body = re.sub(r"(stroke|fill): (#[0-9a-f]{6})", _themed, body)
     body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
     body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body, label)))
-    name = escape(label, quote=True)
-    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}"{attributes}>{body}</svg>'
+    name = escape(label)
+    return f'<svg {size} role="img" aria-label="{name}"{attributes}>{body}</svg>'
 
 
 def _themed(match: re.Match) -> str:
     kind, color = match.groups()
-    if (kind, color) == ("stroke", "#ffffff"):
-        return "stroke: var(--paper)"
-    return f"{kind}: {_VARIABLES.get(color, color)}"
+    return "stroke: var(--paper)" if match[0] == "stroke: #ffffff" else f"{kind}: {_VARIABLES.get(color, color)}"
 
 
 def _shortened(match: re.Match) -> str:

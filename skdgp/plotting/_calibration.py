@@ -44,15 +44,13 @@ class CalibrationDisplay(Display):
         Probabilities of the intervals; shares of values inside, NaN for an output never observed.
     pit : (B, P)
         Density of the probability integral transform in B equal bins from 0 to 1; one is uniform, NaN never observed.
-    output_names, n_values : P names, (P,) int
-        The outputs, and how many values of each were observed.
+    output_names : P names
+        The outputs.
 
     Attributes
     ----------
     lines_, bars_ : list of Line2D, list of StepPatch
         Coverage curves or histograms, one per output drawn.
-    diagonal_ : Line2D
-        The curve of a calibrated model.
     ax_ : Axes
         The first panel.
 
@@ -73,7 +71,6 @@ class CalibrationDisplay(Display):
     observed: Matrix
     pit: Matrix
     output_names: tuple[str, ...]
-    n_values: np.ndarray
 
     def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, kind: str = "coverage") -> Self:
         """Draw the ``kind`` "coverage", all outputs in one panel, or "pit", a histogram per output.
@@ -90,7 +87,7 @@ class CalibrationDisplay(Display):
         return self
 
     def _draw_coverage(self, ax, chosen, legend):
-        (self.diagonal_,) = ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
+        ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
         self.lines_ = [self._draw_line(ax, k) for k in chosen]
         ticks = range(0, 101, 20)
         ax.set(xlabel="nominal coverage [%]", xlim=(0, 100), xticks=ticks, aspect="equal")
@@ -161,7 +158,6 @@ class CalibrationDisplay(Display):
             observed=shares_inside(z, nominal),
             pit=np.column_stack([_density(column) for column in norm.cdf(z).T]),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-            n_values=np.count_nonzero(~np.isnan(z), axis=0),
         ).plot(**plot_options)
 
     @classmethod

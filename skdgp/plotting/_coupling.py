@@ -24,7 +24,7 @@ class CouplingDisplay:
 
     Attributes
     ----------
-    image_, text_, colorbar_ : QuadMesh, ndarray (P, P) of Text, Colorbar or None
+    image_, text_, colorbar_ : QuadMesh, ndarray (P, P) of Text, Colorbar
         The coloured cells, the written values and the scale.
 
     Examples
@@ -39,12 +39,12 @@ class CouplingDisplay:
     correlation: Matrix
     output_names: tuple[str, ...]
 
-    def plot(self, ax: Any = None, *, cmap: Any = "RdBu_r", colorbar: bool = True) -> Self:
-        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`), with a diverging colour map from -1 to 1."""
+    def plot(self, ax: Any = None) -> Self:
+        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`)."""
         self.ax_ = ax = panels(ax, 1, 1, figsize=(6.2, 4.6))[0, 0]
         self.figure_ = ax.figure
         edges = np.arange(len(self.output_names) + 1) - 0.5
-        style = {"cmap": cmap, "vmin": -1, "vmax": 1, "edgecolors": "white", "linewidth": 1.0}
+        style = {"cmap": "RdBu_r", "vmin": -1, "vmax": 1, "edgecolors": "white", "linewidth": 1.0}
         self.image_ = ax.pcolormesh(edges, edges, self.correlation, **style)
         self.text_ = np.empty(self.correlation.shape, dtype=object)
         for (i, j), value in np.ndenumerate(self.correlation):
@@ -58,8 +58,7 @@ class CouplingDisplay:
         ax.set_aspect("equal")
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
-        ticks = [-1, -0.5, 0, 0.5, 1]
-        self.colorbar_ = scale_beside(ax, self.image_, "correlation", ticks=ticks) if colorbar else None
+        self.colorbar_ = scale_beside(ax, self.image_, "correlation", ticks=[-1, -0.5, 0, 0.5, 1])
         return self
 
     @classmethod

@@ -61,10 +61,9 @@ class DerivativeDisplay(Display):
     std: Matrix | None = None
     truth: Matrix | None = None
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True, derivatives: Names = None) -> Self:
-        """Draw ``derivatives``, default all; other options are those of :mod:`skdgp.plotting`."""
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
         level = check_level(level)
-        chosen = choose(self.names, derivatives)
         at = self.at * display_unit(self.over)[0]
 
         def draw(ax, k):
@@ -76,8 +75,10 @@ class DerivativeDisplay(Display):
             tidy(ax)
             return line, band, known
 
-        n_cols, label = min(3, len(chosen)), axis_label(self.over)
-        artists = self._draw_panels(ax, draw, chosen, n_cols, (3.2, 1.9), xlabel=label, legend=legend, sharex=True)
+        keys, label = range(len(self.names)), axis_label(self.over)
+        artists = self._draw_panels(
+            ax, draw, keys, min(3, len(keys)), (3.2, 1.9), xlabel=label, legend=legend, sharex=True
+        )
         self.lines_, self.bands_, self.truth_ = artists
         return self
 

@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_trapezoid
 from skdgp._flight.channels import ELEVONS, SURFACES
 from skdgp._flight.checks import check_choice, check_columns, check_table
 from skdgp._flight.clock import flight_rows
-from skdgp.plotting._display import Display, Names, check_time, choose, panels
+from skdgp.plotting._display import Display, Names, check_time, panels
 from skdgp.plotting._lines import line_points
 from skdgp.plotting._style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 
@@ -63,24 +63,13 @@ class FlightDisplay(Display):
         check_choice("kind", kind, ("inputs", "path"))
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 
-    def plot_inputs(
-        self, ax: Any = None, *, n_bins: int = 2000, channels: Names = None, flights: Names = None, titles: bool = True
-    ) -> Self:
+    def plot_inputs(self, ax: Any = None, *, n_bins: int = 2000, channels: Names = None) -> Self:
         """Draw the inputs against time, one row per input and one column per flight.
 
-        Parameters
-        ----------
-        ax, n_bins
-            See :mod:`skdgp.plotting`.
-        channels : names, optional
-            Columns to draw; default: throttle, elevator, aileron, rudder, those that some flight has (the
-            elevons where no flight has an elevator).
-        flights : names, optional
-            Flights to draw, default all.
-        titles : bool, default=True
-            Whether to write each flight's name above its column.
+        ``channels`` are by default throttle, elevator, aileron and rudder, those that some flight has, or the elevons
+        where no flight has an elevator. See :mod:`skdgp.plotting` for the other options.
         """
-        names = self._names(flights)
+        names = list(self.flights)
         channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
 
         def draw(ax, key):
@@ -88,7 +77,7 @@ class FlightDisplay(Display):
             tidy(ax)
             if name == names[0]:
                 ax.set_ylabel(axis_label(channel))
-            if titles and channel == channels[0]:
+            if channel == channels[0]:
                 ax.set_title(plain(name), fontsize="medium", loc="left")
             table = self.flights[name]
             if channel not in table.columns:
@@ -96,7 +85,7 @@ class FlightDisplay(Display):
                 return (None,)
             values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
             points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
-            color = CYCLE[list(self.flights).index(name) % len(CYCLE)]
+            color = CYCLE[names.index(name) % len(CYCLE)]
             return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))
 
         keys, size = [(name, channel) for name in names for channel in channels], (4 + 2 / len(names), 1.3)
@@ -105,31 +94,20 @@ class FlightDisplay(Display):
         self.colorbar_ = None
         return self
 
-    def plot_path(
-        self, ax: Any = None, *, legend: bool = True, color_by: str | None = None, flights: Names = None
-    ) -> Self:
+    def plot_path(self, ax: Any = None, *, legend: bool = True, color_by: str | None = None) -> Self:
         """Draw the path over the ground, north up, both axes to one scale.
 
         Positions are the columns ``north`` and ``east``. Without these, ``v_north`` and ``v_east`` are integrated
-        from the origin by trapezoids.
-
-        Parameters
-        ----------
-        ax, legend
-            See :mod:`skdgp.plotting`.
-        color_by : {"flight", "altitude", "time"}, optional
-            Quantity of the colour; default: the flight when there are several, else the altitude or the time.
-        flights : names, optional
-            Flights to draw, default all.
+        from the origin by trapezoids. The colour is that of "flight", "altitude" or "time"; by default of the flight
+        when there are several, else of the altitude or the time. See :mod:`skdgp.plotting` for the other options.
         """
-        names = self._names(flights)
-        altitude = all("altitude" in self.flights[name].columns for name in names)
+        altitude = all("altitude" in table for table in self.flights.values())
         if color_by is None:
-            color_by = "flight" if len(names) > 1 else "altitude" if altitude else "time"
+            color_by = "flight" if len(self.flights) > 1 else "altitude" if altitude else "time"
         check_choice("color_by", color_by, ("flight", "altitude", "time"))
         if color_by == "altitude" and not altitude:
             raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
-        paths = {name: ground_path(self.flights[name], name) for name in names}
+        paths = {name: ground_path(table, name) for name, table in self.flights.items()}
         self.axes_ = panels(ax, 1, 1, figsize=(6.0, 5.4))
         ax, self.colorbar_ = self.axes_[0, 0], None
         self.figure_ = ax.figure
@@ -160,10 +138,6 @@ class FlightDisplay(Display):
         if not found:
             raise ValueError(f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as channels=...")
         return found
-
-    def _names(self, flights) -> list[str]:
-        names = tuple(self.flights)
-        return [names[k] for k in choose(names, flights)]
 
     @classmethod
     def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:

@@ -25,8 +25,7 @@ PALETTE = {
     "yellow": "#F0E442",
     "grey": "#8A8A8A",
 }
-CYCLE = tuple(PALETTE[name] for name in ("blue", "vermillion", "green", "purple", "sky", "orange"))
-
+CYCLE = tuple(PALETTE.values())[:6]
 QUIET = "#5F6973"
 """Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
 MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours

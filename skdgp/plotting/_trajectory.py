@@ -19,7 +19,6 @@ from skdgp.plotting._display import Display
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, tidy
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
-MAX_PATHS = 40  # more would look like an area
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -44,8 +43,8 @@ class TrajectoryDisplay(Display):
 
     Attributes
     ----------
-    lines_, bands_, paths_, truth_, beyond_ : lists of artists
-        One per panel; None where there was nothing to draw. ``paths_`` holds a list for each panel.
+    lines_, bands_, truth_, beyond_ : lists of artists
+        One per panel; None where there was nothing to draw.
 
     Examples
     --------
@@ -68,14 +67,8 @@ class TrajectoryDisplay(Display):
     beyond: Vector | None = None
     names: Any = DEFAULT_COLUMNS
 
-    def plot(
-        self, ax: Any = None, *, level: float = 0.95, legend: bool = True, n_columns: int = 2, show_paths: bool = False
-    ) -> Self:
-        """Draw the panels, ``n_columns`` side by side, and with ``show_paths`` at most 40 paths.
-
-        Of an ensemble, ``level`` is the share of the paths in the band. Other options are those of
-        :mod:`skdgp.plotting`.
-        """
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""
         level = check_level(level)
 
         def draw(ax, k):
@@ -84,24 +77,21 @@ class TrajectoryDisplay(Display):
             low, middle, high = _band(values, None if self.std is None else factor * self.std[:, k], level)
             middle = middle if self.mean is None else factor * self.mean[:, k]
             name = "simulated" if self.mean is not None or len(values) == 1 else "median of the paths"
-            band, paths, truth = None, [], None
+            band, truth = None, None
             if low is not None:
                 label = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
                 band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=label)
-            if show_paths:
-                for path in values[:: -(-len(values) // MAX_PATHS)]:
-                    paths += ax.plot(self.time, path, color=PALETTE["blue"], linewidth=0.4, alpha=0.4)
             (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=name)
             if self.truth is not None:
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
             ax.set_ylabel(axis_label(self.names[k]))
             tidy(ax)
-            return line, band, paths, truth, self._mark_beyond(ax)
+            return line, band, truth, self._mark_beyond(ax)
 
         keys, label = range(len(self.names)), "time [s]"
-        artists = self._draw_panels(ax, draw, keys, n_columns, (5, 1.7), xlabel=label, legend=legend, sharex=True)
-        self.lines_, self.bands_, self.paths_, self.truth_, self.beyond_ = artists
+        artists = self._draw_panels(ax, draw, keys, 2, (5, 1.7), xlabel=label, legend=legend, sharex=True)
+        self.lines_, self.bands_, self.truth_, self.beyond_ = artists
         if legend:
             first = self.axes_.flat[0]
             first.set_title(" ")  # room for the legend, which is wider than the panel

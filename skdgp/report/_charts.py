@@ -154,7 +154,7 @@ def chart(
             | {
                 "base": column(panel.base),
                 "series": [
-                    one._replace(values=column(one.values), std=column(one.std))._asdict() for one in panel.series
+                    one._asdict() | {"values": column(one.values), "std": column(one.std)} for one in panel.series
                 ],
             }
             for panel in panels

@@ -14,11 +14,6 @@ def key_of(entries) -> str:
     return f'<ul class="key">{lines}</ul>' if lines else ""
 
 
-def still(words: str) -> str:
-    """Return words on the pictures, shown where no chart is."""
-    return f'<span class="still">{words}</span>'
-
-
 def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
     """Return a figure of panels side by side; ``key`` holds colour, name and kind of each sample.
 

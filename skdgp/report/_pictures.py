@@ -80,14 +80,8 @@ def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple
 
 def coefficient_panels(result: FlightResult, span) -> list[str]:
     """Return six panels of a span, or of the whole flight: measured, estimated with band, truth."""
-    display = CoefficientDisplay(
-        time=result.time,
-        measured=result.measured,
-        mean=result.mean,
-        std=result.noisy_std,
-        truth=result.truth,
-        output_names=COEFFICIENTS,
-    )
+    shown = {name: getattr(result, name) for name in ("time", "measured", "mean", "truth")}
+    display = CoefficientDisplay(**shown, std=result.noisy_std, output_names=COEFFICIENTS)
 
     def draw(ax, name):
         display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False)
@@ -143,14 +137,14 @@ def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) ->
         ax.get_xticklabels()[-1].set_horizontalalignment("right")
         ax.set_xlabel(unit, labelpad=-7)
 
-    place = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
+    place: dict[str, Any] = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
     return [picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place) for name in names]
 
 
 def envelope_panels(display: EnvelopeDisplay) -> list[str]:
     """Return one panel for each pair of regressors: density of the samples, relative uncertainty, another flight."""
     words = "where samples were flown, and how uncertain the model is there"
-    place = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
+    place: dict[str, Any] = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
     return [
         picture(
             partial(display.plot, pairs=[pair], legend=False), label=f"{pair[1]} against {pair[0]}: {words}", **place
@@ -178,9 +172,9 @@ def path_panel(flights: dict) -> str:
 
 def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
     """Return the SVG of a low panel against time; only the ``bottom`` panel of a column names the axis."""
-    below = 0.4 if bottom else 0.23
-    height = 1.1 + 0.08 + below
-    edges = (0.145, 0.985, below / height, 1 - 0.08 / height)
+    above, below = 0.08, 0.4 if bottom else 0.23  # margins [in]
+    height = above + 1.1 + below
+    edges = (0.145, 0.985, below / height, 1 - above / height)
 
     def drawn(ax):
         draw(ax)
@@ -240,11 +234,8 @@ def _shortened(match: re.Match) -> str:
     name, value = match.groups()
     digits = 1 if len(value) > 1000 else 2
     value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."), value)
-    if name == "d":
-        value = " ".join(value.split())
-        if "C" not in value and "Q" not in value:
-            value = value.replace(" L ", " ")
-    return f'{name}="{value}"'
+    value = " ".join(value.split()) if name == "d" else value
+    return f'{name}="{value if set("CQ") & set(value) else value.replace(" L ", " ")}"'
 
 
 def _renamed(body: str, label: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from html import escape
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ DASH = "–"
 
 def text(value: object) -> str:
     """Return ``value`` as escaped text."""
-    return escape(str(value), quote=True)
+    return escape(str(value))
 
 
 def number(value: float, form: str = ".2f") -> str:
@@ -55,12 +56,9 @@ def symbol(name: str) -> str:
 
 
 REGRESSORS = {
-    "alpha": "α",
-    "beta": "β",
-    "alpha_dot": "dα/dt",
-    "beta_dot": "dβ/dt",
-    **{f"{rate}_hat": f"{rate}{length}/2V" for rate, length in zip("pqr", "bcb", strict=True)},
-}
+    "alpha": "α", "beta": "β", "alpha_dot": "dα/dt", "beta_dot": "dβ/dt",
+    "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V",
+}  # fmt: skip
 """Regressors in a heading; others stand as they are."""
 
 
@@ -76,17 +74,14 @@ def derivative(coefficient: str, name: str) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
     """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
-    lines = [f'<div class="scroll"><table class="{classes}"><caption>{caption}</caption><thead><tr>']
-    lines += [f'<th scope="col">{cell}</th>' for cell in head]
-    lines.append("</tr></thead><tbody>")
+    heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
+    body = ""
     for first, *rest in rows:
-        if not rest:
-            lines.append(f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>')
-            continue
         cells = "".join(f"<td>{cell}</td>" for cell in rest)
-        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
-    lines.append("</tbody></table></div>")
-    return "".join(lines)
+        group = f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>'
+        body += f'<tr><th scope="row">{first}</th>{cells}</tr>' if rest else group
+    words = f"<caption>{caption}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="scroll"><table class="{classes}">{words}</table></div>'
 
 
 class Score(NamedTuple):
@@ -101,10 +96,11 @@ class Score(NamedTuple):
     """Whether it is of least squares instead of the model."""
 
 
+_thousandths = partial(number, form=".3f")
 SCORES = {
-    "normalized_rmse": Score(normalized_rmse, "NRMSE", lambda value: number(value, ".3f")),
+    "normalized_rmse": Score(normalized_rmse, "NRMSE", _thousandths),
     "least_squares_normalized_rmse": Score(
-        normalized_rmse, "NRMSE of<br>least squares", lambda value: number(value, ".3f"), of_baseline=True
+        normalized_rmse, "NRMSE of<br>least squares", _thousandths, of_baseline=True
     ),
     "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
     "negative_log_predictive_density": Score(negative_log_predictive_density, "NLPD", number, of_band=True),
@@ -115,8 +111,10 @@ SCORES = {
 
 def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True) -> str:
     """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
-    known = {name for name, score in SCORES.items() if not score.of_baseline or scores[name].notna().any()}
-    columns = {name: score for name, score in SCORES.items() if name in known and (with_bands or not score.of_band)}
+    columns = {
+        name: score for name, score in SCORES.items()
+        if (with_bands or not score.of_band) and (not score.of_baseline or scores[name].notna().any())
+    }  # fmt: skip
 
     def cells(row):
         return [score.show(row[name]) for name, score in columns.items()]
@@ -140,36 +138,37 @@ _REPLAY_CAPTION = (
     "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement corrects "
     "it, so small errors of the coefficients add up; compare models by the shortest window."
 )
-
-
 _REPLAY_COLUMNS = {
-    "median": ("median<br>error", lambda value, factor: number(factor * value, "#.3g")),
-    "at_end": ("error at the<br>window's end", lambda value, factor: number(factor * value, "#.3g")),
-    "spread": ("spread in<br>the flight", lambda value, factor: number(factor * value, "#.3g")),
-    "relative": ("at the end,<br>over spread", lambda value, _: _judged(value)),
-    "coverage": ("95 %<br>coverage [%]", lambda value, _: percent(value)),
+    "median": "median<br>error",
+    "at_end": "error at the<br>window's end",
+    "spread": "spread in<br>the flight",
+    "relative": "at the end,<br>over spread",
+    "coverage": "95 %<br>coverage [%]",
 }
-"""By column of `skdgp.dynamics.replay_errors`: heading, and format of a value [SI] and the factor to the unit shown."""
-
-
-def _judged(value: float) -> str:
-    """Return an error over the spread, marked where a constant would do as well."""
-    return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
+"""Headings by column of `skdgp.dynamics.replay_errors`."""
 
 
 def replay_table(errors: pd.DataFrame) -> str:
     """Return the errors of the replayed states by horizon, in the units shown."""
     if "spread" in errors:
         errors = errors.assign(relative=errors["at_end"] / errors["spread"])
-    columns = {name: column for name, column in _REPLAY_COLUMNS.items() if name in errors}
+    columns = {name: head for name, head in _REPLAY_COLUMNS.items() if name in errors}
+
+    def show(name, value, factor):
+        if name == "coverage":
+            return percent(value)
+        if name != "relative":
+            return number(factor * value, "#.3g")
+        # Where the error is larger than the spread, a constant would do as well.
+        return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
+
     rows = []
     for horizon in np.unique(errors["horizon"]):
         rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
         for _, row in errors[errors["horizon"] == horizon].iterrows():
             factor, unit = display_unit(row["state"])
-            rows.append([state(row["state"]), unit, *(show(row[name], factor) for name, (_, show) in columns.items())])
-    head = ["", "unit", *(head for head, _ in columns.values())]
-    return table(head, rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
+            rows.append([state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)])
+    return table(["", "unit", *columns.values()], rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
 
 
 def state(name: str) -> str:
@@ -182,6 +181,6 @@ def state(name: str) -> str:
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a list of what was done; pairs without a value are left out."""
-    shown = [(term, value) for term, value in pairs if value not in (None, "")]
-    lines = "".join(f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in shown)
-    return f'<dl class="facts">{lines}</dl>' if shown else ""
+    shown = (f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value)
+    lines = "".join(shown)
+    return f'<dl class="facts">{lines}</dl>' if lines else ""

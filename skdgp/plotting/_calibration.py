@@ -38,6 +38,9 @@ class CalibrationDisplay(Display):
     Balabdaoui & Raftery 2007). A histogram high in the middle: deviations too large. High at both ends: too small. High
     at one end: the mean is biased, which coverage does not show.
 
+    The artists are ``lines_``, the coverage curves, or ``bars_``, the histograms, one per output; ``ax_`` is the first
+    panel.
+
     Parameters
     ----------
     nominal, observed : (L,), (L, P)
@@ -46,13 +49,6 @@ class CalibrationDisplay(Display):
         Density of the probability integral transform in B equal bins from 0 to 1; one is uniform, NaN never observed.
     output_names : P names
         The outputs.
-
-    Attributes
-    ----------
-    lines_, bars_ : list of Line2D, list of StepPatch
-        Coverage curves or histograms, one per output drawn.
-    ax_ : Axes
-        The first panel.
 
     Examples
     --------
@@ -117,8 +113,7 @@ class CalibrationDisplay(Display):
             tidy(ax)
             return (bars,)
 
-        options: dict[str, Any] = {"by_column": True, "sharex": True, "sharey": True}
-        options["xlabel"] = r"$\Phi$((measured - mean) / std)"
+        options = {"by_column": True, "sharex": True, "sharey": True, "xlabel": r"$\Phi$((measured - mean) / std)"}
         (self.bars_,) = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (3.2, 1.5), **options)
         self.axes_.flat[0].set_ylim(0, 1.05 * np.nan_to_num(self.pit[:, chosen]).max(initial=1.0))
         for left in self.axes_[:, 0]:

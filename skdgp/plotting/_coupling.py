@@ -17,15 +17,12 @@ from skdgp.plotting._style import scale_beside, symbol
 class CouplingDisplay:
     """Heat map of the correlations between outputs, with their values.
 
+    The artists are ``image_``, the coloured cells, ``text_`` (P, P), the written values, and ``colorbar_``.
+
     Parameters
     ----------
     correlation, output_names : (P, P), P names
         Correlations between -1 and 1; NaN where there is none.
-
-    Attributes
-    ----------
-    image_, text_, colorbar_ : QuadMesh, ndarray (P, P) of Text, Colorbar
-        The coloured cells, the written values and the scale.
 
     Examples
     --------

@@ -24,6 +24,8 @@ DEFAULT_DERIVATIVES = (
 class DerivativeDisplay(Display):
     """Derivatives with their bands over airspeed, alpha or beta, one panel each.
 
+    The artists are ``lines_``, ``bands_`` and ``truth_``.
+
     Parameters
     ----------
     at : (n,)
@@ -32,11 +34,6 @@ class DerivativeDisplay(Display):
         The derivatives ``CL_alpha``, ``Cm_q``, ...
     std, truth : (n, k), optional
         Their standard deviations; known derivatives, NaN where there is none.
-
-    Attributes
-    ----------
-    lines_, bands_, truth_ : lists of artists
-        One per panel; None where there was nothing to draw.
 
     Examples
     --------

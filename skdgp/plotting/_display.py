@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,17 +21,7 @@ class Display:
     figure_: Any
 
     def _draw_panels(
-        self,
-        ax: Any,
-        draw: Callable[[Any, Any], tuple],
-        keys: Sequence,
-        n_cols: int,
-        figsize: tuple[float, float],
-        *,
-        xlabel: str | None = None,
-        by_column: bool = False,
-        legend: bool = False,
-        **subplots: Any,
+        self, ax, draw, keys, n_cols, figsize, *, xlabel=None, by_column=False, legend=False, **subplots
     ) -> list[list]:
         """Draw a panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
 

@@ -58,6 +58,8 @@ class EffectsDisplay(_CurveDisplay):
     Bars in the last column are terms of several regressors: the range that holds the given probability of their values
     over the samples, if these are normally distributed.
 
+    The artists are ``lines_``, ``bands_`` and ``bars_``.
+
     Parameters
     ----------
     curves : dict of str to Curve
@@ -66,11 +68,6 @@ class EffectsDisplay(_CurveDisplay):
         Standard deviation of each term over the samples; the columns are the outputs.
     samples : DataFrame (n, d)
         Regressors of the samples.
-
-    Attributes
-    ----------
-    lines_, bands_, bars_ : lists of artists
-        One per panel; None where a panel has bars, or where it has curves.
 
     Examples
     --------
@@ -156,6 +153,8 @@ class BuildUpDisplay(_CurveDisplay):
     Panels of effects in a row have the same vertical axis; short lines at their bottom are quantiles of the samples,
     each 4 %. Maps are tables of two regressors; their contours are standard deviations.
 
+    The artists are ``lines_``, ``bands_`` and ``meshes_``, the maps.
+
     Parameters
     ----------
     curves : dict of str to Curve
@@ -165,11 +164,6 @@ class BuildUpDisplay(_CurveDisplay):
         deviation (n, m).
     samples : DataFrame (n, d)
         Regressors of the samples.
-
-    Attributes
-    ----------
-    lines_, bands_, meshes_ : lists of artists
-        One per panel; None where a panel has a map, or where it has curves.
 
     Examples
     --------

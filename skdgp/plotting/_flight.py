@@ -26,19 +26,13 @@ PATH_POINTS = 600  # of one flight; a picture resolves no more
 class FlightDisplay(Display):
     """Inputs against time (the paper's figure 4) or the path over the ground (its figure 5).
 
+    Panels are inputs by rows and flights by columns. The artists are ``lines_``, flight by flight, and of paths
+    ``starts_``, the first points, and ``colorbar_``, the scale of altitude or time.
+
     Parameters
     ----------
     flights : dict of name to DataFrame
         Flight tables in SI units, at least with ``time``.
-
-    Attributes
-    ----------
-    axes_ : ndarray of Axes
-        The panels, inputs by rows and flights by columns, or the one with the path.
-    lines_, starts_ : lists of artists
-        The lines, panel by panel; for a path one per flight, and its first point.
-    colorbar_ : Colorbar or None
-        The scale of altitude or time along a path.
 
     Examples
     --------
@@ -89,7 +83,7 @@ class FlightDisplay(Display):
             return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))
 
         keys, size = [(name, channel) for name in names for channel in channels], (4 + 2 / len(names), 1.3)
-        options: dict[str, Any] = {"xlabel": "time [s]", "by_column": True, "sharex": "col", "sharey": "row"}
+        options = {"xlabel": "time [s]", "by_column": True, "sharex": "col", "sharey": "row"}
         (self.lines_,) = self._draw_panels(ax, draw, keys, len(names), size, **options)
         self.colorbar_ = None
         return self

@@ -43,6 +43,8 @@ class EnvelopeDisplay(Display):
     the expected normalised RMSE is 1, as of predicting the mean. Regressors that a panel does not show have their
     medians.
 
+    The artists are ``density_``, ``contours_``, ``hatches_``, ``paths_`` and ``legend_``.
+
     Parameters
     ----------
     flown, path : DataFrame (n, d), DataFrame (m, d) or None
@@ -53,13 +55,6 @@ class EnvelopeDisplay(Display):
         Posterior variance of each output on the grid: second axis vertical, third horizontal.
     flown_variance, output_names : ndarray (P,), P names
         V_i, the variance of each output as flown.
-
-    Attributes
-    ----------
-    density_, contours_, hatches_, paths_ : lists of artists
-        One per panel; of ``paths_`` None without a path.
-    legend_ : Legend or None
-        The legend of the figure.
 
     Examples
     --------

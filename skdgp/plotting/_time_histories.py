@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -38,6 +37,8 @@ MAX_MARKS = 150  # restarts; more would be a grey bar
 class CoefficientDisplay(Display):
     """Measured and estimated outputs with the band of the estimate, one panel each (the paper's figure 6).
 
+    The artists are ``measured_``, ``mean_``, ``bands_`` and ``truth_``.
+
     Parameters
     ----------
     time : (n,)
@@ -48,11 +49,6 @@ class CoefficientDisplay(Display):
         Standard deviations of the estimate; noise-free outputs of a simulation.
     output_names : P names, optional
         Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
-
-    Attributes
-    ----------
-    measured_, mean_, bands_, truth_ : lists of artists
-        One per panel; None where there was nothing to draw.
 
     Examples
     --------
@@ -95,7 +91,7 @@ class CoefficientDisplay(Display):
         truth = None if self.truth is None else self.truth - zero
         columns = self.measured - zero, self.mean - zero, self.std, truth
         draw = _drawing(self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less=less)
-        options: dict[str, Any] = {"xlabel": "time [s]", "legend": legend, "by_column": True, "sharex": True}
+        options = {"xlabel": "time [s]", "legend": legend, "by_column": True, "sharex": True}
         artists = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (5, 1.7), **options)
         self.measured_, self.mean_, self.bands_, self.truth_, _ = artists
         return self
@@ -154,6 +150,8 @@ class StateDisplay(Display):
     A replay restarts from the measured state every few seconds. Lines break there, and small marks on the upper edge
     show where. States are given in SI units and drawn in degrees.
 
+    The artists are ``measured_``, ``replayed_``, ``bands_`` and ``restarts_``, the marks of at most 150 restarts.
+
     Parameters
     ----------
     time : (n,)
@@ -166,11 +164,6 @@ class StateDisplay(Display):
         Number of the replay that a row belongs to; it changes at a restart.
     state_names : k names, optional
         Columns of a flight table; default those of a DataFrame ``measured``, or v_east, p, r.
-
-    Attributes
-    ----------
-    measured_, replayed_, bands_, restarts_ : lists of artists
-        One per panel; None where there was nothing to draw. More than 150 restarts are not marked.
 
     Examples
     --------
@@ -205,8 +198,8 @@ class StateDisplay(Display):
         chosen = choose(self.state_names, states)
         columns = self.measured, self.replayed, self.std, None
         draw = _drawing(self.time, columns, self.state_names, "replayed", level, n_bins, time_span, window=self.window)
-        options: dict[str, Any] = {"xlabel": "time [s]", "legend": legend, "sharex": True}
-        artists = self._draw_panels(ax, draw, chosen, 1, (9, 1.7), **options)
+        label = "time [s]"
+        artists = self._draw_panels(ax, draw, chosen, 1, (9, 1.7), xlabel=label, legend=legend, sharex=True)
         self.measured_, self.replayed_, self.bands_, _, self.restarts_ = artists
         return self
 
@@ -279,23 +272,20 @@ def replay_rows(trajectory: pd.DataFrame, horizon: float | None) -> pd.DataFrame
     return rows
 
 
-def _drawing(
-    time: Vector,
-    columns: Sequence[Matrix | None],
-    names: Sequence[str],
-    estimate: str,
-    level: float,
-    n_bins: int,
-    time_span: tuple[float, float] | None,
-    *,
-    window: np.ndarray | None = None,
-    less: str = "",
-) -> Callable[[Any, int], tuple]:
+def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window=None, less=""):
     """Return the function that draws panel k of ``columns``: measured, estimate, its deviations and truth, (n, P) each.
 
     It returns the artists of measured, estimate, band, truth and restarts; None where there is none.
     """
-    level, rows = check_level(level), _rows_in(time_span, time)
+    level, rows = check_level(level), slice(None)
+    if time_span is not None:
+        begin, end = time_span
+        rows = (time >= begin) & (time <= end)
+        if not rows.any():
+            raise ValueError(
+                f"Got time_span {begin:g} to {end:g} s, but the samples run from {time.min():g} to {time.max():g} s: "
+                "choose a span inside."
+            )
     time, window = time[rows], None if window is None else window[rows]
     starts = segment_starts(time, window)
     width = 1.0 if len(time) <= 4 * n_bins else 0.6  # thin lines show more where many samples share a pixel
@@ -326,20 +316,6 @@ def _drawing(
         return thin, broad, band, known, _mark_restarts(ax, time, window)
 
     return draw
-
-
-def _rows_in(time_span: tuple[float, float] | None, time: Vector) -> Any:
-    """Return the rows between two times; all, for None."""
-    if time_span is None:
-        return slice(None)
-    begin, end = time_span
-    inside = (time >= begin) & (time <= end)
-    if not inside.any():
-        raise ValueError(
-            f"Got time_span {begin:g} to {end:g} s, but the samples run from {time.min():g} to {time.max():g} s: "
-            "choose a span inside."
-        )
-    return inside
 
 
 def _draw_band(ax: Any, t: Vector, lower: Vector, upper: Vector, label: str) -> Any:

@@ -30,6 +30,8 @@ class TrajectoryDisplay(Display):
     the band is that of a normal distribution. Marks on the upper edge show where a path leaves the range of the
     training data. Angles are drawn in degrees.
 
+    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, the marks outside the training data.
+
     Parameters
     ----------
     time, values, names : (n,), (n_paths, n, k), k names
@@ -40,11 +42,6 @@ class TrajectoryDisplay(Display):
         The trajectory of the model's mean, beside an ensemble; the true states.
     beyond : (n,), optional
         Share of the paths outside the range of the training data.
-
-    Attributes
-    ----------
-    lines_, bands_, truth_, beyond_ : lists of artists
-        One per panel; None where there was nothing to draw.
 
     Examples
     --------

@@ -112,16 +112,7 @@ def flight_tracks(flights: Mapping[str, pd.DataFrame], links: Mapping[str, str])
     ])  # fmt: skip
 
 
-def chart(
-    title: str,
-    link: str,
-    time: Array,
-    panels: Sequence[Panel],
-    *,
-    span: tuple[float, float] | None = None,
-    window: Array | None = None,
-    every: int = 1,
-) -> str:
+def chart(title: str, link: str, time: Array, panels: Sequence[Panel], *, span=None, window=None, every=1) -> str:
     """Return the element that the script makes a chart of; empty where time does not increase.
 
     Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s]; lines break where

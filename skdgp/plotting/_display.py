@@ -123,12 +123,12 @@ def names_of(values: object, n_outputs: int, given: Any = None, default: Sequenc
     return tuple(names)
 
 
-def choose(names: Sequence[str], wanted: Names, what: str = "outputs") -> list[int]:
+def choose(names: Sequence[str], wanted: Names) -> list[int]:
     """Return the positions of the ``wanted`` names; all, for None."""
     wanted = names if wanted is None else [wanted] if isinstance(wanted, str) else wanted
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        raise ValueError(f"Got the {what} {unknown}, but expected some of {list(names)}.")
+        raise ValueError(f"Got the outputs {unknown}, but expected some of {list(names)}.")
     return [list(names).index(name) for name in wanted]
 
 

@@ -87,22 +87,13 @@ class EffectsDisplay(_CurveDisplay):
     importance: pd.DataFrame
     samples: pd.DataFrame
 
-    def plot(
-        self,
-        ax: Any = None,
-        *,
-        level: float = 0.95,
-        outputs: Names = None,
-        legend: bool = True,
-        regressors: Names = None,
-    ) -> Self:
-        """Draw the effects of ``regressors``, default all; other options are those of :mod:`skdgp.plotting`."""
+    def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
         z = norm.ppf(0.5 + check_level(level) / 2)
         names = list(self.importance.columns)
-        rows, chosen = choose(names, outputs), choose(list(self.curves), regressors, "regressors")
-        columns = [list(self.curves)[k] for k in chosen]
+        rows = choose(names, outputs)
         several = [name for name in self.importance.index if name not in self.curves]
-        columns += [OTHERS] * bool(several)
+        columns = [*self.curves, *[OTHERS] * bool(several)]
 
         def draw(ax, key):
             i, column = key

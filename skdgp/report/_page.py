@@ -46,16 +46,8 @@ $script
 
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: bool = True) -> str:
     """Return the document; title and kind are text, the rest is HTML."""
-    return PAGE.substitute(
-        kind=text(kind),
-        title=text(title),
-        policy=POLICY,
-        style=STYLE,
-        meta=meta,
-        body=body,
-        colophon=colophon,
-        script=f"<script>{SCRIPT}</script>" if script else "",
-    )
+    words = {"kind": text(kind), "title": text(title), "meta": meta, "body": body, "colophon": colophon}
+    return PAGE.substitute(words, policy=POLICY, style=STYLE, script=f"<script>{SCRIPT}</script>" if script else "")
 
 
 def can_draw() -> bool:

@@ -28,8 +28,8 @@ class DerivativeDisplay(Display):
 
     Parameters
     ----------
-    at : (n,)
-        The points, rising: ``over`` "airspeed" [m/s], "alpha" or "beta" [rad].
+    at, over : (n,), {"airspeed", "alpha", "beta"}
+        The points, rising, [m/s] or [rad], and their quantity.
     values, names : (n, k), k names
         The derivatives ``CL_alpha``, ``Cm_q``, ...
     std, truth : (n, k), optional
@@ -52,9 +52,9 @@ class DerivativeDisplay(Display):
     """
 
     at: Vector
+    over: str = "airspeed"
     values: Matrix
     names: tuple[str, ...]
-    over: str = "airspeed"
     std: Matrix | None = None
     truth: Matrix | None = None
 

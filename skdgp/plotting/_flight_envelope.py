@@ -73,12 +73,12 @@ class EnvelopeDisplay(Display):
     """
 
     flown: pd.DataFrame
+    path: pd.DataFrame | None = None
     pairs: list[tuple[str, str]]
     points: list[tuple[Vector, Vector]]
     variance: Array
     flown_variance: Vector
     output_names: tuple[str, ...]
-    path: pd.DataFrame | None = None
 
     def relative_std(self, outputs: Names = None) -> Array:
         """Return the relative uncertainty rho of ``outputs``, default all, on the grid: (n_pairs, G, G)."""

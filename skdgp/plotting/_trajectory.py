@@ -58,11 +58,11 @@ class TrajectoryDisplay(Display):
 
     time: Vector
     values: Array
+    names: Any = DEFAULT_COLUMNS
     std: Matrix | None = None
     mean: Matrix | None = None
     truth: Matrix | None = None
     beyond: Vector | None = None
-    names: Any = DEFAULT_COLUMNS
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
         """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""

@@ -56,13 +56,15 @@ class Verdict:
     ----------
     learned : str
         What was learned, from how much, and tested on how much.
-    error, coverage, least_squares_error : float
+    error, coverage : float
         Normalised root mean square error and coverage of the 95 % band, means of the six coefficients, of all test
-        flights together; the error of a linear model fitted to the same rows.
+        flights together.
     uses, warnings : tuples of Use and of str
         Of the warnings that which costs most first.
     flights : DataFrame
         Per test flight ``duration`` [s] and the means of its scores.
+    least_squares_error : float, optional
+        The error of a linear model fitted to the same rows.
     better, worse : tuples of str
         Coefficients whose error is smaller, or larger, than that of least squares.
     """
@@ -255,10 +257,10 @@ class ModelSummary:
     ----------
     n_samples, n_available : int
         Samples the regressor learned from, and those the flights hold.
-    regressors, kernel, trend, inference
-        As chosen.
     n_latent, n_private : int
         Shared latent processes, and private ones.
+    regressors, kernel, trend, inference
+        As chosen.
     log_marginal_likelihood : float
         As attained.
     n_iter, max_iter, converged : int, int, bool
@@ -275,9 +277,9 @@ class ModelSummary:
 
     n_samples: int | None = None
     n_available: int | None = None
-    regressors: Sequence[str] = ()
     n_latent: int | None = None
     n_private: int | None = None
+    regressors: Sequence[str] = ()
     kernel: str | None = None
     trend: str | None = None
     inference: str | None = None
@@ -335,7 +337,7 @@ class ReportContent:
     effects: EffectsDisplay | None = None
     plan: FlownPlan | None = None
     assumed: Sequence[str] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
     messages: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     command: str | None = None
     created: datetime | None = None

@@ -239,11 +239,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
     @available_if(_estimator_has("sample_paths"))
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> ScaledPaths:
-        """Draw functions from the posterior, with their deviations from the mean scaled.
+        """Draw functions from the posterior, as :meth:`skdgp.DependentGPRegressor.sample_paths`, scaled.
 
-        A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``. Mean and
-        covariance over paths are those of the posterior, scaled. The result is as of
-        :meth:`skdgp.DependentGPRegressor.sample_paths`.
+        A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``.
         """
         check_is_fitted(self)
         regressor = unwrap(self.estimator_)

@@ -32,14 +32,10 @@ class CalibratedBands:
     .. math:: \max_{t, i} |y_i(t) - m_i(t)| / s_i(t),
 
     with the median m of the ensemble and its deviation s: the distance from m to the 16 % or the 84 % quantile, on the
-    side of y. The band of a level is :math:`m \pm q s`. With K flights and :math:`n_k` segments of flight k, q is the
-    least number with
-
-    .. math:: \sum_k \frac{1}{(K + 1) \, n_k} \, \#\{i : score_{ki} \le q\} \ge level,
-
-    of one segment a flight the :math:`\lceil (K + 1) \, level \rceil`-th smallest score. If the next flight and the K
-    others are exchangeable, the expected share of its segments whose states of the group stay in their bands from
-    beginning to end is at least ``level`` (as in :class:`CalibratedRegressor`).
+    side of y. The band of a level is :math:`m \pm q s`, with q as in :class:`CalibratedRegressor`: with one segment of
+    each of K flights the :math:`\lceil (K + 1) \, level \rceil`-th smallest score. If the next flight and the K others
+    are exchangeable, the expected share of its segments whose states of the group stay in their bands from beginning
+    to end is at least ``level``.
 
     **K flights guarantee no level above K / (K + 1).** Above it, with a warning, q is the largest score, or if larger
     Student's prediction bound of the logarithms x of the largest score of each flight, with their mean and standard
@@ -167,8 +163,8 @@ class CalibratedBands:
     def bands(self, ensemble: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
         """Return the calibrated bands of other trajectories, in the form of :func:`skdgp.dynamics.trajectory_bands`.
 
-        The ensemble is that of :func:`skdgp.dynamics.simulate` with ``n_paths``, as long as the segments or shorter.
-        Where ``noise`` was given, bands are those of records. Errors and warnings are those of :meth:`factors`.
+        The ensemble of :func:`skdgp.dynamics.simulate` is as long as the segments or shorter. Where ``noise`` was
+        given, bands are those of records. Errors and warnings are those of :meth:`factors`.
         """
         factors = self.factors(level)
         table = pd.concat(_one_sigma(ensemble, self.groups, self.noise), ignore_index=True)

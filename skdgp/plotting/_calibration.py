@@ -84,7 +84,13 @@ class CalibrationDisplay(Display):
 
     def _draw_coverage(self, ax, chosen, legend):
         ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
-        self.lines_ = [self._draw_line(ax, k) for k in chosen]
+        self.lines_ = []
+        for k in chosen:
+            style = {"color": CYCLE[k % len(CYCLE)], "linestyle": dashes(self.output_names[k]), "linewidth": 1.4}
+            # Where curves agree, their markers stand beside each other.
+            style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 4, "markevery": (k % 5, 5), "clip_on": False}
+            label = symbol(self.output_names[k])
+            self.lines_ += ax.plot(100 * self.nominal, 100 * self.observed[:, k], label=label, **style)
         ticks = range(0, 101, 20)
         ax.set(xlabel="nominal coverage [%]", xlim=(0, 100), xticks=ticks, aspect="equal")
         ax.set(ylabel="observed coverage [%]", ylim=(0, 100), yticks=ticks)
@@ -94,13 +100,6 @@ class CalibrationDisplay(Display):
         if legend and chosen:
             ax.legend(loc="upper left", bbox_to_anchor=(0.01, 0.92), frameon=False, fontsize="small")
         return ()
-
-    def _draw_line(self, ax, k):
-        name = self.output_names[k]
-        # Where curves agree, their markers stand beside each other.
-        marks = {"marker": MARKERS[k % len(MARKERS)], "markersize": 4, "markevery": (k % 5, 5)}
-        style = {"color": CYCLE[k % len(CYCLE)], "linestyle": dashes(name), "linewidth": 1.4, "clip_on": False}
-        return ax.plot(100 * self.nominal, 100 * self.observed[:, k], label=symbol(name), **style, **marks)[0]
 
     def _draw_histograms(self, ax, chosen):
         edges = np.linspace(0, 1, len(self.pit) + 1)
@@ -148,10 +147,12 @@ class CalibrationDisplay(Display):
         mean = as_columns(mean, "mean", values.shape)
         nominal = check_levels(levels)
         z = standardized(values, mean, check_std(std, values.shape))
+        with np.errstate(invalid="ignore"):  # of an output never observed
+            densities = [np.histogram(column, N_BINS, (0, 1), density=True)[0] for column in norm.cdf(z).T]
         return cls(
             nominal=nominal,
             observed=shares_inside(z, nominal),
-            pit=np.column_stack([_density(column) for column in norm.cdf(z).T]),
+            pit=np.column_stack(densities),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
         ).plot(**plot_options)
 
@@ -173,9 +174,3 @@ class CalibrationDisplay(Display):
         """
         mean, std, names = predicted(estimator, X, Y, include_noise)
         return cls.from_predictions(Y, mean, std, **{"output_names": names, **options})
-
-
-def _density(values: Vector) -> Vector:
-    """Return the histogram, relative to a uniform one."""
-    with np.errstate(invalid="ignore"):
-        return np.histogram(values, N_BINS, (0, 1), density=True)[0]

@@ -112,7 +112,12 @@ class FlightDisplay(Display):
             ]
         else:
             self.lines_ = _draw_coloured(ax, paths, color_by)
-        self.starts_ = [_draw_start(ax, path, name, k) for k, (name, path) in enumerate(paths.items())]
+        self.starts_ = []
+        for k, (name, path) in enumerate(paths.items()):
+            style = {"marker": start_marker(k), "markeredgecolor": "white", "linestyle": "none", "zorder": 3}
+            style["markersize"] = max(5, 12 - 5 * k)  # so that two markers at one point are both visible
+            first, label = path.iloc[:1], plain(f"{name}: start")
+            self.starts_ += ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], label=label, **style)
         tidy(ax)
         ax.margins(0.05)
         ax.set_aspect("equal", adjustable="datalim")
@@ -178,14 +183,6 @@ def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
 def start_marker(k: int) -> str:
     """Return the marker of the k-th flight; flights of one colour have different markers."""
     return START_MARKERS[(k + k // len(CYCLE)) % len(START_MARKERS)]
-
-
-def _draw_start(ax, path, name, k):
-    """Mark the first point of a flight; sizes differ, so that two markers at one point are both visible."""
-    first, size = path.iloc[:1], max(5, 12 - 5 * k)
-    style = {"marker": start_marker(k), "markersize": size, "markeredgecolor": "white", "linestyle": "none"}
-    label = plain(f"{name}: start")
-    return ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], zorder=3, label=label, **style)[0]
 
 
 def _draw_coloured(ax, paths, color_by):

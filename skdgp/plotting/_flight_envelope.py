@@ -117,8 +117,12 @@ class EnvelopeDisplay(Display):
         ax.clabel(lines, fmt="%.2g", fontsize="small", inline_spacing=2)
         path = None
         if self.path is not None:
-            dots = _one_per_cell(factors * self.path[list(names)].to_numpy(), (x, y))
-            (path,) = ax.plot(*dots.T, ".", color=PALETTE["vermillion"], markersize=1.8, markeredgewidth=0)
+            dots, low, high = factors * self.path[list(names)].to_numpy(), (x[0], y[0]), (x[-1], y[-1])
+            cells = np.floor(N_CELLS * (dots - low) / np.subtract(high, low))
+            one_per_cell = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+            (path,) = ax.plot(
+                *dots[one_per_cell].T, ".", color=PALETTE["vermillion"], markersize=1.8, markeredgewidth=0
+            )
         ax.set(xlabel=axis_label(names[0]), ylabel=axis_label(names[1]), xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         return density, lines, hatches, path
 
@@ -230,13 +234,6 @@ def _draw_density(ax, flown, points):
     # Above the dots of another flight.
     ax.contour(*centres, counts.T, levels=levels[:1], colors="#333333", linewidths=0.9, linestyles="--", zorder=2.5)
     return filled
-
-
-def _one_per_cell(rows: Matrix, points: tuple[Vector, Vector]) -> Matrix:
-    """Return one of the rows (n, 2) in each cell of the panel."""
-    low, high = np.array([(axis[0], axis[-1]) for axis in points]).T
-    cells = np.floor(N_CELLS * (rows - low) / (high - low))
-    return rows[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _legend(ax, with_path: bool):

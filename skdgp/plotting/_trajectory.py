@@ -70,15 +70,21 @@ class TrajectoryDisplay(Display):
 
         def draw(ax, k):
             factor = display_unit(self.names[k])[0]
-            values = factor * self.values[:, :, k]
-            low, middle, high = _band(values, None if self.std is None else factor * self.std[:, k], level)
-            middle = middle if self.mean is None else factor * self.mean[:, k]
-            name = "simulated" if self.mean is not None or len(values) == 1 else "median of the paths"
+            values, label = factor * self.values[:, :, k], "simulated"
+            low, middle, high = None, values[0], None  # no edges of one path without deviations
+            if self.std is not None:
+                half = norm.ppf(0.5 + level / 2) * factor * self.std[:, k]
+                low, high = middle - half, middle + half
+            elif len(values) > 1:
+                low, middle, high = path_quantiles(values, level)
+                label = "median of the paths"
+            if self.mean is not None:
+                middle, label = factor * self.mean[:, k], "simulated"
             band, truth = None, None
             if low is not None:
-                label = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
-                band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=label)
-            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=name)
+                held = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
+                band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=held)
+            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=label)
             if self.truth is not None:
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
@@ -158,17 +164,6 @@ class TrajectoryDisplay(Display):
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
             names=tuple(names),
         ).plot(**plot_options)
-
-
-def _band(values: Matrix, std: Vector | None, level: float) -> tuple[Vector | None, Vector, Vector | None]:
-    """Return the lower edge, the line and the upper edge; no edges of one path without deviations."""
-    if std is not None:
-        half = norm.ppf(0.5 + 0.5 * level) * std
-        return values[0] - half, values[0], values[0] + half
-    if len(values) == 1:
-        return None, values[0], None
-    low, middle, high = path_quantiles(values, level)
-    return low, middle, high
 
 
 def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

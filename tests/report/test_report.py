@@ -20,7 +20,6 @@ from skdgp.metrics import interval_coverage, median_relative_error, normalized_r
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
     FlightMechanics,
-    FlightRecord,
     FlightResult,
     ModelSummary,
     ReportContent,
@@ -166,7 +165,7 @@ def verdict(**changes):
 def content(**changes):
     given = {
         "title": "Brumby, six flights",
-        "train": [FlightRecord(name="train", table=table(800, 1))],
+        "train": {"train": table(800, 1)},
         "test": [result()],
         "model": ModelSummary(
             n_samples=755,
@@ -389,7 +388,7 @@ class TestWords:
         assert "beta against alpha: where samples were flown" in html
         words = Page(html).words
         assert "test flights" in words[words.index("Where the model knows") :]
-        without = content(envelope=None, test=(), train=())
+        without = content(envelope=None, test=(), train={})
         assert "Where the model knows" not in Page(render_report(without)).words
 
     def test_effects(self, html):
@@ -405,7 +404,7 @@ class TestWords:
 
     def test_flights_come_with_their_length_and_rate(self, numbers_only):
         assert "train (20 s at 40 Hz)" in Page(render_report(content())).words
-        short = content(train=[FlightRecord(name="short", table=table(61))])
+        short = content(train={"short": table(61)})
         assert "short (1.5 s at 40 Hz)" in Page(render_report(short)).words
 
     def test_states_are_in_degrees(self, html):
@@ -437,7 +436,7 @@ class TestWords:
         page = render_report(
             content(
                 title=evil,
-                train=[FlightRecord(name=evil, table=table(100))],
+                train={evil: table(100)},
                 test=[result(100, name=evil)],
                 aircraft={evil: evil, "Aircraft": evil},
                 messages=[evil],
@@ -466,7 +465,7 @@ class TestPoorContent:
 
     def test_one_sample(self):
         one = {"metrics": {}, "truth": None}
-        Page(render_report(content(test=[result(1, **one)], train=[FlightRecord(name="a", table=table(1))])))
+        Page(render_report(content(test=[result(1, **one)], train={"a": table(1)})))
 
     def test_an_output_never_observed(self):
         flight = result()
@@ -483,13 +482,13 @@ class TestPoorContent:
 
     def test_no_table_no_replay(self):
         bare = result(table=None, replay=None, replay_errors=None, measured_std=None, truth=None)
-        words = Page(render_report(content(test=[bare], train=()))).words
+        words = Page(render_report(content(test=[bare], train={}))).words
         assert "Replayed" not in words
         assert "What was flown" not in words
 
     def test_a_flight_without_velocities_has_no_path(self):
         flight = table(200).drop(columns=["v_north", "v_east"])
-        page = render_report(content(train=[FlightRecord(name="a", table=flight)], test=()))
+        page = render_report(content(train={"a": flight}, test=()))
         assert "Path over the ground" not in page
         assert "Inputs of a" in page
 

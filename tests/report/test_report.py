@@ -20,7 +20,6 @@ from skdgp.metrics import interval_coverage, median_relative_error, normalized_r
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
     FlightMechanics,
-    FlightRecord,
     FlightResult,
     ModelSummary,
     ReportContent,
@@ -166,7 +165,7 @@ def verdict(**changes):
 def content(**changes):
     given = {
         "title": "Brumby, six flights",
-        "train": [FlightRecord(name="train", table=table(800, 1))],
+        "train": {"train": table(800, 1)},
         "test": [result()],
         "model": ModelSummary(
             n_samples=755,
@@ -361,7 +360,7 @@ class TestWords:
         assert "beta against alpha: where samples were flown" in html
         words = Page(html).words
         assert "test flights" in words[words.index("Where the model knows") :]
-        without = content(envelope=None, test=(), train=())
+        without = content(envelope=None, test=(), train={})
         assert "Where the model knows" not in Page(render_report(without)).words
 
     def test_effects(self, html):
@@ -394,7 +393,7 @@ class TestWords:
         page = render_report(
             content(
                 title=evil,
-                train=[FlightRecord(name=evil, table=table(100))],
+                train={evil: table(100)},
                 test=[result(100, name=evil)],
                 aircraft={evil: evil, "Aircraft": evil},
                 messages=[evil],
@@ -423,7 +422,7 @@ class TestPoorContent:
 
     def test_one_sample(self):
         one = {"metrics": {}, "truth": None}
-        Page(render_report(content(test=[result(1, **one)], train=[FlightRecord(name="a", table=table(1))])))
+        Page(render_report(content(test=[result(1, **one)], train={"a": table(1)})))
 
     def test_an_output_never_observed(self):
         flight = result()
@@ -435,13 +434,13 @@ class TestPoorContent:
 
     def test_no_table_no_replay(self):
         bare = result(table=None, replay=None, replay_errors=None, measured_std=None, truth=None)
-        words = Page(render_report(content(test=[bare], train=()))).words
+        words = Page(render_report(content(test=[bare], train={}))).words
         assert "Replayed" not in words
         assert "What was flown" not in words
 
     def test_a_flight_without_velocities_has_no_path(self):
         flight = table(200).drop(columns=["v_north", "v_east"])
-        page = render_report(content(train=[FlightRecord(name="a", table=flight)], test=()))
+        page = render_report(content(train={"a": flight}, test=()))
         assert "Path over the ground" not in page
         assert "Inputs of a" in page
 

@@ -12,7 +12,7 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from joblib import Memory
 from threadpoolctl import threadpool_limits
 
-from skdgp import datasets
+from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
 from skdgp.identification import _identification
@@ -82,10 +82,11 @@ def short_flights(monkeypatch, request):
 
 @pytest.fixture
 def short_fits(monkeypatch):
-    """Cut short what ``max_iter`` does not rule: the fits of each output alone, from one width, of this process.
+    """Cut short what ``max_iter`` does not rule, in this process: fits of each output alone, from one width, few rows.
 
     For tests of what is done with a model, whatever it has learned.
     """
+    monkeypatch.setattr(_search, "SEARCH_VALUES", (300, 300))
     monkeypatch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
     monkeypatch.setattr(_search, "TRIAL_ITERATIONS", 2)
     monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 2)
@@ -93,7 +94,7 @@ def short_fits(monkeypatch):
 
 @pytest.fixture
 def hasty_fits(monkeypatch, short_fits, request):
-    """Stop every search of this process after two iterations, or another number.
+    """Stop every search of this process after two iterations, or another number, with few inducing inputs.
 
     For pages and commands that only use what was learned.
     """
@@ -103,6 +104,7 @@ def hasty_fits(monkeypatch, short_fits, request):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
     monkeypatch.setattr(_search, "minimize", hasty)
+    monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, "n_inducing", 40)
 
 
 @pytest.fixture

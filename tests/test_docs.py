@@ -63,7 +63,7 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
 
 
 @pytest.mark.usefixtures("short_flights", "hasty_fits")
-@pytest.mark.parametrize("hasty_fits", [15], indirect=True)
+@pytest.mark.parametrize("hasty_fits", [8], indirect=True)
 def test_front_page_shows_the_known_derivatives(capsys):
     """What its code prints, of the first 25 s of each flight, and what its text says that it prints."""
     page, names = ROOT / "README.md", {}

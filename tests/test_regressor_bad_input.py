@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import sparse
 from sklearn.exceptions import NotFittedError
 from sklearn.gaussian_process.kernels import RBF
 from sklearn.utils._param_validation import InvalidParameterError
@@ -48,20 +47,6 @@ class TestRegressors:
         with pytest.raises(ValueError, match=f"Input X.*{message}"):
             fitted.predict(X)
 
-    def test_that_are_words(self, tables):
-        X, Y = tables
-        with pytest.raises(ValueError, match="could not convert string to float"):
-            quick().fit(X.assign(flight="one"), Y)
-
-    @pytest.mark.parametrize("shape", [(30,), (30, 2, 1)])
-    def test_of_another_dimension(self, X, Y, shape):
-        with pytest.raises(ValueError, match=r"(?i)expected 2D array|dim 3"):
-            quick().fit(np.zeros(shape), Y)
-
-    def test_that_are_sparse(self, X, Y):
-        with pytest.raises(TypeError, match=r"(?i)sparse"):
-            quick().fit(sparse.csr_matrix(X), Y)
-
     @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
     def test_of_another_number_at_prediction(self, X, Y, call):
         with pytest.raises(ValueError, match="X has 3 features, but DependentGPRegressor is expecting 2"):
@@ -77,12 +62,6 @@ class TestRegressors:
             ask(X.rename(columns={"alpha": "beta"}))
         with pytest.warns(UserWarning, match="does not have valid feature names"):
             ask(X.to_numpy())
-
-    def test_that_are_constant_or_repeat_each_other_do_no_harm(self, X, Y):
-        more = np.column_stack([X, np.full(30, 7.0), X[:, 0]])
-        with pytest.warns(UserWarning, match=r"\['x2'\] are constant"):
-            model = quick().fit(more, Y)
-        assert np.isfinite(model.predict(more, return_std=True)).all()
 
     @pytest.mark.parametrize(
         ("constant", "inference"),
@@ -144,37 +123,19 @@ class TestRegressors:
         scale = [2.0**-100, 2.0**100]
         np.testing.assert_allclose(quick().fit(X * scale, Y).predict(X * scale), here, atol=0.05)
 
-    def test_more_of_them_than_samples(self):
-        rng = np.random.default_rng(0)
-        X, Y = rng.normal(size=(5, 12)), rng.normal(size=(5, 2))
-        assert np.isfinite(quick().fit(X, Y).predict(X, return_std=True)).all()
-
 
 class TestTargets:
-    def test_none(self, X):
-        with pytest.raises(ValueError, match="requires y"):
-            quick().fit(X, None)
-
     @pytest.mark.parametrize("bad", [np.inf, -np.inf])
     def test_that_are_infinite(self, X, Y, bad):
         Y[3, 1] = bad
         with pytest.raises(ValueError, match="Input y contains infinity"):
             quick().fit(X, Y)
 
-    def test_that_are_words(self, X):
-        with pytest.raises(ValueError, match="convert string"):
-            quick().fit(X, np.array(["up"] * 30))
-
     def test_of_another_length(self, X, Y):
         with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[30, 29\]"):
             quick().fit(X, Y[:-1])
         with pytest.raises(ValueError, match=r"inconsistent numbers of samples: \[30, 2\]"):
             quick().fit(X, Y.T)
-
-    @pytest.mark.parametrize("shape", [(30, 0), (30, 2, 2)])
-    def test_of_another_dimension(self, X, shape):
-        with pytest.raises(ValueError, match=r"0 feature|dim 3|\(n, P\)"):
-            quick().fit(X, np.zeros(shape))
 
     def test_of_integers_and_nullable_numbers(self, X, Y):
         whole = (10 * Y).round()
@@ -199,10 +160,6 @@ class TestTargets:
         X, Y = tables
         Y.loc[2:, "Cm"] = np.nan
         assert np.isfinite(quick().fit(X, Y).predict(X, return_std=True)).all()
-
-    def test_one_sample(self, X, Y):
-        with pytest.raises(ValueError, match="minimum of 2 is required"):
-            quick().fit(X[:1], Y[:1])
 
     def test_that_are_constant(self, tables):
         X, Y = tables
@@ -235,12 +192,6 @@ class TestTargets:
         assert (std[:, 0] < 0.5 * abs(value)).all()
         alone = quick(trend=trend).fit(X, Y[:, 1])
         np.testing.assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
-
-    def test_exactly_linear_or_noise_free(self, X):
-        Y = np.column_stack([X[:, 0] + X[:, 1], np.sin(X[:, 0])])
-        mean, std = quick(structure="joint", max_iter=30).fit(X, Y).predict(X, return_std=True)
-        np.testing.assert_allclose(mean, Y, atol=0.01)
-        assert std.max() < 0.05
 
 
 class TestRows:

@@ -12,7 +12,6 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.compose import TransformedTargetRegressor
 from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -45,11 +44,6 @@ class TestScikitLearn:
         assert list(model[-1].feature_names_in_) == ["alpha", "q", "airspeed"]
         assert model.score(X, Y) > 0.9  # NaN targets are left out
 
-    def test_scaling_before_changes_little(self, flights):
-        X, Y, _ = flights
-        plain, scaled = quick(max_iter=40).fit(X, Y), make_pipeline(StandardScaler(), quick(max_iter=40)).fit(X, Y)
-        np.testing.assert_allclose(plain.predict(X) / Y.std().values, scaled.predict(X) / Y.std().values, atol=0.1)
-
     def test_grid_search_over_held_out_flights(self, flights):
         X, Y, flight = flights
         model = make_pipeline(StandardScaler(), quick(max_iter=3))
@@ -59,28 +53,12 @@ class TestScikitLearn:
         assert np.isfinite(search.cv_results_["mean_test_neg_normalized_rmse"]).all()
         assert search.predict(X).shape == (60, 2)
 
-    def test_grid_search_with_the_default_score(self, flights):
-        X, Y, flight = flights
-        search = GridSearchCV(quick(max_iter=3), {"n_latent": [0, 1]}, cv=GroupKFold(3)).fit(X, Y, groups=flight)
-        assert search.best_score_ > 0.5
-
     def test_cross_validation_over_flights_in_processes(self, flights):
         X, Y, flight = flights
         options = {"groups": flight, "cv": LeaveOneGroupOut(), "scoring": SCORERS}
         here, there = (cross_validate(quick(max_iter=3), X, Y, n_jobs=n, **options) for n in (1, 2))
         for name in ("neg_normalized_rmse", "log_predictive_density", "interval_coverage"):
             np.testing.assert_allclose(here[f"test_{name}"], there[f"test_{name}"], rtol=0.05)  # other threads
-
-    def test_members_of_the_average_in_processes(self, flights):
-        X, Y, _ = flights
-        here, there = (quick(max_iter=3, n_jobs=n).fit(X, Y) for n in (1, 2))
-        for name, weights in here.weights_.items():
-            np.testing.assert_allclose(there.weights_[name], weights, atol=1e-3)
-
-    def test_transformed_targets(self, flights):
-        X, Y, _ = flights
-        model = TransformedTargetRegressor(quick(), func=np.arctan, inverse_func=np.tan, check_inverse=False)
-        assert model.fit(X, Y[["CZ"]].values).predict(X).shape == (60, 1)
 
     def test_fitting_again_forgets(self, flights):
         X, Y, _ = flights
@@ -131,8 +109,7 @@ class TestFreshProcess:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_a_real_ctrl_c_keeps_the_best_so_far(threads, tmp_path):
+def test_a_real_ctrl_c_keeps_the_best_so_far(tmp_path):
     script = """
         import warnings, numpy as np
         from skdgp import DependentGPRegressor
@@ -152,7 +129,7 @@ def test_a_real_ctrl_c_keeps_the_best_so_far(threads, tmp_path):
         assert np.isfinite(model.predict(X[:5], return_std=True)).all()
         print([w.category.__name__ for w in caught], flush=True)
     """
-    environment = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), threads)
+    environment = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "2")
     command = [sys.executable, "-c", textwrap.dedent(script)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, cwd=tmp_path) as process:
         assert process.stdout.readline() == "running\n"

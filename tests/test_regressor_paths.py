@@ -5,10 +5,8 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.exceptions import NotFittedError
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian
 
 
 def table(n=30, seed=0):
@@ -73,13 +71,6 @@ def test_moments_are_those_of_predict(inference, trend, few_waves):
     assert (np.abs(paths.gradient(new).mean(axis=0) - slope) < 5 * of_slope / np.sqrt(n_paths)).all()
 
 
-def test_no_points_and_no_paths_have_no_values(model):
-    paths = model.sample_paths(3)
-    assert paths(np.empty((0, 2))).shape == (3, 0, 2)
-    assert paths.gradient(np.empty((0, 2))).shape == (3, 0, 2, 2)
-    assert paths[3:].each(np.empty((0, 4, 2))).shape == (0, 4, 2)
-
-
 def test_one_output_has_no_axis_of_outputs():
     model = fitted(y=0)
     paths, X = model.sample_paths(3), table()[0]
@@ -117,8 +108,3 @@ def test_columns_in_another_order_are_refused():
     np.testing.assert_allclose(path(flight), path(X), rtol=1e-9, atol=1e-10)
     with pytest.raises(ValueError, match=r"columns \['beta', 'alpha'\], but expected.*\['alpha', 'beta'\]"):
         path(flight[["beta", "alpha"]])
-
-
-def test_not_fitted_is_refused():
-    with pytest.raises(NotFittedError):
-        DependentGPRegressor(kernel=ConvolvedGaussian(1)).sample_paths()

@@ -17,11 +17,14 @@ from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import turbulence_of
-from skdgp.identification import load_model, predict_flight
+from skdgp.identification import (
+    check_identified,
+    load_model,
+    named_flights,
+    predict_flight,
+    usable_flights_of_model,
+)
 from skdgp.identification import validate as judge
-from skdgp.identification._evaluation import check_identified, usable_flights_of_model
-from skdgp.identification._flights import named_flights
 
 NOTABLE_GUSTS = 0.5
 """Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""
@@ -55,7 +58,8 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             "model was learned from.",
             stacklevel=2,
         )
-    gusts = 0.0 if (turbulence := turbulence_of(pipeline)) is None else max(turbulence.intensity)
+    turbulence = getattr(pipeline, "turbulence_", None)
+    gusts = 0.0 if turbulence is None else max(turbulence.intensity)
     if gusts > NOTABLE_GUSTS:
         warnings.warn(
             f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too small: learn from "

@@ -21,7 +21,7 @@ from skdgp.design import doublet
 from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
-from skdgp.identification._flights import named_flights
+from skdgp.identification import named_flights
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
-from skdgp._compute.typing import ArrayLike, Indices, Vector
+from skdgp._compute.typing import ArrayLike, Vector
 from skdgp._display.style import CYCLE
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
@@ -54,13 +54,13 @@ def start_marker(k: int) -> str:
 
 
 def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
-    """Return time, north and east [m], and altitude where known, at no more than 600 points.
+    """Return time, north and east [m], and altitude where known, at no more than 600 points, equally far apart.
 
     Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
     """
     time = flight["time"].to_numpy(dtype=float)
     if {"north", "east"} <= set(flight.columns):
-        north, east = flight["north"].to_numpy(dtype=float), flight["east"].to_numpy(dtype=float)
+        north, east = flight[["north", "east"]].to_numpy(dtype=float).T
     else:
         check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
         velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
@@ -68,16 +68,9 @@ def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
     points = {"time": time, "north": north, "east": east}
     if "altitude" in flight.columns:
         points["altitude"] = flight["altitude"].to_numpy(dtype=float)
-    return pd.DataFrame(points).iloc[_evenly_spread(north, east)]
-
-
-def _evenly_spread(north: Vector, east: Vector) -> Indices:
-    """Return indices at equal distances along the path."""
-    step = np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))
-    distance = np.concatenate([[0.0], np.cumsum(step)])
-    if distance[-1] == 0:
-        return np.array([0])
-    return np.unique(np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1))
+    distance = np.append(0.0, np.cumsum(np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))))
+    rows = np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1)
+    return pd.DataFrame(points).iloc[np.unique(rows)]
 
 
 def replay_rows(trajectory: pd.DataFrame, horizon: float | None) -> pd.DataFrame:

@@ -15,7 +15,7 @@ DASH = "–"
 
 def text(value: object) -> str:
     """Return ``value`` as escaped text."""
-    return escape(str(value), quote=True)
+    return escape(str(value))
 
 
 def number(value: float, form: str = ".2f") -> str:
@@ -39,17 +39,14 @@ def symbol(name: str) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
     """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
-    lines = [f'<div class="scroll"><table class="{classes}"><caption>{caption}</caption><thead><tr>']
-    lines += [f'<th scope="col">{cell}</th>' for cell in head]
-    lines.append("</tr></thead><tbody>")
+    heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
+    body = ""
     for first, *rest in rows:
-        if not rest:
-            lines.append(f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>')
-            continue
         cells = "".join(f"<td>{cell}</td>" for cell in rest)
-        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
-    lines.append("</tbody></table></div>")
-    return "".join(lines)
+        group = f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>'
+        body += f'<tr><th scope="row">{first}</th>{cells}</tr>' if rest else group
+    words = f"<caption>{caption}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="scroll"><table class="{classes}">{words}</table></div>'
 
 
 def key_of(entries) -> str:
@@ -59,11 +56,6 @@ def key_of(entries) -> str:
         sample = f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
         lines += f'<li style="color: var(--{color})">{sample}<span>{text(name)}</span></li>'
     return f'<ul class="key">{lines}</ul>' if lines else ""
-
-
-def still(words: str) -> str:
-    """Return words on the pictures, shown where no chart is."""
-    return f'<span class="still">{words}</span>'
 
 
 def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:

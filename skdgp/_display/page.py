@@ -43,17 +43,10 @@ $script
 
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: str = "") -> str:
     """Return the document; title and kind are text, ``script`` is JavaScript, the rest is HTML."""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return PAGE.substitute(
-        kind=text(kind),
-        title=text(title),
-        policy=POLICY.format(digest),
-        style=STYLE,
-        meta=meta,
-        body=body,
-        colophon=colophon,
-        script=f"<script>{script}</script>" if script else "",
-    )
+    policy = POLICY.format(base64.b64encode(hashlib.sha256(script.encode()).digest()).decode())
+    script = f"<script>{script}</script>" if script else ""
+    words = {"kind": text(kind), "title": text(title), "meta": meta, "body": body, "colophon": colophon}
+    return PAGE.substitute(words, policy=policy, style=STYLE, script=script)
 
 
 def can_draw() -> bool:

@@ -25,28 +25,27 @@ PALETTE = {
     "yellow": "#F0E442",
     "grey": "#8A8A8A",
 }
-CYCLE = tuple(PALETTE[name] for name in ("blue", "vermillion", "green", "purple", "sky", "orange"))
-
+CYCLE = tuple(PALETTE.values())[:6]
 QUIET = "#5F6973"
 """Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
 MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
-
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 
 _SYMBOLS = {
     **{name: f"C_{name[1:]}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")},
     **{name: rf"\{name}" for name in ("alpha", "beta", "phi", "theta", "psi")},
-    **{name: rf"\dot{{{name[0]}}}" for name in ("p_dot", "q_dot", "r_dot")},
-    **{name: rf"\dot{{\{name[:-4]}}}" for name in ("alpha_dot", "beta_dot")},
-    **{name: name for name in ("p", "q", "r", "u", "v", "w")},
-    **{f"{name}_hat": rf"\hat{{{name}}}" for name in ("p", "q", "r")},
-    **{name: f"a_{name[1]}" for name in ("ax", "ay", "az")},
-    "v_north": "v_N",
-    "v_east": "v_E",
-    "v_down": "v_D",
+    **{f"{name}_dot": rf"\dot{{\{name}}}" for name in ("alpha", "beta")},
+    **{name: name for name in "pqruvw"},
+    **{f"{name}_dot": rf"\dot{{{name}}}" for name in "pqr"},
+    **{f"{name}_hat": rf"\hat{{{name}}}" for name in "pqr"},
+    **{f"a{axis}": f"a_{axis}" for axis in "xyz"},
+    **{f"v_{way}": f"v_{way[0].upper()}" for way in ("north", "east", "down")},
     "airspeed": "V",
     "altitude": "h",
 }
+
+
+_UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 
 def check_matplotlib(who: str) -> None:
@@ -54,12 +53,8 @@ def check_matplotlib(who: str) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise ImportError(
-            f'{who} draws with matplotlib, which is not installed: run pip install "skdgp[plot]".'
-        ) from error
-
-
-_UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
+        message = f'{who} draws with matplotlib, which is not installed: run pip install "skdgp[plot]".'
+        raise ImportError(message) from error
 
 
 @contextmanager
@@ -115,7 +110,7 @@ def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: floa
     """Draw a line and, where its standard deviation is known, its band; return both."""
     band = None
     if std is not None:
-        half = norm.ppf(0.5 + 0.5 * level) * std
+        half = norm.ppf(0.5 + level / 2) * std
         style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
         band = ax.fill_between(x, mean - half, mean + half, **style)
     return ax.plot(x, mean, color=ROLES["mean"], label=label)[0], band
@@ -124,10 +119,8 @@ def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: floa
 def mark_samples(ax: Any, values: Vector) -> None:
     """Mark quantiles of samples at the lower edge."""
     at = np.quantile(values, np.linspace(0.02, 0.98, 25))
-    ax.plot(
-        at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(),
-        color=ROLES["measured"], markersize=4, markeredgewidth=0.5, label="samples",
-    )  # fmt: skip
+    style = {"color": ROLES["measured"], "markersize": 4, "markeredgewidth": 0.5, "label": "samples"}
+    ax.plot(at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(), **style)
 
 
 def scale_beside(ax: Any, artist: Any, label: str, **options: Any) -> Any:

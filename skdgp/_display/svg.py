@@ -43,9 +43,9 @@ _VARIABLES = {color.lower(): f"var(--{name})" for color, name in _VARIABLES.item
 
 def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
     """Return the SVG of a low panel against time; only the ``bottom`` panel of a column names the axis."""
-    below = 0.4 if bottom else 0.23
-    height = 1.1 + 0.08 + below
-    edges = (0.145, 0.985, below / height, 1 - 0.08 / height)
+    above, below = 0.08, 0.4 if bottom else 0.23  # margins [in]
+    height = above + 1.1 + below
+    edges = (0.145, 0.985, below / height, 1 - above / height)
 
     def drawn(ax):
         draw(ax)
@@ -83,7 +83,7 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
 
 def adapt(svg: str, label: str, attributes: str = "") -> str:
     """Return an SVG document as an element of a page: no prolog, variables for colours, unique names."""
-    ((width, height),) = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    size = re.search(r'viewBox="0 0 [\d.]+ [\d.]+"', svg)[0]  # type: ignore[index]
     body = svg[svg.index(">", svg.index("<svg")) + 1 : svg.rindex("</svg>")]
     body = re.sub(r"<!--.*?-->|<style.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r" font-family: [^;\"]*;?", "", body)
@@ -91,15 +91,13 @@ def adapt(svg: str, label: str, attributes: str = "") -> str:
     body = re.sub(r"(stroke|fill): (#[0-9a-f]{6})", _themed, body)
     body = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, body)
     body = _gathered(re.sub(r"\s*\n\s*", "", _renamed(body, label)))
-    name = escape(label, quote=True)
-    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}"{attributes}>{body}</svg>'
+    name = escape(label)
+    return f'<svg {size} role="img" aria-label="{name}"{attributes}>{body}</svg>'
 
 
 def _themed(match: re.Match) -> str:
     kind, color = match.groups()
-    if (kind, color) == ("stroke", "#ffffff"):
-        return "stroke: var(--paper)"
-    return f"{kind}: {_VARIABLES.get(color, color)}"
+    return "stroke: var(--paper)" if match[0] == "stroke: #ffffff" else f"{kind}: {_VARIABLES.get(color, color)}"
 
 
 def _shortened(match: re.Match) -> str:
@@ -107,11 +105,8 @@ def _shortened(match: re.Match) -> str:
     name, value = match.groups()
     digits = 1 if len(value) > 1000 else 2
     value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."), value)
-    if name == "d":
-        value = " ".join(value.split())
-        if "C" not in value and "Q" not in value:
-            value = value.replace(" L ", " ")
-    return f'{name}="{value}"'
+    value = " ".join(value.split()) if name == "d" else value
+    return f'{name}="{value if set("CQ") & set(value) else value.replace(" L ", " ")}"'
 
 
 def _renamed(body: str, label: str) -> str:

@@ -13,7 +13,7 @@ from sklearn.model_selection import GroupKFold
 
 from skdgp._compute.predicting import predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
-from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.clock import flight_codes
 from skdgp.model_selection import BlockSplit
 
@@ -36,22 +36,17 @@ def flight_table(X: Any, groups: Any) -> pd.DataFrame:
 def splits_of(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
     """Return the training and held-out rows of each split; a fitted model uses the held-out rows only."""
     groups, rows = flights["flight"], np.arange(len(flights))
-    if not (cv is None or isinstance(cv, Integral | str)):
-        return _list_splits(cv, flights, groups)
-    if groups.nunique() < 2:
-        return _blocks_of_one_flight(flights, cv)
-    if cv == "prefit":
-        return [(rows[:0], rows)]
-    return _list_splits(GroupKFold(min(N_SPLITS, groups.nunique()) if cv is None else cv), flights, groups)
-
-
-def _list_splits(cv: Any, table: pd.DataFrame, groups: ArrayLike) -> list[tuple[Indices, Indices]]:
-    """Return the training and test rows of a splitter, with groups or without, or of an iterable."""
+    if cv is None or isinstance(cv, Integral | str):
+        if groups.nunique() < 2:
+            return _blocks_of_one_flight(flights, cv)
+        if cv == "prefit":
+            return [(rows[:0], rows)]
+        cv = GroupKFold(min(N_SPLITS, groups.nunique()) if cv is None else cv)
     if not hasattr(cv, "split"):
         return list(cv)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The groups parameter is ignored")
-        return list(cv.split(table, groups=groups))
+        return list(cv.split(flights, groups=groups))
 
 
 def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:

@@ -72,14 +72,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         Fitted on all flights; with ``cv="prefit"`` the given one.
     std_scale_ : ndarray (P,)
         Factors of the standard deviations: above 1, they were too small.
-    guaranteed_ : ndarray (P,) of bool
-        Whether ``level`` is guaranteed.
-    max_level_ : ndarray (P,)
-        K / (K + 1), the highest guaranteed level.
-    unit_ : {"flight", "block"}
-        Unit of the guarantee: "block" if a splitter cuts flights.
-    n_units_ : ndarray (P,) of int
-        K, the units in which each output was observed.
+    guaranteed_, max_level_ : ndarray (P,) of bool, ndarray (P,)
+        Whether ``level`` is guaranteed; K / (K + 1), the highest guaranteed level.
+    unit_, n_units_ : {"flight", "block"}, ndarray (P,) of int
+        Unit of the guarantee: "block" if a splitter cuts flights; and K, the units in which each output was observed.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
     output_names_ : list of str
@@ -153,9 +149,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             Of the estimator's ``fit``, a value for each row, such as ``time``.
         """
         X = _check_X(X)
-        Y, self.output_names_, single = check_targets(y, len(X), type(self).__name__)
-        y = y if column_names(y) else Y[:, 0] if single else Y
-        self._single = single
+        Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
+        y = y if column_names(y) else Y[:, 0] if self._single else Y
         flights = conformal.flight_table(X, groups)
         splits = conformal.splits_of(flights, self.cv)
         if isinstance(self.cv, str):
@@ -187,24 +182,34 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         self.guaranteed_ = (self.max_level_ >= self.level - conformal.ROUNDING) & (self.method == "conformal")
         self.std_scale_ = self._half_widths(self.level) / norm.ppf(0.5 + self.level / 2)
         if self.method == "conformal" and not self.guaranteed_.all():
-            self._warn_of_few()
+            few = ~self.guaranteed_
+            names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
+            n, top = self.n_units_[few].min(), self.max_level_[few].min()
+            warnings.warn(
+                f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
+                f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
+                f"{conformal.units_needed(self.level)} {self.unit_}s or more, or set "
+                f"level={np.floor(100 * top) / 100:g}.",
+                stacklevel=4,
+            )
 
     def _half_widths(self, level) -> np.ndarray:
         """Return half the width of the interval in standard deviations, (P,)."""
-        totals, widths = np.where(self.guaranteed_, self.max_level_, 1.0), []  # the next flight weighs 1 / (K + 1)
-        for column, total in zip(self.calibration_scores_.T, totals, strict=True):
+        widths = []
+        for k, column in enumerate(self.calibration_scores_.T):
             rows = ~np.isnan(column)
             scores, weights = column[rows], conformal.unit_weights(self.calibration_units_[rows])
             if self.method == "variance":
                 widths.append(norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2))
             else:
+                total = self.max_level_[k] if self.guaranteed_[k] else 1.0  # the next flight weighs 1 / (K + 1)
                 widths.append(conformal.weighted_quantile(scores, total * weights, level))
         return np.array(widths)
 
     def predict(self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False) -> Any:
         """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled.
 
-        Mean and deviation are (n, P), or (n,) for y of shape (n,); by default the mean alone.
+        Mean and deviation are (n, P), or (n,) for y of shape (n,).
 
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
         ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
@@ -212,19 +217,17 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         if both are requested.
         """
         check_is_fitted(self)
+        X, inside = _check_X(X), unwrap(self.estimator_)
         if return_cov:
             if return_std:
                 raise ValueError("Got return_std and return_cov, but expected one of them.")
             exact = {"include_input_noise": False} if accepts(self.estimator_, "include_input_noise") else {}
-            mean, covariance = unwrap(self.estimator_).predict(_check_X(X), return_cov=True, **exact)
+            mean, covariance = inside.predict(X, return_cov=True, **exact)
             scale = np.repeat(self.std_scale_, len(mean))
             return mean, covariance * scale[:, None] * scale
         if not return_std:
-            return self.estimator_.predict(_check_X(X))
-        if include_noise:
-            mean, std = predict_with_noise(self.estimator_, _check_X(X))
-        else:
-            mean, std = unwrap(self.estimator_).predict(_check_X(X), return_std=True)
+            return self.estimator_.predict(X)
+        mean, std = predict_with_noise(inside, X) if include_noise else inside.predict(X, return_std=True)
         return mean, std * (self.std_scale_ if std.ndim > 1 else self.std_scale_[0])
 
     @available_if(_estimator_has("predict_gradient"))
@@ -236,11 +239,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
 
     @available_if(_estimator_has("sample_paths"))
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> ScaledPaths:
-        """Draw functions from the posterior, with their deviations from the mean scaled.
+        """Draw functions from the posterior, as :meth:`skdgp.DependentGPRegressor.sample_paths`, scaled.
 
-        A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``. Mean and
-        covariance over paths are those of the posterior, scaled. The result is as of
-        :meth:`skdgp.DependentGPRegressor.sample_paths`.
+        A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``.
         """
         check_is_fitted(self)
         regressor = unwrap(self.estimator_)
@@ -249,19 +250,20 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     @property
     def drift_variance_(self) -> Array:
         """Variance of the estimator's drift in time, (P,), scaled; zero if it has none."""
-        variance = getattr(unwrap(self.estimator_), "drift_variance_", np.zeros(len(self.std_scale_)))
-        return variance * self.std_scale_**2
-
-    @property
-    def misfit_variance_(self) -> Array:
-        """Variance of the estimator's misfit, (P,), scaled; zero if it knows none."""
-        variance = getattr(unwrap(self.estimator_), "misfit_variance_", np.zeros(len(self.std_scale_)))
-        return variance * self.std_scale_**2
+        return self._of_estimator("drift_variance_") * self.std_scale_**2
 
     @property
     def drift_memory_(self) -> Array:
         """Memory of the estimator's drift, (P,)."""
-        return getattr(unwrap(self.estimator_), "drift_memory_", np.zeros(len(self.std_scale_)))
+        return self._of_estimator("drift_memory_")
+
+    @property
+    def misfit_variance_(self) -> Array:
+        """Variance of the estimator's misfit, (P,), scaled; zero if it knows none."""
+        return self._of_estimator("misfit_variance_") * self.std_scale_**2
+
+    def _of_estimator(self, name) -> Array:
+        return getattr(unwrap(self.estimator_), name, np.zeros(len(self.std_scale_)))
 
     @property
     def _scale(self):
@@ -269,9 +271,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return self.std_scale_[0] if self._single else self.std_scale_
 
     def predict_interval(self, X: Any, level: float | None = None) -> tuple[Array, Array]:
-        """Return calibrated intervals of new measurements at X (n, d): lower and upper ends.
+        """Return lower and upper ends of calibrated intervals of new measurements at X (n, d), shaped as the mean.
 
-        They are (n, P), or (n,) for y of shape (n,).
         The default level is that of the constructor. Above the guaranteed level of outputs whose ``level`` is
         guaranteed, intervals are infinite, with a warning. Raises ValueError if ``level`` is not inside (0, 1).
         """
@@ -305,17 +306,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         """Names of the features, of the fitted estimator."""
         return self.estimator_.feature_names_in_
 
-    def _warn_of_few(self):
-        few = ~self.guaranteed_
-        names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
-        n, top = self.n_units_[few].min(), self.max_level_[few].min()
-        warnings.warn(
-            f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
-            f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
-            f"{conformal.units_needed(self.level)} {self.unit_}s or more, or set level={np.floor(100 * top) / 100:g}.",
-            stacklevel=5,
-        )
-
 
 def _check_X(X: Any) -> Any:
     """Return a table as it is, any other input as an array of numbers."""
@@ -339,21 +329,18 @@ class ScaledPaths(Sequence):
 
     def __call__(self, X: Any) -> Array:
         """Return the values of all paths at X (n, d): (n_paths, n, P), or (n_paths, n) for y of shape (n,)."""
-        return _scaled(self.paths(X), self.regressor.predict(X), self.scale)
+        return self._scaled(X, self.paths(X), self.regressor.predict, self.scale)
 
     def each(self, X: Any) -> Array:
         """Return the values of each path at its own points, X (n_paths, n, d), in the shape of a call."""
-        values = self.paths.each(X)
-        mean = self.regressor.predict(np.reshape(X, (-1, np.shape(X)[-1])))
-        return _scaled(values, mean.reshape(values.shape), self.scale)
+        return self._scaled(X, self.paths.each(X), self.regressor.predict, self.scale)
 
     def gradient(self, X: Any) -> Array:
         """Return the gradients of all paths at X (n, d), or of each path at its own points, X (n_paths, n, d)."""
-        values = self.paths.gradient(X)
-        mean = self.regressor.predict_gradient(np.reshape(X, (-1, np.shape(X)[-1])))
+        scale = np.asarray(self.scale)[..., None]
+        return self._scaled(X, self.paths.gradient(X), self.regressor.predict_gradient, scale)
+
+    def _scaled(self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any) -> Array:
+        mean = predict(np.reshape(X, (-1, np.shape(X)[-1])))
         mean = mean.reshape(values.shape if np.ndim(X) == 3 else values.shape[1:])
-        return _scaled(values, mean, np.asarray(self.scale)[..., None])
-
-
-def _scaled(values: Array, mean: Array, scale: Any) -> Array:
-    return mean + scale * (values - mean)
+        return mean + scale * (values - mean)

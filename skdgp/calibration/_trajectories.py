@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,14 +32,10 @@ class CalibratedBands:
     .. math:: \max_{t, i} |y_i(t) - m_i(t)| / s_i(t),
 
     with the median m of the ensemble and its deviation s: the distance from m to the 16 % or the 84 % quantile, on the
-    side of y. The band of a level is :math:`m \pm q s`. With K flights and :math:`n_k` segments of flight k, q is the
-    least number with
-
-    .. math:: \sum_k \frac{1}{(K + 1) \, n_k} \, \#\{i : score_{ki} \le q\} \ge level,
-
-    of one segment a flight the :math:`\lceil (K + 1) \, level \rceil`-th smallest score. If the next flight and the K
-    others are exchangeable, the expected share of its segments whose states of the group stay in their bands from
-    beginning to end is at least ``level`` (as in :class:`CalibratedRegressor`).
+    side of y. The band of a level is :math:`m \pm q s`, with q as in :class:`CalibratedRegressor`: with one segment of
+    each of K flights the :math:`\lceil (K + 1) \, level \rceil`-th smallest score. If the next flight and the K others
+    are exchangeable, the expected share of its segments whose states of the group stay in their bands from beginning
+    to end is at least ``level``.
 
     **K flights guarantee no level above K / (K + 1).** Above it, with a warning, q is the largest score, or if larger
     Student's prediction bound of the logarithms x of the largest score of each flight, with their mean and standard
@@ -52,15 +47,12 @@ class CalibratedBands:
 
     Parameters
     ----------
-    scores : DataFrame (n_segments, n_groups)
-        Of each segment and group.
-    units : ndarray (n_segments,) of int
-        Exchangeable unit of each segment, from 0 on.
+    scores, units : DataFrame (n_segments, n_groups), ndarray (n_segments,) of int
+        Score of each segment and group, and the exchangeable unit of each segment, from 0 on.
     unit : {"flight", "segment"}
-    groups : mapping of str to sequence of str
-        States of each group.
-    noise : mapping of str to float
-        Standard deviations of the recorded states' errors.
+        What the units are.
+    groups, noise : mappings of str to sequence of str, and of str to float
+        States of each group; standard deviations of the recorded states' errors.
 
     Examples
     --------
@@ -109,9 +101,9 @@ class CalibratedBands:
             flights, which are the exchangeable units. Without it, or with one flight, segments are: they are only
             approximately exchangeable, because neighbours fly in the same air.
         groups : mapping of str to sequence of str, optional
-            States of each group; by default velocity (v_north, v_east, v_down), attitude (phi, theta, psi) and rates
-            (p, q, r), as far as they were recorded. Each group has bands of its own. One group of all states has bands
-            that hold all of them at once.
+            States of each group, which has bands of its own; by default velocity (v_north, v_east, v_down), attitude
+            (phi, theta, psi) and rates (p, q, r), as far as they were recorded. Bands of one group of all states hold
+            all of them at once.
         noise : mapping of str to float, optional
             Standard deviations of the errors of recorded states, by name. They are part of s: without them the first
             rows, where an ensemble has not spread, decide. ``initial_std`` of `simulate` is that of the starts.
@@ -127,17 +119,17 @@ class CalibratedBands:
                 "segment for each start."
             )
         scores = pd.DataFrame([_scores(*pair, groups) for pair in zip(bands, recorded, strict=True)])
-        codes, _ = flight_codes([part["flight"].iloc[0] if "flight" in part else 0 for part in recorded])
-        unit = "flight" if len(np.unique(codes)) > 1 else "segment"
         if len(recorded) < 2:
             raise ValueError("Got one recorded segment, but expected at least two, of different flights.")
-        if unit == "segment":
-            warnings.warn(
-                f"Got one flight, so its {len(recorded)} segments replace flights: the bands hold for further segments "
-                "of this flight, not for other flights. Give segments of several (column flight).",
-                stacklevel=2,
-            )
-        return cls(scores, codes if unit == "flight" else np.arange(len(recorded)), unit, groups, noise)
+        codes, flights = flight_codes([part["flight"].iloc[0] if "flight" in part else 0 for part in recorded])
+        if len(flights) > 1:
+            return cls(scores, codes, "flight", groups, noise)
+        warnings.warn(
+            f"Got one flight, so its {len(recorded)} segments replace flights: the bands hold for further segments "
+            "of this flight, not for other flights. Give segments of several (column flight).",
+            stacklevel=2,
+        )
+        return cls(scores, np.arange(len(recorded)), "segment", groups, noise)
 
     @property
     def n_units(self) -> int:
@@ -171,8 +163,8 @@ class CalibratedBands:
     def bands(self, ensemble: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
         """Return the calibrated bands of other trajectories, in the form of :func:`skdgp.dynamics.trajectory_bands`.
 
-        The ensemble is that of :func:`skdgp.dynamics.simulate` with ``n_paths``, as long as the segments or shorter.
-        Where ``noise`` was given, bands are those of records. Errors and warnings are those of :meth:`factors`.
+        The ensemble of :func:`skdgp.dynamics.simulate` is as long as the segments or shorter. Where ``noise`` was
+        given, bands are those of records. Errors and warnings are those of :meth:`factors`.
         """
         factors = self.factors(level)
         table = pd.concat(_one_sigma(ensemble, self.groups, self.noise), ignore_index=True)
@@ -204,22 +196,20 @@ def _scores(band: pd.DataFrame, recorded: pd.DataFrame, groups: Mapping) -> dict
             f"Got a recorded segment of {np.ptp(time):g} s for a trajectory of {np.ptp(at):g} s, but expected records "
             "to its end: simulate a shorter duration."
         )
-    return {group: max(_score(band, recorded, time, at, name) for name in names) for group, names in groups.items()}
 
+    def score(name: str) -> float:
+        values = recorded[name].to_numpy(float)
+        observed = np.isfinite(values)
+        if not observed.any():
+            raise ValueError(f"Got a recorded segment without a value of {name}, but expected some.")
+        values = np.unwrap(values[observed]) if name in EULER else values[observed]
+        error = np.interp(at, time[observed], values) - band[name]
+        error = wrapped(error) if name in EULER else error
+        spread = np.where(error > 0, band[name + "_high"] - band[name], band[name] - band[name + "_low"])[1:]
+        if (spread == 0).any():
+            raise ValueError(
+                f"Got an ensemble in which {name} does not spread, but expected several paths: simulate with n_paths."
+            )
+        return float(np.max(np.nan_to_num(np.abs(error[1:]) / spread, nan=np.inf)))
 
-def _score(band: pd.DataFrame, recorded: pd.DataFrame, time: Any, at: Any, name: str) -> float:
-    """Return the largest error of one state over its deviation."""
-    values = recorded[name].to_numpy(float)
-    observed = np.isfinite(values)
-    if not observed.any():
-        raise ValueError(f"Got a recorded segment without a value of {name}, but expected some.")
-    values = np.unwrap(values[observed]) if name in EULER else values[observed]
-    error = np.interp(at, time[observed], values) - band[name]
-    if name in EULER:
-        error = wrapped(error)
-    spread = np.where(error > 0, band[name + "_high"] - band[name], band[name] - band[name + "_low"])[1:]
-    if (spread == 0).any():
-        raise ValueError(
-            f"Got an ensemble in which {name} does not spread, but expected several paths: simulate with n_paths."
-        )
-    return float(np.max(np.nan_to_num(np.abs(error[1:]) / spread, nan=np.inf)))
+    return {group: max(map(score, names)) for group, names in groups.items()}

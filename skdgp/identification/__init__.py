@@ -1,6 +1,7 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
-from skdgp.identification._evaluation import Evaluation
+from skdgp.identification._evaluation import Evaluation, check_identified, usable_flights_of_model
+from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
@@ -17,12 +18,15 @@ __all__ = [
     "FlightPipeline",
     "Identification",
     "ModelFileError",
+    "check_identified",
     "flight_noise",
     "flight_regressors",
     "identify",
     "load_model",
     "make_identification_pipeline",
+    "named_flights",
     "predict_flight",
     "save_model",
+    "usable_flights_of_model",
     "validate",
 ]

@@ -45,9 +45,22 @@ AIRSPEED_ERROR = "relative error of airspeed"
 def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (), **reading) -> Flights:
     """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
 
-    A column ``flight`` separates several flights in a table; tables without it are ``default`` 1, 2, ... ``reading``
-    are options of ``skdgp.io.read_flight`` for logs of autopilots. Raises the errors of the readers, and ValueError if
-    two flights have the same name, or a flight lacks a column that is needed.
+    A column ``flight`` separates several flights in a table. Raises the errors of the readers, and ValueError if two
+    flights have the same name, or a flight lacks a column that is needed.
+
+    Parameters
+    ----------
+    flights : DataFrame, path, dict of name to table, or list of tables and paths
+    default : str
+        Tables without names are ``default`` 1, 2, ...
+    needed : sequence of str
+        Columns of each flight.
+    **reading
+        Of :func:`skdgp.io.read_flight`, for logs of autopilots.
+
+    Returns
+    -------
+    dict of str to DataFrame
     """
     if isinstance(flights, Mapping):
         return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}

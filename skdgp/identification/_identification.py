@@ -39,7 +39,6 @@ from skdgp.identification._verdict import judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
     FlightMechanics,
-    FlightRecord,
     ModelSummary,
     ReportContent,
     Verdict,
@@ -232,7 +231,7 @@ class Identification:
         aircraft, coupled = self.aircraft, "joint" in fit["weights"]
         return ReportContent(
             title=self.title,
-            train=[FlightRecord(name=name, table=table) for name, table in self.train.items()],
+            train=self.train,
             test=self.evaluations,
             model=ModelSummary(
                 n_samples=fit.get("samples"),

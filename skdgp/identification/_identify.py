@@ -73,7 +73,8 @@ def identify(
     Parameters
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
-        Training flights at their full rate. A column ``flight`` separates several flights in one table.
+        Training flights at their full rate. A column ``flight`` separates several flights in one table. Those without
+        an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional

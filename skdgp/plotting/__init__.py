@@ -1,9 +1,9 @@
 """Pictures in scikit-learn's manner: a Display holds the data, draws them, and keeps its artists.
 
 Make a display with one of its methods ``from_...``, which raise ValueError if shapes, names, columns or values are
-wrong. Draw it again with ``plot``. The parameters of the constructor, the panels ``axes_`` (or ``ax_``), ``figure_``
-and the artists are attributes. Colours are safe for colour-blind readers. Needs matplotlib:
-``pip install "skdgp[plot]"``.
+wrong. Draw it again with ``plot``. The parameters of the constructor, the panels ``axes_`` (or ``ax_``) and ``figure_``
+are attributes, and the artists: lists with one per panel, None where there is nothing to draw. Colours are safe for
+colour-blind readers. Needs matplotlib: ``pip install "skdgp[plot]"``.
 
 Options that the displays share:
 
@@ -17,13 +17,14 @@ n_bins : int, default=2000
     Time slices of a long record: the lowest and the highest sample of each are drawn.
 legend : bool, default=True
     Whether to draw a legend.
+time_span : (begin, end), optional
+    Part of a record to draw [s], default all.
 """
 
-from skdgp.plotting._build_up import BuildUpDisplay
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._coupling import CouplingDisplay
 from skdgp.plotting._derivatives import DerivativeDisplay
-from skdgp.plotting._effects import EffectsDisplay
+from skdgp.plotting._effects import BuildUpDisplay, EffectsDisplay
 from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay

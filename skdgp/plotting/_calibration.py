@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from skdgp._compute.intervals import LEVELS, check_levels, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
-from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, check_matplotlib, dashes, symbol, tidy
+from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.plotting._display import (
@@ -21,7 +21,7 @@ from skdgp.plotting._display import (
     choose,
     grid_columns,
     names_of,
-    predict_with_std,
+    predicted,
 )
 
 N_BINS = 20
@@ -38,27 +38,17 @@ class CalibrationDisplay(Display):
     Balabdaoui & Raftery 2007). A histogram high in the middle: deviations too large. High at both ends: too small. High
     at one end: the mean is biased, which coverage does not show.
 
+    The artists are ``lines_``, the coverage curves, or ``bars_``, the histograms, one per output; ``ax_`` is the first
+    panel.
+
     Parameters
     ----------
-    nominal : (L,)
-        Probabilities of the intervals.
-    observed : (L, P)
-        Share of values inside; NaN for an output never observed.
+    nominal, observed : (L,), (L, P)
+        Probabilities of the intervals; shares of values inside, NaN for an output never observed.
     pit : (B, P)
         Density of the probability integral transform in B equal bins from 0 to 1; one is uniform, NaN never observed.
     output_names : P names
         The outputs.
-    n_values : (P,) int
-        Number of observed values per output.
-
-    Attributes
-    ----------
-    lines_, bars_ : list of Line2D, list of StepPatch
-        Coverage curves or histograms, one per output drawn.
-    diagonal_ : Line2D
-        The curve of a calibrated model.
-    ax_, axes_, figure_ : Axes, ndarray of Axes, Figure
-        The first panel, all panels and their figure.
 
     Examples
     --------
@@ -77,18 +67,11 @@ class CalibrationDisplay(Display):
     observed: Matrix
     pit: Matrix
     output_names: tuple[str, ...]
-    n_values: np.ndarray
 
     def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, kind: str = "coverage") -> Self:
-        """Draw the coverage curves or the histograms.
+        """Draw the ``kind`` "coverage", all outputs in one panel, or "pit", a histogram per output.
 
-        Parameters
-        ----------
-        ax, outputs, legend
-            See :mod:`skdgp.plotting`.
-        kind : {"coverage", "pit"}, default="coverage"
-            Coverage by level, all outputs in one panel; or the histogram of the probability integral transform, a panel
-            per output.
+        The other options are those of :mod:`skdgp.plotting`.
         """
         check_choice("kind", kind, ("coverage", "pit"))
         chosen = choose(self.output_names, outputs)
@@ -100,8 +83,14 @@ class CalibrationDisplay(Display):
         return self
 
     def _draw_coverage(self, ax, chosen, legend):
-        (self.diagonal_,) = ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
-        self.lines_ = [self._draw_line(ax, k) for k in chosen]
+        ax.plot([0, 100], [0, 100], color=PALETTE["grey"], linewidth=1.0, linestyle=":")
+        self.lines_ = []
+        for k in chosen:
+            style = {"color": CYCLE[k % len(CYCLE)], "linestyle": dashes(self.output_names[k]), "linewidth": 1.4}
+            # Where curves agree, their markers stand beside each other.
+            style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 4, "markevery": (k % 5, 5), "clip_on": False}
+            label = symbol(self.output_names[k])
+            self.lines_ += ax.plot(100 * self.nominal, 100 * self.observed[:, k], label=label, **style)
         ticks = range(0, 101, 20)
         ax.set(xlabel="nominal coverage [%]", xlim=(0, 100), xticks=ticks, aspect="equal")
         ax.set(ylabel="observed coverage [%]", ylim=(0, 100), yticks=ticks)
@@ -111,13 +100,6 @@ class CalibrationDisplay(Display):
         if legend and chosen:
             ax.legend(loc="upper left", bbox_to_anchor=(0.01, 0.92), frameon=False, fontsize="small")
         return ()
-
-    def _draw_line(self, ax, k):
-        name = self.output_names[k]
-        # Where curves agree, their markers stand beside each other.
-        marks = {"marker": MARKERS[k % len(MARKERS)], "markersize": 4, "markevery": (k % 5, 5)}
-        style = {"color": CYCLE[k % len(CYCLE)], "linestyle": dashes(name), "linewidth": 1.4, "clip_on": False}
-        return ax.plot(100 * self.nominal, 100 * self.observed[:, k], label=symbol(name), **style, **marks)[0]
 
     def _draw_histograms(self, ax, chosen):
         edges = np.linspace(0, 1, len(self.pit) + 1)
@@ -130,14 +112,11 @@ class CalibrationDisplay(Display):
             tidy(ax)
             return (bars,)
 
-        options: dict[str, Any] = {"by_column": True, "sharex": True, "sharey": True}
+        options = {"by_column": True, "sharex": True, "sharey": True, "xlabel": r"$\Phi$((measured - mean) / std)"}
         (self.bars_,) = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (3.2, 1.5), **options)
-        top = np.max(self.pit[:, chosen], initial=1.0, where=self.pit[:, chosen] > 0)
-        self.axes_.flat[0].set_ylim(0, 1.05 * top)
+        self.axes_.flat[0].set_ylim(0, 1.05 * np.nan_to_num(self.pit[:, chosen]).max(initial=1.0))
         for left in self.axes_[:, 0]:
             left.set_ylabel("density")
-        for bottom in self.axes_[-1]:
-            bottom.set_xlabel(r"$\Phi$((measured - mean) / std)")
 
     @classmethod
     def from_predictions(
@@ -150,15 +129,15 @@ class CalibrationDisplay(Display):
         output_names: Any = None,
         **plot_options: Any,
     ) -> Self:
-        """Compute coverage and transform of predictions, and draw.
+        """Compute coverage and transform of predictions, and draw them with the options of :meth:`plot`.
 
         Parameters
         ----------
         measured, mean, std : (n, P)
             Values (NaN = not observed, left out), their predictions and standard deviations. For measured
             values these must include the measurement noise; for truth they must not.
-        levels : (L,), default 5 % to 95 % in steps of 5 %, and 99 %
-            Probabilities of the intervals.
+        levels : (L,)
+            Probabilities of the intervals, default 5 % to 95 % in steps of 5 %, and 99 %.
         output_names : P names, optional
             Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
         **plot_options
@@ -168,17 +147,18 @@ class CalibrationDisplay(Display):
         mean = as_columns(mean, "mean", values.shape)
         nominal = check_levels(levels)
         z = standardized(values, mean, check_std(std, values.shape))
+        with np.errstate(invalid="ignore"):  # of an output never observed
+            densities = [np.histogram(column, N_BINS, (0, 1), density=True)[0] for column in norm.cdf(z).T]
         return cls(
             nominal=nominal,
             observed=shares_inside(z, nominal),
-            pit=_densities(norm.cdf(z)),
+            pit=np.column_stack(densities),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-            n_values=np.count_nonzero(~np.isnan(z), axis=0),
         ).plot(**plot_options)
 
     @classmethod
     def from_estimator(cls, estimator: Any, X: Any, Y: Any, *, include_noise: bool = True, **options: Any) -> Self:
-        """Predict with a fitted estimator, and draw.
+        """Predict with a fitted estimator, and draw with the options of :meth:`from_predictions`.
 
         Parameters
         ----------
@@ -192,14 +172,5 @@ class CalibrationDisplay(Display):
         **options
             See :meth:`from_predictions`.
         """
-        check_matplotlib(cls.__name__)
-        mean, std = predict_with_std(estimator, X, include_noise)
-        if not hasattr(Y, "columns"):
-            options.setdefault("output_names", getattr(estimator, "output_names_", None))
-        return cls.from_predictions(Y, mean, std, **options)
-
-
-def _densities(transformed: Matrix) -> Matrix:
-    """Return the histogram of each column, (B, P), relative to a uniform one."""
-    with np.errstate(invalid="ignore"):
-        return np.column_stack([np.histogram(column, N_BINS, (0, 1), density=True)[0] for column in transformed.T])
+        mean, std, names = predicted(estimator, X, Y, include_noise)
+        return cls.from_predictions(Y, mean, std, **{"output_names": names, **options})

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from skdgp._compute.typing import ArrayLike, Matrix
+from skdgp._compute.typing import Matrix
 from skdgp._display.style import scale_beside, symbol
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting._display import names_of, panels
@@ -17,23 +17,12 @@ from skdgp.plotting._display import names_of, panels
 class CouplingDisplay:
     """Heat map of the correlations between outputs, with their values.
 
+    The artists are ``image_``, the coloured cells, ``text_`` (P, P), the written values, and ``colorbar_``.
+
     Parameters
     ----------
-    correlation : (P, P)
+    correlation, output_names : (P, P), P names
         Correlations between -1 and 1; NaN where there is none.
-    output_names : P names
-        The outputs.
-
-    Attributes
-    ----------
-    image_ : QuadMesh
-        The coloured cells.
-    text_ : ndarray of Text, (P, P)
-        The written values.
-    colorbar_ : Colorbar or None
-        The scale.
-    ax_, figure_
-        Where it is drawn.
 
     Examples
     --------
@@ -47,12 +36,12 @@ class CouplingDisplay:
     correlation: Matrix
     output_names: tuple[str, ...]
 
-    def plot(self, ax: Any = None, *, cmap: Any = "RdBu_r", colorbar: bool = True) -> Self:
-        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`), with a diverging colour map from -1 to 1."""
+    def plot(self, ax: Any = None) -> Self:
+        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`)."""
         self.ax_ = ax = panels(ax, 1, 1, figsize=(6.2, 4.6))[0, 0]
         self.figure_ = ax.figure
         edges = np.arange(len(self.output_names) + 1) - 0.5
-        style = {"cmap": cmap, "vmin": -1, "vmax": 1, "edgecolors": "white", "linewidth": 1.0}
+        style = {"cmap": "RdBu_r", "vmin": -1, "vmax": 1, "edgecolors": "white", "linewidth": 1.0}
         self.image_ = ax.pcolormesh(edges, edges, self.correlation, **style)
         self.text_ = np.empty(self.correlation.shape, dtype=object)
         for (i, j), value in np.ndenumerate(self.correlation):
@@ -66,8 +55,7 @@ class CouplingDisplay:
         ax.set_aspect("equal")
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
-        ticks = [-1, -0.5, 0, 0.5, 1]
-        self.colorbar_ = scale_beside(ax, self.image_, "correlation", ticks=ticks) if colorbar else None
+        self.colorbar_ = scale_beside(ax, self.image_, "correlation", ticks=[-1, -0.5, 0, 0.5, 1])
         return self
 
     @classmethod
@@ -79,7 +67,15 @@ class CouplingDisplay:
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names
             correlation = correlation.correlation
-        matrix = _check_correlation(correlation)
+        matrix = np.asarray(correlation, dtype=float)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+            raise ValueError(f"Got a correlation of shape {matrix.shape}, but expected (P, P).")
+        largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
+        if largest > 1 + 1e-6:
+            raise ValueError(
+                f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
+                "standard deviations first."
+            )
         names = names_of(correlation, len(matrix), output_names, COEFFICIENTS)
         return cls(correlation=matrix, output_names=names).plot(**plot_options)
 
@@ -88,16 +84,3 @@ class CouplingDisplay:
         """Draw the ``output_correlation()`` of a fitted regressor, or of a pipeline that ends in one."""
         last = estimator.steps[-1][1] if hasattr(estimator, "steps") else estimator
         return cls.from_correlation(last.output_correlation(), **plot_options)
-
-
-def _check_correlation(correlation: ArrayLike) -> Matrix:
-    matrix = np.asarray(correlation, dtype=float)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
-        raise ValueError(f"Got a correlation of shape {matrix.shape}, but expected (P, P).")
-    largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
-    if largest > 1 + 1e-6:
-        raise ValueError(
-            f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
-            "standard deviations first."
-        )
-    return matrix

@@ -24,25 +24,16 @@ DEFAULT_DERIVATIVES = (
 class DerivativeDisplay(Display):
     """Derivatives with their bands over airspeed, alpha or beta, one panel each.
 
+    The artists are ``lines_``, ``bands_`` and ``truth_``.
+
     Parameters
     ----------
-    at : (n,)
-        Airspeed [m/s] or angle [rad] of the points, rising.
-    values : (n, k)
-        The derivatives.
-    names : k names
-        ``CL_alpha``, ``Cm_q``, ...
-    over : {"airspeed", "alpha", "beta"}
-        Quantity of ``at``.
-    std : (n, k), optional
-        Their standard deviations.
-    truth : (n, k), optional
-        Known derivatives; NaN where there is none.
-
-    Attributes
-    ----------
-    lines_, bands_, truth_ : lists of artists
-        One per panel; None where there was nothing to draw.
+    at, over : (n,), {"airspeed", "alpha", "beta"}
+        The points, rising, [m/s] or [rad], and their quantity.
+    values, names : (n, k), k names
+        The derivatives ``CL_alpha``, ``Cm_q``, ...
+    std, truth : (n, k), optional
+        Their standard deviations; known derivatives, NaN where there is none.
 
     Examples
     --------
@@ -61,24 +52,15 @@ class DerivativeDisplay(Display):
     """
 
     at: Vector
+    over: str = "airspeed"
     values: Matrix
     names: tuple[str, ...]
-    over: str = "airspeed"
     std: Matrix | None = None
     truth: Matrix | None = None
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True, derivatives: Names = None) -> Self:
-        """Draw the panels.
-
-        Parameters
-        ----------
-        ax, level, legend
-            See :mod:`skdgp.plotting`.
-        derivatives : names, optional
-            Derivatives to draw, default all.
-        """
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
         level = check_level(level)
-        chosen = choose(self.names, derivatives)
         at = self.at * display_unit(self.over)[0]
 
         def draw(ax, k):
@@ -90,8 +72,10 @@ class DerivativeDisplay(Display):
             tidy(ax)
             return line, band, known
 
-        n_cols, label = min(3, len(chosen)), axis_label(self.over)
-        artists = self._draw_panels(ax, draw, chosen, n_cols, (3.2, 1.9), xlabel=label, legend=legend, sharex=True)
+        keys, label = range(len(self.names)), axis_label(self.over)
+        artists = self._draw_panels(
+            ax, draw, keys, min(3, len(keys)), (3.2, 1.9), xlabel=label, legend=legend, sharex=True
+        )
         self.lines_, self.bands_, self.truth_ = artists
         return self
 
@@ -105,20 +89,10 @@ class DerivativeDisplay(Display):
         truth: pd.DataFrame | None = None,
         **plot_options: Any,
     ) -> Self:
-        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points.
+        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
 
-        Parameters
-        ----------
-        sweep : DataFrame
-            With levels ``point`` and derivative.
-        over : {"airspeed", "alpha", "beta"}
-            Quantity of the horizontal axis.
-        derivatives : names, optional
-            Derivatives to draw; default: the most common ones of the table.
-        truth : DataFrame, optional
-            Known derivatives at the same points, in the same form.
-        **plot_options
-            See :meth:`plot`.
+        ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The derivatives are by default
+        the most common ones of the table. ``truth`` holds known ones at the same points, in the same form.
         """
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(
@@ -126,17 +100,19 @@ class DerivativeDisplay(Display):
                 "aircraft, [trim, ...])."
             )
         check_choice("over", over, ("airspeed", "alpha", "beta"))
-        wide = sweep["value"].unstack(0)
-        default = [name for name in DEFAULT_DERIVATIVES if name in wide.index]
-        names = default if derivatives is None else list(derivatives)
-        choose(tuple(wide.index), names)
-        at = sweep[over].groupby(level=0).first()
-        order = at.sort_values().index
+        known = sweep.index.unique(level=1)
+        names = [name for name in DEFAULT_DERIVATIVES if name in known] if derivatives is None else list(derivatives)
+        choose(tuple(known), names)
+        at = sweep[over].groupby(level=0).first().sort_values()
+
+        def columns(table, column):
+            return table[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(dtype=float)
+
         return cls(
-            at=at[order].to_numpy(dtype=float),
-            values=wide.loc[names, order].to_numpy(dtype=float).T,
-            std=sweep["std"].unstack(0).loc[names, order].to_numpy(dtype=float).T if "std" in sweep else None,
-            truth=None if truth is None else truth["value"].unstack(0).reindex(names)[order].to_numpy(dtype=float).T,
+            at=at.to_numpy(dtype=float),
+            values=columns(sweep, "value"),
+            std=columns(sweep, "std") if "std" in sweep else None,
+            truth=None if truth is None else columns(truth, "value"),
             over=over,
             names=tuple(names),
         ).plot(**plot_options)

@@ -1,8 +1,8 @@
-"""Base of the displays: panels, their artists, and the validation of what is drawn."""
+"""Base of the displays: panels, their artists, and the checks of what is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,17 +21,7 @@ class Display:
     figure_: Any
 
     def _draw_panels(
-        self,
-        ax: Any,
-        draw: Callable[[Any, Any], tuple],
-        keys: Sequence,
-        n_cols: int,
-        figsize: tuple[float, float],
-        *,
-        xlabel: str | None = None,
-        by_column: bool = False,
-        legend: bool = False,
-        **subplots: Any,
+        self, ax, draw, keys, n_cols, figsize, *, xlabel=None, by_column=False, legend=False, **subplots
     ) -> list[list]:
         """Draw a panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
 
@@ -69,8 +59,14 @@ def panels(ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], *
         return plt.subplots(*shape, figsize=figsize, layout="constrained", squeeze=False, **subplots)[1]
     if hasattr(ax, "subplots"):
         return ax.subplots(*shape, squeeze=False, **subplots)
-    if isinstance(ax, Axes):
-        return np.array([[ax]]) if shape == (1, 1) else _divide(ax, shape, subplots)
+    if isinstance(ax, Axes) and shape != (1, 1):
+        ax.set_axis_off()
+        if (spec := ax.get_subplotspec()) is None:
+            raise ValueError(
+                f"Got one free-standing Axes for {n_rows} x {n_cols} panels, but expected one made by subplots, "
+                "which can be divided: give a Figure instead."
+            )
+        return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
     given = np.asarray(ax, dtype=object)
     if given.size != n_rows * n_cols or not all(isinstance(one, Axes) for one in given.flat):
         raise ValueError(
@@ -78,17 +74,6 @@ def panels(ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], *
             f"use fig, axes = plt.subplots({n_rows}, {n_cols})."
         )
     return given.reshape(shape)
-
-
-def _divide(ax: Any, shape: tuple[int, int], subplots: dict) -> np.ndarray:
-    ax.set_axis_off()
-    spec = ax.get_subplotspec()
-    if spec is None:
-        raise ValueError(
-            f"Got one free-standing Axes for {shape[0]} x {shape[1]} panels, but expected one made by subplots, "
-            "which can be divided: give a Figure instead."
-        )
-    return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:
@@ -125,12 +110,12 @@ def names_of(values: object, n_outputs: int, given: Any = None, default: Sequenc
     return tuple(names)
 
 
-def choose(names: Sequence[str], wanted: Names, what: str = "outputs") -> list[int]:
+def choose(names: Sequence[str], wanted: Names) -> list[int]:
     """Return the positions of the ``wanted`` names; all, for None."""
     wanted = names if wanted is None else [wanted] if isinstance(wanted, str) else wanted
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        raise ValueError(f"Got the {what} {unknown}, but expected some of {list(names)}.")
+        raise ValueError(f"Got the outputs {unknown}, but expected some of {list(names)}.")
     return [list(names).index(name) for name in wanted]
 
 
@@ -139,6 +124,9 @@ def grid_columns(n_panels: int) -> int:
     return 1 if n_panels <= 3 else 2
 
 
-def predict_with_std(estimator: Any, X: Any, include_noise: bool) -> Any:
-    """Return mean and std of a fitted estimator; with noise, also that of regressors, only if requested."""
-    return predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)
+def predicted(estimator: Any, X: Any, Y: Any, include_noise: bool) -> tuple[Any, Any, Any]:
+    """Return mean and std of a fitted estimator, and its names of outputs where Y has none."""
+    check_matplotlib("skdgp.plotting")
+    names = None if hasattr(Y, "columns") else getattr(estimator, "output_names_", None)
+    moments = predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)
+    return *moments, names

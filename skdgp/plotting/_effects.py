@@ -1,16 +1,19 @@
-"""EffectsDisplay: the effect of each regressor on each output."""
+"""EffectsDisplay and BuildUpDisplay: the effect of each regressor on each output, and what no single one explains."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
 from skdgp._compute.intervals import check_level
+from skdgp._compute.typing import Matrix
 from skdgp._display.style import (
     PALETTE,
+    ROLES,
     axis_label,
     check_matplotlib,
     display_unit,
@@ -18,6 +21,7 @@ from skdgp._display.style import (
     legend_of_figure,
     mark_samples,
     plain,
+    scale_beside,
     symbol,
     tidy,
 )
@@ -25,15 +29,38 @@ from skdgp._effects import Curve, effects
 from skdgp.plotting._display import Display, Names, choose
 
 OTHERS = ""  # key of the column of terms of several regressors
+N_LEVELS = 3  # contours of the standard deviation
+N_PAIRS = 2
+"""Tables of two regressors of each coefficient: those with the largest effect, root mean square over the samples."""
+
+
+class _CurveDisplay(Display):
+    """Base of both displays."""
+
+    curves: dict[str, Curve]
+    samples: pd.DataFrame
+
+    def _draw_effect(self, ax, i, name, level):
+        """Draw the effect of a regressor on output i, and quantiles of the samples."""
+        curve, factor = self.curves[name], display_unit(name)[0]
+        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
+        artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
+        mark_samples(ax, factor * self.samples[name])
+        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
+        ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
+        ax.locator_params(axis="y", nbins=4)
+        return artists
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class EffectsDisplay(Display):
+class EffectsDisplay(_CurveDisplay):
     r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
 
-    Panels of a row have the same vertical axis. Short lines in the last row are quantiles of the samples, each 4 %.
+    Panels of a row have the same vertical axis. Short lines at their bottom are quantiles of the samples, each 4 %.
     Bars in the last column are terms of several regressors: the range that holds the given probability of their values
     over the samples, if these are normally distributed.
+
+    The artists are ``lines_``, ``bands_`` and ``bars_``.
 
     Parameters
     ----------
@@ -43,13 +70,6 @@ class EffectsDisplay(Display):
         Standard deviation of each term over the samples; the columns are the outputs.
     samples : DataFrame (n, d)
         Regressors of the samples.
-
-    Attributes
-    ----------
-    lines_, bands_ : lists of artists
-        One per panel; None for the bars.
-    bars_ : list
-        The bars of each panel; None for curves.
 
     Examples
     --------
@@ -69,75 +89,41 @@ class EffectsDisplay(Display):
     importance: pd.DataFrame
     samples: pd.DataFrame
 
-    def plot(
-        self,
-        ax: Any = None,
-        *,
-        level: float = 0.95,
-        outputs: Names = None,
-        legend: bool = True,
-        regressors: Names = None,
-    ) -> Self:
-        """Draw the panels.
-
-        Parameters
-        ----------
-        ax, level, outputs, legend
-            See :mod:`skdgp.plotting`.
-        regressors : names, optional
-            Regressors to draw, default all.
-        """
-        z = norm.ppf(0.5 + 0.5 * check_level(level))
+    def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
+        z = norm.ppf(0.5 + check_level(level) / 2)
         names = list(self.importance.columns)
-        rows, chosen = choose(names, outputs), choose(list(self.curves), regressors, "regressors")
-        columns = [list(self.curves)[k] for k in chosen]
+        rows = choose(names, outputs)
         several = [name for name in self.importance.index if name not in self.curves]
-        columns += [OTHERS] * bool(several)
-        keys = [(i, column) for i in rows for column in columns]
+        columns = [*self.curves, *[OTHERS] * bool(several)]
 
         def draw(ax, key):
             i, column = key
             tidy(ax)
-            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
-            if column == OTHERS:
-                half = z * self.importance.loc[several].iloc[:, i].to_numpy()
-                style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
-                artists = None, None, ax.bar(range(len(several)), 2 * half, bottom=-half, **style)
-                ax.grid(False, axis="x")
-            else:
-                artists = *self._draw_curve(ax, i, column, level), None
-            if i == rows[-1]:
-                self._draw_axis(ax, column, several)
-            return artists
+            if column != OTHERS:
+                if i == rows[-1]:
+                    ax.set_xlabel(axis_label(column).replace(" [", "\n["))
+                return *self._draw_effect(ax, i, column, level), None
+            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
+            half = z * self.importance.loc[several].iloc[:, i].to_numpy()
+            style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
+            bars = ax.bar(range(len(several)), 2 * half, bottom=-half, **style)
+            ax.grid(False, axis="x")
+            ax.set_xlim(-0.75, len(several) - 0.25)
+            ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
+            ax.tick_params(axis="x", length=0)
+            return None, None, bars
 
+        keys = [(i, column) for i in rows for column in columns]
         size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
-        self.lines_, self.bands_, self.bars_ = self._draw_panels(
-            ax, draw, keys, len(columns), size, sharex="col", sharey="row"
-        )
+        artists = self._draw_panels(ax, draw, keys, len(columns), size, sharex="col", sharey="row")
+        self.lines_, self.bands_, self.bars_ = artists
         self.figure_.align_labels(self.axes_.ravel())
         if legend:
             legend_of_figure(self.axes_[-1, 0])
         return self
-
-    def _draw_curve(self, ax, i, name, level):
-        curve, factor = self.curves[name], display_unit(name)[0]
-        artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
-        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
-        ax.ticklabel_format(axis="x", scilimits=(-2, 4), useMathText=True)  # short labels fit narrow panels
-        ax.locator_params(axis="y", nbins=4)
-        return artists
-
-    def _draw_axis(self, ax, column, several):
-        """Draw what the panels of a column share: the label, and the samples or the names of the bars."""
-        if column == OTHERS:
-            ax.set_xlim(-0.75, len(several) - 0.25)
-            ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
-            ax.tick_params(axis="x", length=0)
-            return
-        mark_samples(ax, display_unit(column)[0] * self.samples[column])
-        ax.set_xlabel(axis_label(column).replace(" [", "\n["))
 
     @classmethod
     def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
@@ -150,3 +136,134 @@ class EffectsDisplay(Display):
         """Compute the :func:`skdgp.effects` of a model, without drawing them."""
         found = effects(model, X, n_grid=n_grid)
         return cls(curves=found.curves, importance=found.importance, samples=found.samples)
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class BuildUpDisplay(_CurveDisplay):
+    r"""A row for each coefficient: the effect of each regressor with its band, then its largest tables of two.
+
+    An effect is the derivative and the table of a regressor. Effects and tables of two have mean zero over the samples.
+    Panels of effects in a row have the same vertical axis; short lines at their bottom are quantiles of the samples,
+    each 4 %. Maps are tables of two regressors; their contours are standard deviations.
+
+    The artists are ``lines_``, ``bands_`` and ``meshes_``, the maps.
+
+    Parameters
+    ----------
+    curves : dict of str to Curve
+        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation (n, P).
+    maps : dict of str to list
+        Largest tables of two of each coefficient: names and values (n,), (m,) of both regressors, mean and standard
+        deviation (n, m).
+    samples : DataFrame (n, d)
+        Regressors of the samples.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.export import build_up
+    >>> from skdgp.plotting import BuildUpDisplay
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-0.1, 0.1, (50, 2)), columns=["alpha", "elevator"])
+    >>> Y = pd.DataFrame(X.to_numpy() @ np.ones((2, 6)), columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
+    >>> build = build_up(DependentGPRegressor(structure="trend").fit(X, Y), glider)
+    >>> display = BuildUpDisplay.from_build_up(build, ax=Figure(), outputs=["CZ", "Cm"])
+    >>> display.axes_.shape
+    (2, 2)
+    """
+
+    curves: dict[str, Curve]
+    maps: dict[str, list[tuple[tuple[str, str], Matrix, Matrix, Matrix, Matrix]]]
+    samples: pd.DataFrame
+
+    def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
+        z = norm.ppf(0.5 + check_level(level) / 2)
+        names, regressors = list(self.maps), list(self.curves)
+        rows, n_curves = choose(names, outputs), len(regressors)
+        n_maps = max(len(self.maps[names[i]]) for i in rows)
+
+        def draw(ax, key):
+            i, k = key
+            tidy(ax)
+            if k == 0:
+                ax.set_ylabel(symbol(names[i]))
+            if k < n_curves:
+                artists = *self._draw_effect(ax, i, regressors[k], level), None
+                ax.set_ylim(*self._range(i, z))
+                ax.tick_params(labelleft=k == 0, labelbottom=i == rows[-1])
+                if i == rows[-1]:
+                    ax.set_xlabel(axis_label(regressors[k]).replace(" [", "\n["))
+                return artists
+            if k - n_curves < len(self.maps[names[i]]):
+                return None, None, self._draw_map(ax, *self.maps[names[i]][k - n_curves])
+            ax.set_visible(False)
+            return None, None, None
+
+        keys = [(i, k) for i in rows for k in range(n_curves + n_maps)]
+        size = (max(1.3, 12.0 / (n_curves + n_maps)), 1.25)
+        widths = {"width_ratios": [1.0] * n_curves + [1.5] * n_maps}
+        artists = self._draw_panels(ax, draw, keys, n_curves + n_maps, size, gridspec_kw=widths)
+        self.lines_, self.bands_, self.meshes_ = artists
+        if legend:
+            legend_of_figure(self.axes_[0, 0])
+        return self
+
+    def _range(self, i, z):
+        """Return the limits of the vertical axis of a coefficient."""
+        low = min(float(np.min((curve.mean - z * curve.std)[:, i])) for curve in self.curves.values())
+        high = max(float(np.max((curve.mean + z * curve.std)[:, i])) for curve in self.curves.values())
+        edge = 0.08 * (high - low) or 1.0
+        return low - edge, high + edge
+
+    def _draw_map(self, ax, regressors, rows, columns, mean, std):
+        (first, second), largest = regressors, np.abs(mean).max()
+        x, y = display_unit(second)[0] * columns, display_unit(first)[0] * rows
+        mesh = ax.pcolormesh(x, y, mean, cmap="RdBu_r", vmin=-largest, vmax=largest, shading="gouraud")
+        if np.ptp(std) > 0:
+            lines = ax.contour(x, y, std, levels=N_LEVELS, colors=ROLES["measured"], linewidths=0.6)
+            ax.clabel(lines, fmt="%.1g", fontsize=5)
+        scale_beside(ax, mesh, "").ax.tick_params(labelsize=6)
+        ax.grid(False)
+        ax.set_xlabel(axis_label(second), fontsize="small", labelpad=1)
+        ax.set_ylabel(axis_label(first), fontsize="small", labelpad=1)
+        ax.tick_params(labelsize=7)
+        return mesh
+
+    @classmethod
+    def from_build_up(cls, build: Any, *, n_grid: int = 40, **plot_options: Any) -> Self:
+        """Read the effects of a build-up, and draw them with the options of :meth:`plot`.
+
+        Raises ValueError if ``n_grid`` is less than 2.
+
+        Parameters
+        ----------
+        build : BuildUp
+            Of :func:`skdgp.export.build_up`, with standard deviations.
+        n_grid : int, default=40
+            Points of each curve, and of each axis of a map.
+        **plot_options
+            See :meth:`plot`.
+        """
+        check_matplotlib(cls.__name__)
+        if n_grid < 2:
+            raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2.")
+        samples = pd.DataFrame(build.samples, columns=list(build.regressors))
+        at = dict(zip(build.regressors, np.linspace(build.limits[0], build.limits[1], n_grid).T, strict=True))
+        terms = {name: build.effects(name) for name in build.tables}
+        curves = {}
+        for regressor, points in at.items():
+            moments = [term((regressor,), points[:, None]) for term in terms.values()]
+            curves[regressor] = Curve(points, *np.stack(moments, axis=-1))
+        maps: dict[str, list] = {name: [] for name in terms}
+        for name, tables in build.tables.items():
+            sizes = {t.regressors: t(samples[list(t.regressors)]).std() for t in tables if len(t.regressors) == 2}
+            for pair in sorted(sizes, key=lambda pair: -sizes[pair])[:N_PAIRS]:
+                first, second = (at[regressor] for regressor in pair)
+                grid = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
+                mean, std = (values.reshape(n_grid, n_grid) for values in terms[name](pair, grid))
+                maps[name].append((pair, first, second, mean, std))
+        return cls(curves=curves, maps=maps, samples=samples).plot(**plot_options)

@@ -43,31 +43,18 @@ class EnvelopeDisplay(Display):
     the expected normalised RMSE is 1, as of predicting the mean. Regressors that a panel does not show have their
     medians.
 
+    The artists are ``density_``, ``contours_``, ``hatches_``, ``paths_`` and ``legend_``.
+
     Parameters
     ----------
-    flown : DataFrame (n, d)
-        Regressors of the training samples, SI units and radians.
-    pairs : list of (name, name)
-        Horizontal and vertical regressor of each panel.
-    points : list of pairs of ndarray (G,)
-        Grid of the variance, along both axes of each panel.
+    flown, path : DataFrame (n, d), DataFrame (m, d) or None
+        Regressors of the training samples and of another flight, SI units and radians.
+    pairs, points : list of (name, name), list of pairs of ndarray (G,)
+        Horizontal and vertical regressor of each panel, and the grid along both.
     variance : ndarray (n_pairs, G, G, P)
         Posterior variance of each output on the grid: second axis vertical, third horizontal.
-    flown_variance : ndarray (P,)
+    flown_variance, output_names : ndarray (P,), P names
         V_i, the variance of each output as flown.
-    output_names : P names
-        The outputs.
-    path : DataFrame (m, d), optional
-        Regressors of another flight.
-
-    Attributes
-    ----------
-    density_, contours_, hatches_ : lists of QuadContourSet
-        One per panel.
-    paths_ : list of Line2D
-        One per panel; None without a path.
-    legend_ : Legend or None
-        The legend of the figure.
 
     Examples
     --------
@@ -86,12 +73,12 @@ class EnvelopeDisplay(Display):
     """
 
     flown: pd.DataFrame
+    path: pd.DataFrame | None = None
     pairs: list[tuple[str, str]]
     points: list[tuple[Vector, Vector]]
     variance: Array
     flown_variance: Vector
     output_names: tuple[str, ...]
-    path: pd.DataFrame | None = None
 
     def relative_std(self, outputs: Names = None) -> Array:
         """Return the relative uncertainty rho of ``outputs``, default all, on the grid: (n_pairs, G, G)."""
@@ -99,24 +86,17 @@ class EnvelopeDisplay(Display):
         return np.sqrt((self.variance[..., chosen] / self.flown_variance[chosen]).mean(axis=-1))
 
     def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, pairs: Any = None) -> Self:
-        """Draw a panel for each pair.
-
-        Parameters
-        ----------
-        ax, outputs, legend
-            See :mod:`skdgp.plotting`.
-        pairs : list of (name, name), optional
-            Pairs to draw, default all.
-        """
+        """Draw a panel for each of ``pairs``, default all; other options are those of :mod:`skdgp.plotting`."""
         wanted = self.pairs if pairs is None else [tuple(pair) for pair in pairs]
         unknown = [pair for pair in wanted if pair not in self.pairs]
         if unknown or not wanted:
             raise ValueError(f"Got the pairs {unknown}, but expected some of {self.pairs}.")
         chosen = [self.pairs.index(pair) for pair in wanted]
         relative = self.relative_std(outputs)
-        self.density_, self.contours_, self.hatches_, self.paths_ = self._draw_panels(
+        artists = self._draw_panels(
             ax, lambda a, k: self._draw_panel(a, k, relative[k]), chosen, min(len(chosen), 3), (3.3, 2.9)
         )
+        self.density_, self.contours_, self.hatches_, self.paths_ = artists
         self.legend_ = _legend(self.axes_.flat[0], self.path is not None) if legend else None
         return self
 
@@ -125,9 +105,11 @@ class EnvelopeDisplay(Display):
         factors = np.array([display_unit(name)[0] for name in names])
         x, y = (factor * values for factor, values in zip(factors, self.points[k], strict=True))
         tidy(ax)
-        flown = factors * self.flown[list(names)].to_numpy()
-        density = _draw_density(ax, flown, (x, y))
-        x, y, relative = _smooth(x, y, relative)
+        density = _draw_density(ax, factors * self.flown[list(names)].to_numpy(), (x, y))
+        # Variances of smooth functions are smooth: cubic splines to a grid as fine as the picture.
+        spline = RectBivariateSpline(y, x, relative, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))
+        x, y = (np.linspace(axis[0], axis[-1], N_BINS) for axis in (x, y))
+        relative = spline(y, x)
         top = max(relative.max(), 1.0)
         hatches = ax.contourf(x, y, relative, levels=[LEVELS[1], top + 1], colors="none", hatches=["////"])
         hatches.set(edgecolor=PALETTE["grey"], linewidth=0.0)
@@ -135,8 +117,12 @@ class EnvelopeDisplay(Display):
         ax.clabel(lines, fmt="%.2g", fontsize="small", inline_spacing=2)
         path = None
         if self.path is not None:
-            dots = _one_per_cell(factors * self.path[list(names)].to_numpy(), (x, y))
-            (path,) = ax.plot(*dots.T, ".", color=PALETTE["vermillion"], markersize=1.8, markeredgewidth=0)
+            dots, low, high = factors * self.path[list(names)].to_numpy(), (x[0], y[0]), (x[-1], y[-1])
+            cells = np.floor(N_CELLS * (dots - low) / np.subtract(high, low))
+            one_per_cell = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+            (path,) = ax.plot(
+                *dots[one_per_cell].T, ".", color=PALETTE["vermillion"], markersize=1.8, markeredgewidth=0
+            )
         ax.set(xlabel=axis_label(names[0]), ylabel=axis_label(names[1]), xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         return density, lines, hatches, path
 
@@ -168,11 +154,17 @@ class EnvelopeDisplay(Display):
             Points of the grid along each axis.
         """
         selection, scaling, last = _split_steps(estimator)
-        flown = _regressors(selection, X)
-        path = None if flight is None else _regressors(selection, flight)
+        flown, path = (
+            table if table is None or selection is None else selection.transform(table) for table in (X, flight)
+        )
+        if not all(hasattr(table, "columns") for table in (flown, path) if table is not None):
+            raise ValueError(
+                "Got regressors without names, but expected a DataFrame: put RegressorSelector([...]) into the "
+                "pipeline, or give X as a DataFrame of regressors."
+            )
         pairs = _check_pairs(pairs, list(flown.columns))
-        points = [(_grid(flown[x], path, x, n_grid), _grid(flown[y], path, y, n_grid)) for x, y in pairs]
-        rows = pd.concat(map(_slice, [flown] * len(pairs), pairs, points))
+        points = [(_grid(flown, path, x, n_grid), _grid(flown, path, y, n_grid)) for x, y in pairs]
+        rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
         variance = _moments(last, scaling, rows)[1]
         means, variances = _moments(last, scaling, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
         return cls(
@@ -195,16 +187,6 @@ def _split_steps(estimator: Any) -> tuple[Any, Any, Any]:
     return estimator[:place] if place else None, estimator[place:-1] if place < last else None, estimator[-1]
 
 
-def _regressors(selection: Any, X: Any) -> pd.DataFrame:
-    table = X if selection is None else selection.transform(X)
-    if not hasattr(table, "columns"):
-        raise ValueError(
-            "Got regressors without names, but expected a DataFrame: put RegressorSelector([...]) into the pipeline, "
-            "or give X as a DataFrame of regressors."
-        )
-    return table
-
-
 def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
     if pairs is None:
         here = [tuple(name if name in names else f"{name}_hat" for name in pair) for pair in PAIRS]
@@ -217,9 +199,9 @@ def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _grid(flown: pd.Series, path: pd.DataFrame | None, name: str, n_grid: int) -> Vector:
+def _grid(flown: pd.DataFrame, path: pd.DataFrame | None, name: str, n_grid: int) -> Vector:
     """Return points along one regressor, over the flown range and a margin."""
-    values = flown.to_numpy() if path is None else np.concatenate([flown, path[name]])
+    values = np.concatenate([table[name] for table in (flown, path) if table is not None])
     low, high = np.nanmin(values), np.nanmax(values)
     room = MARGIN * ((high - low) or abs(high) or 1.0)
     return np.linspace(low - room, high + room, n_grid)
@@ -246,27 +228,12 @@ def _draw_density(ax, flown, points):
     centres = [0.5 * (edge[1:] + edge[:-1]) for edge in edges]
     order = np.sort(counts, axis=None)[::-1]
     held = np.cumsum(order) / order.sum()
-    levels = [order[np.searchsorted(held, share)] for share in SHARES]
-    levels = [level * (1 - 1e-9 * k) for level, k in zip(levels, (2, 1), strict=True)]
+    levels = order[np.searchsorted(held, SHARES)] * (1 - 1e-9 * np.array([2, 1]))  # rising, where both are one cell's
     filled = ax.contourf(*centres, counts.T, levels=[*levels, np.inf], colors=[PALETTE["grey"]], extend="neither")
     filled.set(alpha=[0.3, 0.65])
     # Above the dots of another flight.
     ax.contour(*centres, counts.T, levels=levels[:1], colors="#333333", linewidths=0.9, linestyles="--", zorder=2.5)
     return filled
-
-
-def _smooth(x, y, values):
-    """Return a grid as fine as the picture, by cubic splines: variances of smooth functions are smooth."""
-    fine_x, fine_y = (np.linspace(axis[0], axis[-1], N_BINS) for axis in (x, y))
-    spline = RectBivariateSpline(y, x, values, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))
-    return fine_x, fine_y, spline(fine_y, fine_x)
-
-
-def _one_per_cell(rows: Matrix, points: tuple[Vector, Vector]) -> Matrix:
-    """Return one of the rows (n, 2) in each cell of the panel."""
-    low, high = np.array([(axis[0], axis[-1]) for axis in points]).T
-    cells = np.floor(N_CELLS * (rows - low) / (high - low))
-    return rows[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _legend(ax, with_path: bool):

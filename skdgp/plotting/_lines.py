@@ -6,8 +6,6 @@ line of these looks the same.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from skdgp._compute.typing import Indices, Mask, Vector
@@ -27,13 +25,8 @@ def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
     return np.flatnonzero(np.concatenate([[True], cut]))
 
 
-class _Slices(NamedTuple):
-    sample: Indices  # indices of the finite samples, in order
-    first: Indices  # positions in ``sample`` where a new time slice begins
-    line: Indices  # for each of ``sample``, the number of its unbroken line
-
-
-def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> _Slices:
+def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> tuple[Indices, Indices, Indices]:
+    """Return indices of finite samples; which of these begin a time slice; and of each the number of its line."""
     starts = segment_starts(time) if starts is None else starts
     sample = np.flatnonzero(finite)
     t = time[sample]
@@ -43,11 +36,11 @@ def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> 
     broken = (np.diff(segment) != 0) | ((np.diff(sample) > 1) & (np.diff(t) > width))
     new_line = np.concatenate([[True], broken])[: len(sample)]
     if len(sample) <= 2 * n_bins or width == 0.0:
-        new_slice = np.ones(len(sample), dtype=bool)
+        first = np.arange(len(sample))
     else:
         column = np.floor((t - t.min()) / width)
-        new_slice = new_line | np.concatenate([[True], np.diff(column) != 0])
-    return _Slices(sample, np.flatnonzero(new_slice), np.cumsum(new_line))
+        first = np.flatnonzero(new_line | (np.diff(column, prepend=np.nan) != 0))
+    return sample, first, np.cumsum(new_line)
 
 
 def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None) -> tuple[Vector, Vector]:
@@ -64,20 +57,16 @@ def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | 
     sample, first, line = _slices(time, np.isfinite(values) & np.isfinite(time), starts, n_bins)
     if sample.size == 0:
         return np.empty(0), np.empty(0)
-    points = _extremes(values[sample], first, line)
-    gaps = np.flatnonzero(np.diff(line[points])) + 1
-    return np.insert(time[sample][points], gaps, np.nan), np.insert(values[sample][points], gaps, np.nan)
-
-
-def _extremes(values: Vector, first: Indices, line: Indices) -> Indices:
-    """Return the sorted positions of one lowest and one highest value per slice, and of the ends of lines."""
-    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))
+    time, values = time[sample], values[sample]
     ends = np.flatnonzero(np.diff(line))
-    points = [ends, ends + 1, np.array([0, len(values) - 1])]
+    kept = [ends, ends + 1, np.array([0, len(values) - 1])]
+    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))  # of the slice
     for extreme in (np.minimum, np.maximum):
         hits = np.flatnonzero(values == extreme.reduceat(values, first)[number])
-        points.append(hits[np.unique(number[hits], return_index=True)[1]])
-    return np.unique(np.concatenate(points))
+        kept.append(hits[np.unique(number[hits], return_index=True)[1]])  # one in each slice
+    points = np.unique(np.concatenate(kept))
+    gaps = np.flatnonzero(np.diff(line[points])) + 1
+    return np.insert(time[points], gaps, np.nan), np.insert(values[points], gaps, np.nan)
 
 
 def band_points(
@@ -93,12 +82,11 @@ def band_points(
         return np.empty(0), np.empty(0), np.empty(0)
     low, high = np.minimum.reduceat(lower[sample], first), np.maximum.reduceat(upper[sample], first)
     last = np.append(first[1:], len(sample)) - 1
-    single = np.array_equal(first, last)
-    t = time[sample][first] if single else time[sample][np.column_stack([first, last]).ravel()]
-    repeat = 1 if single else 2
-    gaps = (np.flatnonzero(np.diff(line[first])) + 1) * repeat
-    low, high = (np.insert(np.repeat(edge, repeat), gaps, np.nan) for edge in (low, high))
-    return np.insert(t, gaps, np.nan), low, high
+    ends = first[:, None] if np.array_equal(first, last) else np.column_stack([first, last])  # of each slice
+    n = ends.shape[1]
+    gaps = n * (np.flatnonzero(np.diff(line[first])) + 1)
+    edges = time[sample][ends.ravel()], np.repeat(low, n), np.repeat(high, n)
+    return tuple(np.insert(edge, gaps, np.nan) for edge in edges)  # type: ignore[return-value]
 
 
 def isolated(values: Vector) -> list[int]:

@@ -19,7 +19,6 @@ from skdgp.dynamics._simulation.trajectory import path_quantiles
 from skdgp.plotting._display import Display
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
-MAX_PATHS = 40  # more would look like an area
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -31,29 +30,18 @@ class TrajectoryDisplay(Display):
     the band is that of a normal distribution. Marks on the upper edge show where a path leaves the range of the
     training data. Angles are drawn in degrees.
 
+    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, the marks outside the training data.
+
     Parameters
     ----------
-    time : (n,)
-        [s].
-    values : (n_paths, n, k)
-        The states, SI units and radians; NaN after the end of a path.
+    time, values, names : (n,), (n_paths, n, k), k names
+        Time [s]; states, columns of a flight table in SI units and radians, NaN after the end of a path.
     std : (n, k), optional
         Standard deviations, of one path.
-    mean : (n, k), optional
-        The trajectory of the model's mean, beside an ensemble.
-    truth : (n, k), optional
-        The true states.
+    mean, truth : (n, k), optional
+        The trajectory of the model's mean, beside an ensemble; the true states.
     beyond : (n,), optional
         Share of the paths outside the range of the training data.
-    names : k names
-        Columns of a flight table.
-
-    Attributes
-    ----------
-    lines_, bands_, paths_, truth_ : lists of artists
-        One per panel; None where there was nothing to draw. ``paths_`` holds a list for each panel.
-    beyond_ : list of artists
-        The marks outside the range of the training data.
 
     Examples
     --------
@@ -70,52 +58,43 @@ class TrajectoryDisplay(Display):
 
     time: Vector
     values: Array
+    names: Any = DEFAULT_COLUMNS
     std: Matrix | None = None
     mean: Matrix | None = None
     truth: Matrix | None = None
     beyond: Vector | None = None
-    names: Any = DEFAULT_COLUMNS
 
-    def plot(
-        self, ax: Any = None, *, level: float = 0.95, legend: bool = True, n_columns: int = 2, show_paths: bool = False
-    ) -> Self:
-        """Draw the panels.
-
-        Parameters
-        ----------
-        ax, level, legend
-            See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of the paths in the band.
-        n_columns : int, default=2
-            Panels side by side.
-        show_paths : bool, default=False
-            Whether to draw paths, at most 40.
-        """
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
+        """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""
         level = check_level(level)
 
         def draw(ax, k):
             factor = display_unit(self.names[k])[0]
-            values = factor * self.values[:, :, k]
-            low, middle, high = _band(values, None if self.std is None else factor * self.std[:, k], level)
-            middle = middle if self.mean is None else factor * self.mean[:, k]
-            name = "simulated" if self.mean is not None or len(values) == 1 else "median of the paths"
-            band, paths, truth = None, [], None
+            values, label = factor * self.values[:, :, k], "simulated"
+            low, middle, high = None, values[0], None  # no edges of one path without deviations
+            if self.std is not None:
+                half = norm.ppf(0.5 + level / 2) * factor * self.std[:, k]
+                low, high = middle - half, middle + half
+            elif len(values) > 1:
+                low, middle, high = path_quantiles(values, level)
+                label = "median of the paths"
+            if self.mean is not None:
+                middle, label = factor * self.mean[:, k], "simulated"
+            band, truth = None, None
             if low is not None:
-                label = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
-                band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=label)
-            if show_paths:
-                for path in values[:: -(-len(values) // MAX_PATHS)]:
-                    paths += ax.plot(self.time, path, color=PALETTE["blue"], linewidth=0.4, alpha=0.4)
-            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=name)
+                held = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
+                band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=held)
+            (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=label)
             if self.truth is not None:
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
             ax.set_ylabel(axis_label(self.names[k]))
             tidy(ax)
-            return line, band, paths, truth, self._mark_beyond(ax)
+            return line, band, truth, self._mark_beyond(ax)
 
         keys, label = range(len(self.names)), "time [s]"
-        artists = self._draw_panels(ax, draw, keys, n_columns, (5, 1.7), xlabel=label, legend=legend, sharex=True)
-        self.lines_, self.bands_, self.paths_, self.truth_, self.beyond_ = artists
+        artists = self._draw_panels(ax, draw, keys, 2, (5, 1.7), xlabel=label, legend=legend, sharex=True)
+        self.lines_, self.bands_, self.truth_, self.beyond_ = artists
         if legend:
             first = self.axes_.flat[0]
             first.set_title(" ")  # room for the legend, which is wider than the panel
@@ -140,16 +119,15 @@ class TrajectoryDisplay(Display):
         columns: Any = DEFAULT_COLUMNS,
         **plot_options: Any,
     ) -> Self:
-        """Draw the result of :func:`skdgp.dynamics.simulate`.
+        """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
         Parameters
         ----------
         trajectories : DataFrame
             One trajectory, or the paths of one start (column ``path``).
-        truth : DataFrame, optional
-            The recorded flight, with the same columns; interpolated to the times of the simulation.
-        mean : DataFrame, optional
-            Beside the paths of one start, the trajectory that the mean of the model flies: the line.
+        truth, mean : DataFrame, optional
+            The recorded flight, interpolated to the times of the simulation; and, beside paths, the trajectory that the
+            mean of the model flies: the line.
         start : optional
             Start to draw, where there are several; by default the first.
         columns : names
@@ -186,17 +164,6 @@ class TrajectoryDisplay(Display):
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
             names=tuple(names),
         ).plot(**plot_options)
-
-
-def _band(values: Matrix, std: Vector | None, level: float) -> tuple[Vector | None, Vector, Vector | None]:
-    """Return the lower edge, the line and the upper edge; no edges of one path without deviations."""
-    if std is not None:
-        half = norm.ppf(0.5 + 0.5 * level) * std
-        return values[0] - half, values[0], values[0] + half
-    if len(values) == 1:
-        return None, values[0], None
-    low, middle, high = path_quantiles(values, level)
-    return low, middle, high
 
 
 def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

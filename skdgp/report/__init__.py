@@ -6,7 +6,6 @@ Fill a `ReportContent` with arrays and pass it to `write_report`, which neither 
 from skdgp.report._content import (
     THRESHOLDS,
     FlightMechanics,
-    FlightRecord,
     FlightResult,
     ModelSummary,
     ReportContent,
@@ -18,7 +17,6 @@ from skdgp.report._write import render_report, write_report
 __all__ = [
     "THRESHOLDS",
     "FlightMechanics",
-    "FlightRecord",
     "FlightResult",
     "ModelSummary",
     "ReportContent",

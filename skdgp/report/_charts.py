@@ -18,7 +18,7 @@ from skdgp._display.html import symbol, text
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import FlightDisplay
-from skdgp.report._content import FlightResult, ReportContent, measured_states
+from skdgp.report._content import FlightResult, ReportContent
 from skdgp.report._tables import state
 
 TICK = 1e-4
@@ -52,8 +52,7 @@ class Panel(NamedTuple):
 
 def thinning(content: ReportContent) -> int:
     """Return of how many samples a chart keeps one, so that the page stays light."""
-    tables = [record.table for record in content.train]
-    n_values = sum(5 * len(table) for table in tables)
+    n_values = sum(5 * len(table) for table in content.train.values())
     for result in content.test:
         horizons = 0 if result.replay is None else result.replay["horizon"].nunique()
         n_values += len(result.time) * (24 + 10 * horizons + 5)
@@ -64,12 +63,8 @@ def coefficient_chart(result: FlightResult, band: str, span, every: int) -> str:
     """Return the chart of the six coefficients."""
     panels = []
     for k, name in enumerate(COEFFICIENTS):
-        mean = result.mean[:, k]
-        # What is thin lies over what is broad: so all are seen where they agree.
-        series = [Series(band, "sky", mean, std=result.noisy_std[:, k]), Series("estimated", "blue", mean, width=2.5)]
-        if result.truth is not None:
-            series.append(Series("truth", "vermillion", result.truth[:, k], dashed=True))
-        series.append(Series("measured", "measured", result.measured[:, k], width=0.8))
+        mean, truth = result.mean[:, k], None if result.truth is None else result.truth[:, k]
+        series = _compared("estimated", mean, result.measured[:, k], band, result.noisy_std[:, k], truth)
         title = f"{name} against time: {', '.join(one.name for one in series)}"
         panels.append(Panel(title, symbol(name), "", series, base=mean))
     return chart("Coefficients", result.name, result.time, panels, span=span, every=every)
@@ -79,20 +74,23 @@ def state_chart(result: FlightResult, horizon: float, span, every: int) -> str:
     """Return the chart of the lateral states that were replayed and measured."""
     rows = result.replay_over(horizon)
     panels = []
-    for name, measured in measured_states(result).items():
+    for name, measured in result.measured_states.items():
         factor, unit = display_unit(name)
         replayed = factor * rows[name].to_numpy(dtype=float)
-        series = [
-            Series("replayed", "blue", replayed, width=2.5),
-            Series("measured", "measured", factor * measured, width=0.8),
-        ]
-        if f"{name}_std" in rows:
-            std = factor * rows[f"{name}_std"].to_numpy(dtype=float)
-            series.insert(0, Series("95 % band", "sky", replayed, std=std))
+        std = factor * rows[f"{name}_std"].to_numpy(dtype=float) if f"{name}_std" in rows else None
+        series = _compared("replayed", replayed, factor * measured, "95 % band", std)
         panels.append(Panel(f"{name} against time", state(name), unit, series))
     title, time = f"States restarted every {horizon:g} s", rows["time"].to_numpy(dtype=float)
     window = rows["window"].to_numpy(dtype=float) if "window" in rows else None
     return chart(title, result.name, time, panels, span=span, window=window, every=every)
+
+
+def _compared(estimate: str, mean: Array, measured: Array, band: str, std: Any, truth: Any = None) -> list[Series]:
+    """Return the lines of a panel. What is thin lies over what is broad: so all are seen where they agree."""
+    series = [] if std is None else [Series(band, "sky", mean, std=std)]
+    series.append(Series(estimate, "blue", mean, width=2.5))
+    series += [] if truth is None else [Series("truth", "vermillion", truth, dashed=True)]
+    return [*series, Series("measured", "measured", measured, width=0.8)]
 
 
 def input_chart(table, name: str, link: str, color: str, every: int) -> str:
@@ -108,25 +106,14 @@ def input_chart(table, name: str, link: str, color: str, every: int) -> str:
 
 def flight_tracks(flights: Mapping[str, pd.DataFrame], links: Mapping[str, str]) -> str:
     """Return where the flights were, for the script that marks the cursor on the maps; of those it is known of."""
-    paths = {
-        links.get(name, name): ground_path(table, name)[["time", "east", "north"]] for name, table in flights.items()
-    }
-    known = [
-        link for link, path in paths.items() if path.notna().all(axis=None) and path["time"].is_monotonic_increasing
-    ]
-    return _data([{"link": link, **paths[link].round(2).to_dict("list")} for link in known])
+    paths = {links[name]: ground_path(table, name)[["time", "east", "north"]] for name, table in flights.items()}
+    return _data([
+        {"link": link, **path.round(2).to_dict("list")} for link, path in paths.items()
+        if path.notna().all(axis=None) and path["time"].is_monotonic_increasing
+    ])  # fmt: skip
 
 
-def chart(
-    title: str,
-    link: str,
-    time: Array,
-    panels: Sequence[Panel],
-    *,
-    span: tuple[float, float] | None = None,
-    window: Array | None = None,
-    every: int = 1,
-) -> str:
+def chart(title: str, link: str, time: Array, panels: Sequence[Panel], *, span=None, window=None, every=1) -> str:
     """Return the element that the script makes a chart of; empty where time does not increase.
 
     Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s]; lines break where

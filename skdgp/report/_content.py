@@ -57,14 +57,13 @@ class Verdict:
     error, coverage : float
         Normalised root mean square error and coverage of the 95 % band, means of the six coefficients, of all test
         flights together.
-    uses : tuple of Use
-    warnings : tuple of str
-        That which costs most first.
+    uses, warnings : tuples of Use and of str
+        Of the warnings that which costs most first.
     flights : DataFrame
         Per test flight ``duration`` [s] and the means of its scores.
     least_squares_error : float, optional
         The error of a linear model fitted to the same rows.
-    better, worse : tuple of str
+    better, worse : tuples of str
         Coefficients whose error is smaller, or larger, than that of least squares.
     """
 
@@ -102,10 +101,8 @@ class FlightMechanics:
     ----------
     trim : Trim, optional
         None where there is no steady flight.
-    derivatives : DataFrame
-        What `skdgp.dynamics.stability_derivatives` returned.
-    least_squares : DataFrame, optional
-        The same of least squares.
+    derivatives, least_squares : DataFrame
+        What `skdgp.dynamics.stability_derivatives` returned for the model, and for a linear one by least squares.
     modes : DataFrame, optional
         What `skdgp.dynamics.LinearModel.modes` returned.
     simulation : DataFrame, optional
@@ -133,29 +130,9 @@ class FlightMechanics:
         kept = ("value", "std", "lower", "upper", "std_aircraft", "aircraft")
         columns = [name for name in kept if name in self.derivatives]
         found["derivatives"] = self.derivatives[columns].to_dict("index")
-        if self.least_squares is not None:
-            found["least_squares"] = self.least_squares.to_dict("index")
-        if self.modes is not None:
-            found["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
-        if self.simulation is not None:
-            found["simulation"] = self.simulation.to_dict("index")
-        return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightRecord:
-    """The table of a flight.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    table : DataFrame
-        The flight table, SI units: at least ``time``; inputs and positions or velocities where they are known.
-    """
-
-    name: str
-    table: pd.DataFrame
+        modes = None if self.modes is None else self.modes.drop(columns="eigenvalue")
+        tables = {"least_squares": self.least_squares, "modes": modes, "simulation": self.simulation}
+        return found | {name: table.to_dict("index") for name, table in tables.items() if table is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,14 +143,11 @@ class FlightResult:
 
     Parameters
     ----------
-    name : str
-        What to call it.
-    time : (n,)
-        Time of the samples [s].
-    measured, mean : (n, 6)
-        Measured and estimated coefficients, in the order CX CY CZ Cl Cm Cn; measured NaN = not observed.
-    std : (n, 6)
-        Standard deviations of the noise-free coefficients.
+    name, time : str, (n,)
+        What to call it, and the time of the samples [s].
+    measured, mean, std : (n, 6)
+        Measured coefficients in the order CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and the standard
+        deviations of these without noise.
     measured_std : (n, 6), optional
         Standard deviations of new measurements (``include_noise=True``); default ``std``.
     truth : (n, 6), optional
@@ -220,13 +194,20 @@ class FlightResult:
         if self.replay is not None and self.table is None:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
 
+    @property
+    def measured_states(self) -> dict[str, Vector]:
+        """Measured values of the lateral states that were replayed, by name."""
+        replay, table = self.replay, self.table
+        if replay is None or table is None:
+            return {}
+        return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
+
     def replay_over(self, horizon: float) -> pd.DataFrame:
         """Return the rows of the replay of one horizon; bands wider than the motion itself say nothing, and are NaN."""
         rows = replay_rows(cast("pd.DataFrame", self.replay), horizon).copy()
-        for name in measured_states(self):
+        for name, measured in self.measured_states.items():
             if f"{name}_std" in rows:
-                spread = float(np.nanstd(cast("pd.DataFrame", self.table)[name]))
-                rows[f"{name}_std"] = rows[f"{name}_std"].where(rows[f"{name}_std"] <= spread)
+                rows[f"{name}_std"] = rows[f"{name}_std"].where(rows[f"{name}_std"] <= np.nanstd(measured))
         return rows
 
     def horizons(self) -> list[float]:
@@ -249,32 +230,21 @@ class FlightResult:
         """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
         given = self.metrics
         if given is None:
-            given = {"measured": score(self.measured, self.mean, self.noisy_std, self.baseline)}
+            given = {"measured": self._scores(self.measured, self.noisy_std)}
             if self.truth is not None:
-                given["truth"] = score(self.truth, self.mean, self.std, self.baseline)
-        tables = {
-            against: pd.DataFrame(dict(of), index=list(COEFFICIENTS))
+                given["truth"] = self._scores(self.truth, self.std)
+        return {
+            against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)).reindex(columns=list(SCORES))
             for against, of in {"measured": {}, **given}.items()
         }
-        return {against: table.reindex(columns=list(SCORES)) for against, table in tables.items()}
 
-
-def measured_states(result: FlightResult) -> dict[str, Vector]:
-    """Return the measured values of the lateral states that were replayed, by name."""
-    replay, table = result.replay, result.table
-    if replay is None or table is None:
-        return {}
-    return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
-
-
-def score(y_true: Matrix, y_pred: Matrix, y_std: Matrix, baseline: Matrix | None = None) -> dict[str, Vector]:
-    """Return the scores of the report, one number per output."""
-    found = {}
-    for name, one in SCORES.items():
-        predicted = [baseline] if one.of_baseline else [y_pred, y_std] if one.of_band else [y_pred]
-        if predicted[0] is not None:
-            found[name] = one.function(y_true, *predicted, multioutput="raw_values")
-    return found
+    def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
+        found = {}
+        for name, one in SCORES.items():
+            predicted = [self.baseline] if one.of_baseline else [self.mean, std] if one.of_band else [self.mean]
+            if predicted[0] is not None:
+                found[name] = one.function(values, *predicted, multioutput="raw_values")
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,35 +255,29 @@ class ModelSummary:
     ----------
     n_samples, n_available : int
         Samples the regressor learned from, and those the flights hold.
-    regressors : names
-        Regressors of the model.
     n_latent, n_private : int
         Shared latent processes, and private ones.
-    kernel, trend, inference : str
+    regressors, kernel, trend, inference
         As chosen.
     log_marginal_likelihood : float
-        Attained.
-    n_iter, max_iter : int
-        Iterations of the optimiser, and the most it was allowed.
-    converged : bool
-        Whether the optimiser came to its end.
+        As attained.
+    n_iter, max_iter, converged : int, int, bool
+        Iterations of the optimiser, the most it was allowed, and whether it came to its end.
     fit_seconds : float
         Time of the fit [s].
     noise_std : (6,)
         Standard deviation of the measurement noise that was learned, per coefficient.
     correlation : (6, 6) or Bunch
         Coupling between the outputs: what ``output_correlation()`` returned, or its matrix.
-    versions : mapping of str to str
-        Software and its version.
-    extra : mapping of str to str
-        Further lines for the table of what was done.
+    versions, extra : mappings of str to str
+        Software and its version; further lines for the table of what was done.
     """
 
     n_samples: int | None = None
     n_available: int | None = None
-    regressors: Sequence[str] = ()
     n_latent: int | None = None
     n_private: int | None = None
+    regressors: Sequence[str] = ()
     kernel: str | None = None
     trend: str | None = None
     inference: str | None = None
@@ -336,38 +300,32 @@ class ReportContent:
     ----------
     title : str
         Heading of the report.
-    train : sequence of FlightRecord
-        Flights learned from.
+    train : mapping of str to DataFrame
+        Tables of the flights learned from, SI units: at least ``time``; inputs and positions or velocities where they
+        are known.
     test : sequence of FlightResult
         Flights tested on.
     model : ModelSummary
         What was fitted.
     aircraft : mapping of str to str, or str
         Name, or facts such as mass, span and chord, ready to read.
-    verdict : Verdict, optional
-        What the model is good enough for.
-    mechanics : FlightMechanics, optional
-        Trim, derivatives and modes.
-    envelope : EnvelopeDisplay, optional
-        What ``EnvelopeDisplay.compute`` returned: where the data are, and where the model knows nothing.
-    effects : EffectsDisplay, optional
-        What ``EffectsDisplay.compute`` returned: how each regressor changes each coefficient.
+    verdict, mechanics : Verdict, FlightMechanics, optional
+        What the model is good enough for; trim, derivatives and modes.
+    envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
+        As from ``compute``: where the data are, and where the model knows nothing; how each regressor changes each
+        coefficient.
     sections : sequence of str
         Further sections, HTML.
-    assumed : sequence of str
-        What was assumed where nothing was told.
+    assumed, messages : sequences of str
+        What was assumed where nothing was told; warnings that arose.
     units : mapping of str to str
         Units of controls that are not those of docs/notation.md.
-    messages : sequence of str
-        Warnings that arose.
-    command : str, optional
-        How the report was made.
-    created : datetime, optional
-        When; default: now.
+    command, created : str, datetime, optional
+        How the report was made, and when; default: now.
     """
 
     title: str
-    train: Sequence[FlightRecord] = ()
+    train: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     test: Sequence[FlightResult] = ()
     model: ModelSummary = field(default_factory=ModelSummary)
     aircraft: Mapping[str, str] | str = ""
@@ -377,7 +335,7 @@ class ReportContent:
     effects: EffectsDisplay | None = None
     sections: Sequence[str] = ()
     assumed: Sequence[str] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
     messages: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     command: str | None = None
     created: datetime | None = None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ from skdgp.plotting import (
     FlightDisplay,
     StateDisplay,
 )
-from skdgp.report._content import FlightResult, measured_states
+from skdgp.report._content import FlightResult
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
@@ -47,38 +48,30 @@ def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple
 
 def coefficient_panels(result: FlightResult, span) -> list[str]:
     """Return six panels of a span, or of the whole flight: measured, estimated with band, truth."""
-    display = CoefficientDisplay(
-        time=result.time,
-        measured=result.measured,
-        mean=result.mean,
-        std=result.noisy_std,
-        truth=result.truth,
-        output_names=COEFFICIENTS,
-    )
-    return [
-        strip(
-            lambda ax, name=name: display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False),
-            label=f"{name} against time: measured, and estimated with its 95 % band",
-            bottom=name in COEFFICIENTS[-2:],
-        )
-        for name in COEFFICIENTS
-    ]
+    shown = {name: getattr(result, name) for name in ("time", "measured", "mean", "truth")}
+    display = CoefficientDisplay(**shown, std=result.noisy_std, output_names=COEFFICIENTS)
+
+    def draw(ax, name):
+        display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False)
+
+    return _strips(COEFFICIENTS, draw, "measured, and estimated with its 95 % band")
 
 
 def state_panels(result: FlightResult, horizon: float, span) -> list[str]:
     """Return one panel for each lateral state that was replayed and measured."""
-    states, rows, table = list(measured_states(result)), result.replay_over(horizon), cast("pd.DataFrame", result.table)
+    states, rows, table = list(result.measured_states), result.replay_over(horizon), cast("pd.DataFrame", result.table)
 
     def draw(ax, name):
         StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False)
 
+    return _strips(states, draw, "measured, and replayed with its band")
+
+
+def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
+    """Return a strip for each name, two side by side."""
     return [
-        strip(
-            lambda ax, name=name: draw(ax, name),
-            label=f"{name} against time: measured, and replayed with its band",
-            bottom=name in states[-2:],
-        )
-        for name in states
+        strip(partial(draw, name=name), label=f"{name} against time: {words}", bottom=name in names[-2:])
+        for name in names
     ]
 
 
@@ -95,12 +88,12 @@ def calibration_panel(values, mean, std) -> str:
 def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) -> list[str]:
     """Return one panel for each regressor named: its effect on an output; all have the same vertical scale."""
     k = list(display.importance).index(output)
-    curves = [display.curves[name] for name in names]
-    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves)
+    curves = {name: display.curves[name] for name in names}
+    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves.values())
 
-    def draw(ax, name, curve):
+    def draw(ax, name):
         tidy(ax)
-        factor, unit = display_unit(name)
+        curve, (factor, unit) = curves[name], display_unit(name)
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], 0.95, "effect")
         mark_samples(ax, factor * display.samples[name])
         edges = factor * curve.at[[0, -1]]
@@ -112,25 +105,17 @@ def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) ->
         ax.get_xticklabels()[-1].set_horizontalalignment("right")
         ax.set_xlabel(unit, labelpad=-7)
 
-    return [
-        picture(
-            lambda ax, name=name, curve=curve: draw(ax, name, curve),
-            label=f"Effect of {name} on {output}",
-            size=(2.0, 1.35),
-            margins=(0.23, 0.98, 0.19, 0.97),
-        )
-        for name, curve in zip(names, curves, strict=True)
-    ]
+    place: dict[str, Any] = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
+    return [picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place) for name in names]
 
 
 def envelope_panels(display: EnvelopeDisplay) -> list[str]:
     """Return one panel for each pair of regressors: density of the samples, relative uncertainty, another flight."""
+    words = "where samples were flown, and how uncertain the model is there"
+    place: dict[str, Any] = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
     return [
         picture(
-            lambda ax, pair=pair: display.plot(ax, pairs=[pair], legend=False),
-            label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
-            size=(2.9, 2.45),
-            margins=(0.21, 0.97, 0.18, 0.98),
+            partial(display.plot, pairs=[pair], legend=False), label=f"{pair[1]} against {pair[0]}: {words}", **place
         )
         for pair in display.pairs
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,39 +19,10 @@ from skdgp.report._content import (
     THRESHOLDS,
     FlightMechanics,
     FlightResult,
-    ModelSummary,
     ReportContent,
     Verdict,
-    measured_states,
 )
 from skdgp.report._tables import SCORES, derivative, error_table, facts, regressor, replay_table, state
-
-_FLIGHT_COLORS = [name for color in CYCLE for name, value in PALETTE.items() if value == color]
-
-
-def verdict(content: ReportContent) -> str:
-    """Return what was learned, what the model is good enough for, and how it did on each test flight."""
-    if not content.test:
-        return (
-            '<section><h2>Verdict</h2><p class="note">No test flight was given: nothing here shows how the model '
-            "does away from the flights it learned from.</p></section>"
-        )
-    found = content.verdict
-    parts = ["<section><h2>Verdict</h2>"]
-    if found is not None:
-        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in found.uses]
-        parts += [
-            f'<p class="lead">{text(found.learned)}</p>',
-            f'<div class="head">{_tiles(found)}</div>',
-            table(["good enough to", "", "because"], uses, caption="What the model is good for.", classes="words"),
-            f'<p class="note">{_thresholds()}</p>',
-            f"<p>{text(found.compared())}</p>",
-        ]
-        parts += ["<h3>The warnings that matter most</h3>", _list("ol", found.warnings[:N_WARNINGS])]
-    if found is None or len(content.test) > 1:
-        parts.append(_flights_table(content))
-    return "".join([*parts, "</section>"])
-
 
 _FIT = {
     "yes": '<b class="yes">✓ yes</b>',
@@ -59,66 +30,96 @@ _FIT = {
     "no": '<b class="off">✗ no</b>',
     "unknown": "? not known",
 }
+_THRESHOLDS = (
+    f"<b>Thresholds.</b> Predict: errors of at most {THRESHOLDS.error:g} of the spread of what is predicted, and 95 % "
+    f"bands that hold at least {100 * THRESHOLDS.coverage:.0f} %. Simulate, with the recorded controls from measured "
+    f"states: root mean square errors of at most {THRESHOLDS.error:g} of the spread of each state, or 3 times the "
+    f"noise of its sensor. Design a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for "
+    "the derivatives by the controls and the frequencies of the fast modes."
+)
 N_WARNINGS = 3
+LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
+GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
+STRONG = 0.3
+"""Correlation of two outputs that is worth naming."""
+MOST_OPEN = 3
+"""Flights that a page shows in full; of more each is opened by hand, but for the one that is predicted worst."""
+N_EFFECTS = 4
+"""Regressors shown for each coefficient: those whose effects vary most over the samples."""
 
 
-def _thresholds() -> str:
-    error, coverage, band = THRESHOLDS.error, 100 * THRESHOLDS.coverage, 100 * THRESHOLDS.band
-    return (
-        f"<b>Thresholds.</b> Predict: errors of at most {error:g} of the spread of what is predicted, and 95 % bands "
-        f"that hold at least {coverage:.0f} %. Simulate, with the recorded controls from measured states: root mean "
-        f"square errors of at most {error:g} of the spread of each state, or 3 times the noise of its sensor. Design a "
-        f"controller: 95 % bands of at most ±{THIN}{band:.0f}{THIN}% for the derivatives by the controls and the "
-        "frequencies of the fast modes."
-    )
+def _section(title: str, *parts: str, classes: str = "") -> str:
+    """Return a section of ready HTML."""
+    kind = f' class="{classes}"' if classes else ""
+    return f"<section{kind}><h2>{title}</h2>{''.join(parts)}</section>"
+
+
+def _note(words: str) -> str:
+    return f'<p class="note">{words}</p>'
+
+
+def verdict(content: ReportContent) -> str:
+    """Return what was learned, what the model is good enough for, and how it did on each test flight."""
+    if not content.test:
+        words = "No test flight was given: nothing here shows how the model does away from the flights it learned from."
+        return _section("Verdict", _note(words))
+    found, parts = content.verdict, []
+    if found is not None:
+        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in found.uses]
+        parts = [
+            f'<p class="lead">{text(found.learned)}</p>',
+            _tiles(found),
+            table(["good enough to", "", "because"], uses, caption="What the model is good for.", classes="words"),
+            _note(_THRESHOLDS),
+            f"<p>{text(found.compared())}</p>",
+            "<h3>The warnings that matter most</h3>",
+            _warnings("ol", found.warnings[:N_WARNINGS]),
+        ]
+    if found is None or len(content.test) > 1:
+        head, rows = ["", "length<br>[s]", *(score.head for score in SCORES.values())], []
+        for result in content.test:
+            means = result.scores["measured"].mean()
+            cells = [score.show(means[name]) for name, score in SCORES.items()]
+            rows.append([text(result.name), number(np.ptp(result.time), ".3g"), *cells])
+        caption = "Test flights, against measured values: means of the six coefficients."
+        parts.append(table(head, rows, caption=caption, classes="numbers"))
+    return _section("Verdict", *parts)
 
 
 def _tiles(found: Verdict) -> str:
     linear = found.least_squares_error
     beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
     return (
-        f"<div><b>{number(found.error, '.3f')}</b><span>error over spread (NRMSE), mean of the six</span>{beside}</div>"
-        f"<div><b>{percent(found.coverage)}<small>%</small></b><span>of measured values inside the 95 % band</span>"
-        "<span>95 is right</span></div>"
+        f'<div class="head"><div><b>{number(found.error, ".3f")}</b><span>error over spread (NRMSE), mean of the six'
+        f"</span>{beside}</div><div><b>{percent(found.coverage)}<small>%</small></b><span>of measured values inside "
+        "the 95 % band</span><span>95 is right</span></div></div>"
     )
 
 
-def _flights_table(content: ReportContent) -> str:
-    head = ["", "length<br>[s]", *(score.head for score in SCORES.values())]
-    rows = []
-    for result in content.test:
-        means = result.scores["measured"].mean()
-        cells = [score.show(means[name]) for name, score in SCORES.items()]
-        rows.append([text(result.name), number(float(np.ptp(result.time)), ".3g"), *cells])
-    caption = "Test flights, against measured values: means of the six coefficients."
-    return table(head, rows, caption=caption, classes="numbers")
-
-
-def _list(kind: str, lines: Sequence[str]) -> str:
-    if not lines:
-        return '<p class="note">No warning arose.</p>'
-    return f'<{kind} class="alerts">{"".join(f"<li>{text(line)}</li>" for line in lines)}</{kind}>'
+def _warnings(kind: str, lines: Iterable[str]) -> str:
+    shown = "".join(f"<li>{text(line)}</li>" for line in lines)
+    return f'<{kind} class="alerts">{shown}</{kind}>' if shown else _note("No warning arose.")
 
 
 def assumed(content: ReportContent) -> str:
     """Return what was assumed where nothing was told, empty where all was."""
     lines = "".join(f"<li>{text(line)}</li>" for line in content.assumed)
-    return f"<section><h2>What was assumed</h2><ul>{lines}</ul></section>" if lines else ""
+    return _section("What was assumed", f"<ul>{lines}</ul>") if lines else ""
 
 
 def messages(content: ReportContent) -> str:
     """Return the warnings that the verdict does not show, or that none arose."""
     if content.verdict is None:
-        return f"<section><h2>Warnings</h2>{_list('ul', list(dict.fromkeys(content.messages)))}</section>"
+        return _section("Warnings", _warnings("ul", dict.fromkeys(content.messages)))
     rest = content.verdict.warnings[N_WARNINGS:]
-    return f"<section><h2>Further warnings</h2>{_list('ul', rest)}</section>" if rest else ""
+    return _section("Further warnings", _warnings("ul", rest)) if rest else ""
 
 
 def mechanics(found: FlightMechanics) -> str:
     """Return trim, derivatives, modes, and how long a simulation follows the test flights."""
-    parts = ["<section><h2>Trim, derivatives and modes</h2>"]
+    parts = []
     if found.trim is None:
-        parts.append(f'<p class="note">{text(found.note)}</p>')
+        parts.append(_note(text(found.note)))
     else:
         angles = {name: getattr(found.trim, name) for name in ("airspeed", "alpha", "theta", "phi", "climb")}
         shown = [(name, _in_words(name, value)) for name, value in (angles | found.trim.controls).items()]
@@ -130,11 +131,7 @@ def mechanics(found: FlightMechanics) -> str:
         parts.append(_modes(found.modes))
     if found.simulation is not None:
         parts.append(_simulation(found.simulation))
-    return "".join([*parts, "</section>"])
-
-
-LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
-GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
+    return _section("Trim, derivatives and modes", *parts)
 
 
 def _in_words(name: str, value: float) -> str:
@@ -218,24 +215,23 @@ def _simulation(errors: pd.DataFrame) -> str:
 def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
-    pairs: list[tuple[str, object]] = [] if isinstance(aircraft, str) else list(aircraft.items())
+    latent = {"shared": model.n_latent, "private": model.n_private}
     is_bound = "sparse" in (model.inference or "")  # which is not comparable with the likelihood of an exact model
-    likelihood = "Log likelihood, lower bound" if is_bound else "Log likelihood"
-    pairs += [
-        ("Learned from", _all_flown([(record.name, record.table["time"]) for record in content.train])),
+    at_limit = model.n_iter is not None and model.max_iter is not None and model.n_iter >= model.max_iter
+    end = " (limit reached)" if at_limit else ""
+    pairs = [
+        *([] if isinstance(aircraft, str) else aircraft.items()),
+        ("Learned from", _all_flown([(name, table["time"]) for name, table in content.train.items()])),
         ("Tested on", _all_flown([(result.name, result.time) for result in content.test])),
-        ("Samples", _samples(model)),
+        ("Samples", " of ".join(filter(None, map(_grouped, (model.n_samples, model.n_available))))),
         ("Regressors", ", ".join(map(str, model.regressors))),
-        (
-            "Latent processes",
-            ", ".join(f"{n} {kind}" for n, kind in ((model.n_latent, "shared"), (model.n_private, "private")) if n),
-        ),
+        ("Latent processes", ", ".join(f"{n} {kind}" for kind, n in latent.items() if n)),
         ("Kernel", model.kernel),
         ("Trend", model.trend),
         ("Inference", model.inference),
         ("Coupling of outputs", _coupling(model.correlation)),
-        (likelihood, _grouped(model.log_marginal_likelihood, ".1f")),
-        ("Iterations", _iterations(model)),
+        ("Log likelihood" + ", lower bound" * is_bound, _grouped(model.log_marginal_likelihood, ".1f")),
+        ("Iterations", _grouped(model.n_iter) + (end if model.converged else " (not converged: raise max_iter)")),
         ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
         *model.extra.items(),
         ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
@@ -243,11 +239,7 @@ def what_was_done(content: ReportContent) -> str:
     ]
     # Shown in print only: the first page is the one to sign.
     sign = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
-    return f"<section><h2>What was done</h2>{facts(pairs)}{sign}</section>"
-
-
-STRONG = 0.3
-"""Correlation of two outputs that is worth naming."""
+    return _section("What was done", facts(pairs), sign)
 
 
 def _coupling(correlation: Any) -> str | None:
@@ -261,13 +253,6 @@ def _coupling(correlation: Any) -> str | None:
     return f"correlations {', '.join(found)}" if found else f"no correlation of {STRONG:g} or more"
 
 
-def _samples(model: ModelSummary) -> str | None:
-    if model.n_samples is None:
-        return None
-    of = "" if model.n_available is None else f" of {_grouped(model.n_available)}"
-    return f"{_grouped(model.n_samples)}{of}"
-
-
 def _all_flown(flights: Sequence[tuple[str, Any]]) -> str:
     """Return flights with their durations; of many their number."""
     if len(flights) <= MOST_OPEN:
@@ -278,8 +263,7 @@ def _all_flown(flights: Sequence[tuple[str, Any]]) -> str:
 
 def _flown(name: str, time) -> str:
     """Return a flight with its duration and sample rate."""
-    time = np.asarray(time, dtype=float)
-    steps = np.diff(time)
+    steps = np.diff(np.asarray(time, dtype=float))
     steps = steps[steps > 0]
     if not steps.size:
         return name
@@ -287,28 +271,8 @@ def _flown(name: str, time) -> str:
     return f"{name} ({seconds}{THIN}s at {number(1 / np.median(steps), '.3g')}{THIN}Hz)"
 
 
-def _iterations(model: ModelSummary) -> str | None:
-    n_iter, most = model.n_iter, model.max_iter
-    if not model.converged:
-        return f"{_grouped(n_iter)} (not converged: raise max_iter)"
-    at_limit = n_iter is not None and most is not None and n_iter >= most
-    return f"{_grouped(n_iter)} (limit reached)" if at_limit else _grouped(n_iter)
-
-
-def _grouped(value, form: str = ".0f") -> str | None:
-    if value is None:
-        return None
-    return number(value, "," + form).replace(",", THIN)
-
-
-_NO_BANDS_OF_TRUTH = (
-    "Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such as gusts, "
-    "which no band promises to hold."
-)
-
-
-MOST_OPEN = 3
-"""Flights that a page shows in full; of more each is opened by hand, but for the one that is predicted worst."""
+def _grouped(value: float | None, form: str = ".0f") -> str:
+    return "" if value is None else number(value, "," + form).replace(",", THIN)
 
 
 def flights(content: ReportContent, every: int, draw: bool) -> list[str]:
@@ -318,26 +282,26 @@ def flights(content: ReportContent, every: int, draw: bool) -> list[str]:
     for result, error in zip(content.test, errors, strict=True):
         worst = not error < max(errors)
         body = _flight(result, content.model.noise_std, every, draw and worst)
-        heading = f"<h2>Test flight {text(result.name)}</h2>"
+        title = f"Test flight {text(result.name)}"
         if len(errors) <= MOST_OPEN:
-            parts.append(f'<section class="flight">{heading}{body}</section>')
+            parts.append(_section(title, body, classes="flight"))
         else:
-            parts.append(f"<details{' open' * worst}><summary>{heading}</summary>{body}</details>")
+            parts.append(f"<details{' open' * worst}><summary><h2>{title}</h2></summary>{body}</details>")
     return parts
 
 
 def _flight(result: FlightResult, noise_std, every: int, draw: bool) -> str:
     scores = result.scores
     tables = error_table(scores["measured"], noise_std, against="measured coefficients")
+    words = "▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide."
     if "truth" in scores:
         tables += error_table(scores["truth"], against="truth", with_bands=False)
-    no_bands = f" {_NO_BANDS_OF_TRUTH}" if "truth" in scores else ""
-    parts = [
-        f'<div class="pair">{tables}</div>',
-        f'<p class="note">▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide.{no_bands}</p>',
-    ]
+        words += (
+            " Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such "
+            "as gusts, which no band promises to hold."
+        )
     span = pictures.busiest_span(result.time, result.mean)
-    parts.append(_coefficients(result, span, every, draw))
+    parts = [f'<div class="pair">{tables}</div>', _note(words), _coefficients(result, span, every, draw)]
     errors, horizons = result.replay_errors, [] if result.replay is None else result.horizons()
     if result.replay is not None or errors is not None:
         parts.append("<h3>Replayed states</h3>")
@@ -353,14 +317,15 @@ def _coefficients(result: FlightResult, span, every: int, draw: bool) -> str:
     key += [] if result.truth is None else [("vermillion", "truth", "")]
     caption = f"Measured and estimated coefficients of {text(result.name)}."
     if span is not None and draw:
-        caption += figures.still(f" The {number(span[1] - span[0], 'g')}{THIN}s in which the estimates move most.")
+        seconds = number(span[1] - span[0], "g")  # of the pictures, where no chart is
+        caption += f'<span class="still"> The {seconds}{THIN}s in which the estimates move most.</span>'
     chart = charts.coefficient_chart(result, band, span, every)
     panels = pictures.coefficient_panels(result, span) if draw else []
     return f"<h3>Coefficients</h3>{figures.figure(panels, caption, key, chart)}"
 
 
 def _states(result: FlightResult, horizon: float, span, every: int, draw: bool) -> str:
-    rows, names = result.replay_over(horizon), list(measured_states(result))
+    rows, names = result.replay_over(horizon), list(result.measured_states)
     if not names:
         return ""
     key = [("measured", "measured", ""), ("blue", "replayed", "")]
@@ -381,11 +346,7 @@ def calibration(content: ReportContent) -> str:
         "Calibration: how often intervals, with the noise, hold the measured values of all test flights. On the dotted "
         "line they hold as often as they say."
     )
-    return f"<section><h2>Calibration</h2>{figures.figure([pictures.calibration_panel(*whole)], caption)}</section>"
-
-
-N_EFFECTS = 4
-"""Regressors shown for each coefficient: those whose effects vary most over the samples."""
+    return _section("Calibration", figures.figure([pictures.calibration_panel(*whole)], caption))
 
 
 def effects(display: EffectsDisplay) -> str:
@@ -411,14 +372,17 @@ def effects(display: EffectsDisplay) -> str:
         words = ", ".join(f"{symbol(str(name))} {percent(value, '.0f')}" for name, value in rest.items())
         caption += f" What no single regressor explains, in percent of the spread of the effects: {words}."
     figure = f"<figure>{figures.key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>"
-    return f"<section><h2>Effects</h2>{figure}</section>"
+    return _section("Effects", figure)
 
 
 def envelope(display: EnvelopeDisplay) -> str:
     """Return where the samples are, and where around them the model is uncertain."""
-    key = [("grey", "95 % and half of the samples learned from", "area"), ("blue", "relative uncertainty", "")]
-    key += [("grey", "above 0.5: hardly known", "hatch")]
-    key += [("vermillion", "test flights", "•")] if display.path is not None else []
+    key = [
+        ("grey", "95 % and half of the samples learned from", "area"),
+        ("blue", "relative uncertainty", ""),
+        ("grey", "above 0.5: hardly known", "hatch"),
+        *([] if display.path is None else [("vermillion", "test flights", "•")]),
+    ]
     caption = (
         "Pairs of regressors; those that a panel does not show are at their medians. Lines: the standard deviation of "
         "the coefficients, over how much they vary where samples were flown: 0 where they are known, 1 where any value "
@@ -426,7 +390,7 @@ def envelope(display: EnvelopeDisplay) -> str:
         "are extrapolated."
     )
     figure = figures.figure(pictures.envelope_panels(display), caption, key, layout="trio")
-    return f"<section><h2>Where the model knows</h2>{figure}</section>"
+    return _section("Where the model knows", figure)
 
 
 def flown(content: ReportContent, every: int, draw: bool) -> str:
@@ -434,7 +398,7 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
     flights = flown_tables(content)
     linked = {id(result.table): result.name for result in content.test}
     links = {name: linked.get(id(table), name) for name, table in flights.items()}
-    parts = ["<section><h2>What was flown</h2>"]
+    parts = []
     positions = {"north", "east"}, {"v_north", "v_east"}
     tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
     if tracked and draw:
@@ -446,20 +410,18 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
         parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
     inputs = "".join(
         figures.figure(
-            [],
-            f"Inputs of {text(name)}.",
-            chart=charts.input_chart(flights[name], name, links[name], _color(k), every),
+            [], f"Inputs of {text(name)}.", chart=charts.input_chart(table, name, links[name], _color(k), every)
         )
-        for k, name in enumerate(flights)
+        for k, (name, table) in enumerate(flights.items())
     )
     if len(flights) > MOST_OPEN:
         inputs = f"<details><summary>Inputs of {len(flights)} flights</summary>{inputs}</details>"
-    return "".join([*parts, inputs, "</section>"])
+    return _section("What was flown", *parts, inputs)
 
 
 def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
-    pairs = [(f"{record.name} (train)", record.table) for record in content.train]
+    pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
     tables: dict[str, pd.DataFrame] = {}
     for name, flight in pairs:
@@ -470,8 +432,9 @@ def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
 
 def how_to_read() -> str:
     """Return what the numbers mean."""
-    return (
-        '<section><h2>How to read the numbers</h2><div class="note">'
+    return _section(
+        "How to read the numbers",
+        '<div class="note">'
         "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides tails, and grows "
         "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error over the "
         "standard deviation of the values; 1 is no better than their mean.</p>"
@@ -480,9 +443,10 @@ def how_to_read() -> str:
         "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model learned.</p>"
         "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. Lateral: "
         "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
-        "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div></section>"
+        "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>",
     )
 
 
 def _color(k: int) -> str:
-    return _FLIGHT_COLORS[k % len(_FLIGHT_COLORS)]
+    """Return the name of the colour of the k-th flight."""
+    return list(PALETTE)[k % len(CYCLE)]

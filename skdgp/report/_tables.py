@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,12 +30,9 @@ def coverage(value: float) -> str:
 
 
 REGRESSORS = {
-    "alpha": "α",
-    "beta": "β",
-    "alpha_dot": "dα/dt",
-    "beta_dot": "dβ/dt",
-    **{f"{rate}_hat": f"{rate}{length}/2V" for rate, length in zip("pqr", "bcb", strict=True)},
-}
+    "alpha": "α", "beta": "β", "alpha_dot": "dα/dt", "beta_dot": "dβ/dt",
+    "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V",
+}  # fmt: skip
 """Regressors in a heading; others stand as they are."""
 
 
@@ -60,10 +58,11 @@ class Score(NamedTuple):
     """Whether it is of least squares instead of the model."""
 
 
+_thousandths = partial(number, form=".3f")
 SCORES = {
-    "normalized_rmse": Score(normalized_rmse, "NRMSE", lambda value: number(value, ".3f")),
+    "normalized_rmse": Score(normalized_rmse, "NRMSE", _thousandths),
     "least_squares_normalized_rmse": Score(
-        normalized_rmse, "NRMSE of<br>least squares", lambda value: number(value, ".3f"), of_baseline=True
+        normalized_rmse, "NRMSE of<br>least squares", _thousandths, of_baseline=True
     ),
     "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
     "negative_log_predictive_density": Score(negative_log_predictive_density, "NLPD", number, of_band=True),
@@ -74,8 +73,10 @@ SCORES = {
 
 def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True) -> str:
     """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
-    known = {name for name, score in SCORES.items() if not score.of_baseline or scores[name].notna().any()}
-    columns = {name: score for name, score in SCORES.items() if name in known and (with_bands or not score.of_band)}
+    columns = {
+        name: score for name, score in SCORES.items()
+        if (with_bands or not score.of_band) and (not score.of_baseline or scores[name].notna().any())
+    }  # fmt: skip
 
     def cells(row):
         return [score.show(row[name]) for name, score in columns.items()]
@@ -99,36 +100,37 @@ _REPLAY_CAPTION = (
     "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement corrects "
     "it, so small errors of the coefficients add up; compare models by the shortest window."
 )
-
-
 _REPLAY_COLUMNS = {
-    "median": ("median<br>error", lambda value, factor: number(factor * value, "#.3g")),
-    "at_end": ("error at the<br>window's end", lambda value, factor: number(factor * value, "#.3g")),
-    "spread": ("spread in<br>the flight", lambda value, factor: number(factor * value, "#.3g")),
-    "relative": ("at the end,<br>over spread", lambda value, _: _judged(value)),
-    "coverage": ("95 %<br>coverage [%]", lambda value, _: percent(value)),
+    "median": "median<br>error",
+    "at_end": "error at the<br>window's end",
+    "spread": "spread in<br>the flight",
+    "relative": "at the end,<br>over spread",
+    "coverage": "95 %<br>coverage [%]",
 }
-"""By column of `skdgp.dynamics.replay_errors`: heading, and format of a value [SI] and the factor to the unit shown."""
-
-
-def _judged(value: float) -> str:
-    """Return an error over the spread, marked where a constant would do as well."""
-    return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
+"""Headings by column of `skdgp.dynamics.replay_errors`."""
 
 
 def replay_table(errors: pd.DataFrame) -> str:
     """Return the errors of the replayed states by horizon, in the units shown."""
     if "spread" in errors:
         errors = errors.assign(relative=errors["at_end"] / errors["spread"])
-    columns = {name: column for name, column in _REPLAY_COLUMNS.items() if name in errors}
+    columns = {name: head for name, head in _REPLAY_COLUMNS.items() if name in errors}
+
+    def show(name, value, factor):
+        if name == "coverage":
+            return percent(value)
+        if name != "relative":
+            return number(factor * value, "#.3g")
+        # Where the error is larger than the spread, a constant would do as well.
+        return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
+
     rows = []
     for horizon in np.unique(errors["horizon"]):
         rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
         for _, row in errors[errors["horizon"] == horizon].iterrows():
             factor, unit = display_unit(row["state"])
-            rows.append([state(row["state"]), unit, *(show(row[name], factor) for name, (_, show) in columns.items())])
-    head = ["", "unit", *(head for head, _ in columns.values())]
-    return table(head, rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
+            rows.append([state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)])
+    return table(["", "unit", *columns.values()], rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
 
 
 def state(name: str) -> str:
@@ -141,6 +143,6 @@ def state(name: str) -> str:
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a list of what was done; pairs without a value are left out."""
-    shown = [(term, value) for term, value in pairs if value not in (None, "")]
-    lines = "".join(f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in shown)
-    return f'<dl class="facts">{lines}</dl>' if shown else ""
+    shown = (f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value)
+    lines = "".join(shown)
+    return f'<dl class="facts">{lines}</dl>' if lines else ""

@@ -43,9 +43,8 @@ def render_report(content: ReportContent) -> str:
     created = datetime.now().astimezone() if content.created is None else content.created
     flights = f"flights: {len(content.train)} training, {len(content.test)} test"
     meta = " · ".join(text(part) for part in (aircraft, flights, f"{created:%d %B %Y, %H:%M}") if part)
-    version = content.model.versions.get("skdgp")
-    made = f"Made by skdgp{f' {text(version)}' if version else ''}."
-    colophon = f"{made} SI units; degrees in pictures and in the table of states."
+    made = text(f"Made by skdgp {content.model.versions.get('skdgp', '')}".rstrip())
+    colophon = f"{made}. SI units; degrees in pictures and in the table of states."
     with units_shown(content.units):
         return render_page(
             "Aerodynamic identification report", content.title, meta, _body(content), colophon, script=SCRIPT

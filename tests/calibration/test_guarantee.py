@@ -39,7 +39,7 @@ def held_by(model, errors):
     return np.mean((lower <= errors) & (errors <= upper))
 
 
-@pytest.mark.parametrize(("n_flights", "level"), [(4, 0.8), (9, 0.6), (19, 0.95)])
+@pytest.mark.parametrize(("n_flights", "level"), [(9, 0.6), (19, 0.95)])
 def test_next_flight_is_held_and_pooling_samples_does_not(n_flights, level):
     rng = np.random.default_rng(7)
     held, pooled = [], []

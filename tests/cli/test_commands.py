@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _output, _plan, _predict, _simulate, main
+from skdgp._cli import _output, _plan, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import _card, _library
-from skdgp.dynamics import Aircraft, Turbulence, stability_derivatives, trim
+from skdgp.dynamics import Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
 
 
@@ -90,10 +90,6 @@ class TestPredict:
         assert "490 rows of flight two_altitudes" in said.out
         assert len(pd.read_csv(tmp_path / "out.csv")) == 490
 
-    def test_a_flight_that_lacks_a_column(self, refused, tmp_path):
-        pd.read_csv("test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
-        refused("lacks the columns 'alpha'", "predict", tmp_path / "bare.csv", output="new/out.csv")
-
     def test_a_table_of_no_known_kind(self, path, capsys):
         with pytest.raises(SystemExit) as end:
             main(["predict", path, "test.csv", "-o", "out.xlsx"])
@@ -121,9 +117,6 @@ class TestModel:
         refused(
             "Got none.joblib, but there is no such file", "predict", "test.csv", model="none.joblib", output="a.csv"
         )
-
-    def test_something_else(self, refused):
-        refused("not a whole skdgp model", "derivatives", "--airspeed", "35", model="test.csv")
 
     def test_a_pipeline_of_another_kind(self, refused, tmp_path, model):
         save_model(tmp_path / "other.joblib", model.pipeline[-2:], model.aircraft)
@@ -181,13 +174,6 @@ class TestValidate:
         assert said.out.startswith("brumby: log likelihood")
         assert files(tmp_path) == {"bare.joblib"}
 
-    def test_of_another_aircraft(self, run, model, tmp_path, identified):
-        Aircraft.from_dict(model.aircraft.to_dict() | {"mass": 90.0}).to_json(tmp_path / "heavier.json")
-        said = run("validate", "test.csv", "--aircraft", tmp_path / "heavier.json", "--horizons", "1", output=None)
-        assert said["aircraft"]["mass"] == 90.0
-        lift = [of["test_together"]["coefficients"]["measured"]["CZ"] for of in (said, identified[2])]
-        assert lift[0]["median_relative_error"] > 5 * lift[1]["median_relative_error"]
-
     def test_of_what_it_learned_from_is_remarked_on(self, path, capsys):
         assert main(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
         assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
@@ -222,10 +208,6 @@ class TestSimulate:
         assert "without gusts" in found[1]["air"]
         assert np.ptp(found[0]["end"]["alpha"]) > 2 * np.ptp(found[1]["end"]["alpha"])
 
-    def test_a_folder_may_have_any_name(self, run, tmp_path):
-        run("simulate", "--trim", "35", "--duration", ".1", "--paths", "0", output="flown.csv")
-        assert "trajectory.csv" in files(tmp_path / "flown.csv")
-
     def test_turns_and_climbs(self, run, model, tmp_path):
         run("simulate", "--trim", "35", "--duration", ".2", "--paths", "2")
         said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
@@ -235,15 +217,6 @@ class TestSimulate:
         assert said["end"]["psi"] == pytest.approx(0.2 * turning.turn_rate, rel=1e-3)
         said = run("simulate", "--trim", "35", "--climb", ".05", "--duration", ".2", "--paths", "0")
         assert said["end"]["altitude"] == pytest.approx(0.2 * 35 * np.sin(0.05), rel=1e-3)
-
-    def test_controls_of_a_table(self, run, tmp_path):
-        pd.DataFrame({"time": [5.0, 5.1, 5.5], "aileron": [0.0, 0.05, 0.05]}).to_csv(tmp_path / "roll.csv", index=False)
-        said = run("simulate", "--trim", "35", "--controls", tmp_path / "roll.csv", "--paths", "0")
-        assert said["duration"] == pytest.approx(0.5)
-        assert said["end"]["p"] > 0.1
-        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
-        assert flown["aileron"].iloc[-1] == 0.05
-        assert np.ptp(flown["elevator"]) == 0
 
     def test_deviations_and_a_doublet_are_about_the_trim(self, run, tmp_path):
         """Both fly the same controls: those of the trim, which are printed, and the deviations."""
@@ -267,26 +240,6 @@ class TestSimulate:
         assert main(["simulate", path, *words]) == 0
         assert ("give --deviations TABLE" in capsys.readouterr().err) == (off > 0.005)
 
-    def test_the_picture_holds_the_trajectory_of_the_file(self, run, tmp_path, monkeypatch):
-        drawn = []
-        monkeypatch.setattr(_simulate, "picture_writers", lambda *data, **more: drawn.append((*data, more)) or {})
-        run("simulate", "--trim", "35", "--doublet", "elevator=0.03", "--duration", "1.2", "--paths", "3")
-        _, _, paths, _, more = drawn[0]
-        flown, names = pd.read_csv(tmp_path / "out" / "trajectory.csv"), ["airspeed", "theta", "q"]
-        np.testing.assert_allclose(more["mean"][names], flown[names], rtol=1e-9, atol=1e-12)
-        assert paths["path"].nunique() == 3
-
-    def test_elevons_of_a_table_stand_for_what_they_mix(self, run, tmp_path):
-        time = np.arange(0, 0.41, 0.1)
-        pd.DataFrame({"time": time, "elevon_left": 0.05, "elevon_right": -0.05}).to_csv(tmp_path / "a.csv", index=False)
-        pd.DataFrame({"time": time, "elevator": 0.0, "aileron": 0.05}).to_csv(tmp_path / "b.csv", index=False)
-        a, b = (
-            run("simulate", "--trim", "35", "--controls", tmp_path / f"{name}.csv", "--paths", "0", output=name)
-            for name in "ab"
-        )
-        assert a["end"] == pytest.approx(b["end"])
-        assert a["end"]["p"] > 0.1
-
     def test_a_moment_of_a_log(self, run, tmp_path):
         words = ("--flight", "test.csv", "--at", "25", "--duration", ".5", "--paths", "2", "--format", "parquet")
         said = run("simulate", *words)
@@ -298,22 +251,6 @@ class TestSimulate:
             assert abs(said["end"][name] - truth[f"{name}_true" if f"{name}_true" in log else name]) < tolerance
         drift = flown["wind_north"].iloc[0]  # told by the reconstruction of the flight's path
         assert abs(drift - log.loc[log["time"] >= 25, "wind_north_true"].iloc[0]) < 1.5
-
-    def test_other_controls_from_a_moment_of_a_log(self, run, tmp_path, capsys):
-        log = pd.read_csv("test.csv").iloc[:40]
-        table = log.assign(time=log["time"] - log["time"].iloc[0], elevon_left=0.1, elevon_right=-0.1)
-        table.drop(columns=["elevator", "aileron"]).to_csv(tmp_path / "roll.csv", index=False)
-        words = ("--flight", "test.csv", "--at", "25", "--controls", tmp_path / "roll.csv", "--paths", "0")
-        said = run("simulate", *words)
-        assert said["duration"] == pytest.approx(np.ptp(table["time"]))
-        assert said["end"]["p"] - said["start"]["p"] > 0.5
-
-    def test_wind_carries_the_aircraft(self, run):
-        still, windy = (
-            run("simulate", "--trim", "35", "--duration", "1", "--paths", "0", *wind, output=f"out{len(wind)}")
-            for wind in ([], ["--wind", "-3", "4", "0"])
-        )
-        assert windy["end"]["airspeed"] == pytest.approx(still["end"]["airspeed"])
 
     def test_says_when_it_ends_and_leaves_what_was_flown(self, path, tmp_path, capsys):
         table = pd.DataFrame({"time": np.arange(31.0), "elevator": 0.3})
@@ -359,10 +296,6 @@ class TestSimulate:
     )
     def test_what_cannot_be_flown(self, refused, words, message):
         refused(message, "simulate", *words)
-
-    def test_a_log_without_attitude(self, refused, tmp_path):
-        pd.read_csv("test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
-        refused("lacks the columns 'phi'", "simulate", "--flight", tmp_path / "bare.csv", "--at", "25")
 
     def test_known_loads_and_gusts_that_are_not_flown(self, run, path, model, tmp_path, capsys):
         options, pipeline = model.options | {"external_forces": ["tether"], "thrust": None}, copy(model.pipeline)
@@ -410,13 +343,6 @@ class TestDerivatives:
         assert "j" not in re.sub(r"[a-z]{2,}", "", printed)  # no complex numbers
         run("derivatives", "--airspeed", "36", "--paths", "0")
         assert "derivatives.png" not in files(tmp_path / "out")
-
-    def test_beyond_what_was_flown_is_told(self, path, capsys):
-        assert main(["derivatives", path, "--airspeed", "45", "--paths", "0"]) == 0
-        assert "The trim at 45 m/s is beyond what the model was learned from:" in capsys.readouterr().err
-
-    def test_no_such_trim(self, refused):
-        refused("There is no trim of brumby", "derivatives", "--airspeed", "35", "350")
 
     def test_without_matplotlib(self, path, monkeypatch, capsys, tmp_path):
         monkeypatch.setattr(_output, "find_spec", lambda name: None)
@@ -502,12 +428,6 @@ class TestPlan:
     def test_full_deflections_are_checked_before_the_search(self, words, message, refused, monkeypatch):
         monkeypatch.setattr(_plan, "plan_flight", lambda *a, **k: pytest.fail("searched"))
         refused(message, "plan", *self.WORDS, "--full", *words.split())
-
-    def test_stopped_before_anything_is_checked(self, path, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_plan, "plan_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT))
-        assert main(["plan", path, *self.WORDS, "-o", str(tmp_path / "new")]) == 130
-        assert capsys.readouterr().err == "stopped: no output was written\n"
-        assert not (tmp_path / "new").exists()
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
         refused("--axes with some of these", "plan", *self.WORDS, "--axes", "elevon_left")

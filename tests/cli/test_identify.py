@@ -70,9 +70,6 @@ class TestIdentify:
         options = COMMANDS["identify"].parse(["--config", str(tmp_path / "out" / "config.toml")])
         assert (options.mass, options.span, options.kind) == ("45+-0.5", "2.8", "flying wing")
 
-    def test_writes_three_files_and_nothing_else(self, identified):
-        assert {path.name for path in identified[0].iterdir()} == OUTPUTS
-
     def test_is_silent_in_a_pipe(self, identified):
         assert_only_stopped(identified[1].stderr.splitlines())
         assert "\r" not in identified[1].stdout
@@ -120,15 +117,6 @@ class TestIdentify:
         assert set(fit["noise_std"]) == set(COEFFICIENTS)
         assert np.isfinite(fit["log_marginal_likelihood"])
 
-    def test_metrics_score_every_coefficient_against_measured_and_truth(self, identified):
-        (flight,) = identified[2]["test"].values()
-        assert flight["samples"] == 500
-        for against in ("measured", "truth"):
-            assert list(flight["coefficients"][against]) == list(COEFFICIENTS)
-            assert set(flight["means"][against]) == {"longitudinal", "lateral", "all"}
-            errors = [flight["coefficients"][against][name]["median_relative_error"] for name in ("CY", "Cl", "Cn")]
-            assert flight["means"][against]["lateral"]["median_relative_error"] == pytest.approx(np.mean(errors))
-
     def test_metrics_score_the_states(self, identified):
         (flight,) = identified[2]["test"].values()
         for against in ("measured", "truth"):
@@ -171,16 +159,6 @@ class TestIdentify:
         assert found == expected
         lines = result.summary().splitlines()
         assert lines[1:] == printed[1 : len(lines)]
-
-    def test_holds_out_the_last_flight(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "; ".join(content.messages))
-        assert identify(output=tmp_path, train=["lateral.csv", "latlon.csv"]) == 0
-        metrics = json.loads((tmp_path / "metrics.json").read_text())
-        assert metrics["held_out"] == "the last flight, latlon"
-        assert list(metrics["fit"]["flights"]) == ["lateral"]
-        assert list(metrics["test"]) == ["latlon"]
-        assert "warning: No test flight was named: the last flight, latlon, is held out" in capsys.readouterr().err
-        assert "No test flight was named" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
     def test_holds_out_the_end_of_a_single_flight(self, tmp_path, capsys):
         assert identify("--json", output=tmp_path) == 0
@@ -260,9 +238,6 @@ class TestBadInput:
     def test_a_missing_flight(self, refused):
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
 
-    def test_a_missing_test_flight(self, refused):
-        refused("Got nowhere.csv, but there is no such file", "--test", "nowhere.csv")
-
     def test_an_unknown_suffix(self, refused, folder):
         (folder / "flight.xlsx").write_bytes(b"MATLAB")
         refused("suffix '.xlsx', but expected one of", train=["flight.xlsx"])
@@ -279,10 +254,6 @@ class TestBadInput:
         pd.read_csv(folder / "latlon.csv").iloc[:1].to_csv(tmp_path / "one.csv", index=False)
         refused("1 usable rows, none beside another", "--test", "test.csv", train=[str(tmp_path / "one.csv")])
 
-    def test_no_accelerations(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").assign(ay=np.nan).to_csv(tmp_path / "empty.csv", index=False)
-        refused("coefficients at 0 of 525 rows.*'ay': 525", train=[str(tmp_path / "empty.csv")])
-
     def test_two_flights_of_one_name(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
         table.to_csv(tmp_path / "copy.csv", index=False)
@@ -297,19 +268,11 @@ class TestBadInput:
         pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
         refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", str(tmp_path / "bare.csv"))
 
-    def test_training_flights_have_the_same_columns(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").drop(columns="throttle").to_csv(tmp_path / "bare.csv", index=False)
-        train = ["lateral.csv", str(tmp_path / "bare.csv")]
-        refused("The flight 'latlon' lacks the columns 'throttle'", "--test", "test.csv", train=train)
-
     def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
         gone = [name for name in table if name.startswith(("thrust", "propeller", "throttle"))]
         table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
         refused("thrust .* is unknown.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
-
-    def test_external_forces_that_are_not_there(self, refused):
-        refused("lacks the columns 'tether_x'", "--external-forces", "tether")
 
     def test_regressors_that_are_not_there(self, refused):
         refused("lacks the columns 'flaps'", "--regressors", "alpha,flaps")
@@ -318,8 +281,6 @@ class TestBadInput:
         ("change", "message"),
         [
             ({"mass": -1}, "Got mass=-1, but expected"),
-            ({"inertia": [[1, 0, 9], [0, 1, 0], [9, 0, 1]]}, "not positive definite"),
-            ({"weight": 3.0}, "unknown key 'weight'"),
             ({"mass": True}, "Got mass=True, but expected"),
             ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
             ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
@@ -334,23 +295,6 @@ class TestBadInput:
         values = json.loads((folder / "uav.json").read_text()) | change
         (tmp_path / "wrong.json").write_text(json.dumps(values))
         refused(message, aircraft=str(tmp_path / "wrong.json"))
-
-    @pytest.mark.parametrize(
-        ("name", "content", "message"),
-        [
-            ("a.json", "{", "not a JSON file"),
-            ("b.json", "[" * 10**5, "nested too deeply"),
-            ("a.toml", "=", "not a TOML file"),
-            ("a.yaml", "", "json or .toml"),
-        ],
-    )
-    def test_no_aircraft_at_all(self, refused, tmp_path, name, content, message):
-        (tmp_path / name).write_text(content)
-        refused(message, aircraft=str(tmp_path / name))
-
-    def test_an_aircraft_that_is_a_folder(self, refused, tmp_path):
-        (tmp_path / "uav.json").mkdir()
-        refused("which is a folder or a device", aircraft=str(tmp_path / "uav.json"))
 
     def test_a_name_that_no_file_could_hold(self, capsys):
         with pytest.raises(SystemExit, match="2"):
@@ -373,10 +317,6 @@ class TestBadInput:
     def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(self, folder, capsys):
         assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
         assert "nothing can be written there (it is a file)" in capsys.readouterr().err
-
-    def test_an_output_folder_under_a_file(self, folder, capsys):
-        assert identify(output=folder / "uav.json" / "out") == 1
-        assert "nothing can be written there" in capsys.readouterr().err
 
     def test_a_traceback_on_request(self, capsys):
         assert identify("--traceback", train=["nowhere.csv"]) == 1
@@ -554,11 +494,6 @@ class TestInterrupt:
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
 
-    def test_before_there_is_a_model_stops(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identify, "aerodynamic_coefficients", lambda *a, **k: signal.raise_signal(signal.SIGINT))
-        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
-        assert not (tmp_path / "new").exists()
-
     def test_the_real_thing(self, folder, tmp_path):
         pty = pytest.importorskip("pty")
         ours, theirs = pty.openpty()
@@ -619,13 +554,6 @@ class TestFolder:
             folder.write({"a": lambda path: path.write_text("new"), "b": fail})
         assert [path.name for path in tmp_path.iterdir()] == ["a"]
         assert (tmp_path / "a").read_text() == "old"
-
-    def test_writes_all(self, tmp_path):
-        with OutputFolder(tmp_path / "x" / "y") as folder:
-            folder.write({name: lambda path, name=name: path.write_text(name) for name in "abc"})
-        assert {path.name: path.read_text() for path in (tmp_path / "x" / "y").iterdir()} == {
-            name: name for name in "abc"
-        }
 
     def test_ctrl_c_while_files_are_put_in_place_waits(self, tmp_path, monkeypatch):
         replace = os.replace
@@ -751,9 +679,8 @@ def test_demo_is_honest(tmp_path, capsys):
 def test_examples_draw(name, arguments, tmp_path, capsys):
     picture = tmp_path / "picture.png"
     example = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
-    if "GRID" in example.__globals__:  # two candidates of eight
-        (varied, values), *others = example.__globals__["GRID"].items()
-        example.__globals__["GRID"] = {varied: values} | {key: some[:1] for key, some in others}
+    if "GRID" in example.__globals__:  # one candidate of eight
+        example.__globals__["GRID"] = {key: values[:1] for key, values in example.__globals__["GRID"].items()}
     example([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out

@@ -46,14 +46,6 @@ class TestOutput:
         assert capsys.readouterr().err == "error: standard output: No space left on device\n"
         assert (tmp_path / "Flüge_α.csv").exists()
 
-    @needs_full
-    @pytest.mark.parametrize("words", [["--help"], ["--version"], ["derivatives", "--help"]])
-    def test_that_is_full_of_help(self, words, monkeypatch, capsys):
-        with open(FULL, "w") as full:
-            monkeypatch.setattr(sys, "stdout", full)
-            assert main(words) == 1
-        assert capsys.readouterr().err == "error: standard output: No space left on device\n"
-
     def test_that_nobody_reads(self, predict, monkeypatch, capsys):
         ours, theirs = os.pipe()
         os.close(ours)
@@ -78,15 +70,6 @@ class TestErrors:
         with open(FULL, "w") as full:
             monkeypatch.setattr(sys, "stderr", full)
             assert predict() == 0
-
-    def test_the_exit_code_stays(self, monkeypatch):
-        with open(FULL, "w") as full:
-            monkeypatch.setattr(sys, "stderr", full)
-            assert main(["derivatives", "nowhere", "--airspeed", "30", "--traceback"]) == 1
-        with open(FULL, "w") as full:
-            monkeypatch.setattr(sys, "stderr", full)
-            with pytest.raises(SystemExit, match="2"):
-                main(["derivatives", "--nothing"])
 
 
 def warned(function):

@@ -12,7 +12,7 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.preprocessing import RateNondimensionalizer
 
 callback = pytest.importorskip("sklearn.callback", reason="scikit-learn knows callbacks from version 1.9 on")
@@ -86,12 +86,6 @@ def test_stages(inference, more):
     assert {each["stage"] for each in recorder.news} == {"outputs", "fit"} | more
 
 
-def test_in_a_pipeline():
-    recorder = Recorder()
-    make_pipeline(StandardScaler(), quick()).set_callbacks(recorder).fit(X, Y)
-    check_news(recorder.news)
-
-
 def test_transformers_of_flight_tables_carry_callbacks_without_a_word():
     recorder, table = Recorder(), pd.DataFrame({"airspeed": 20 + X[:, 0], "p": X[:, 1], "alpha": 0.1 * X[:, 0]})
     pipeline = make_pipeline(RateNondimensionalizer(span=2.0, chord=0.5), quick())
@@ -132,14 +126,7 @@ def test_a_callback_may_stop_the_search():
     assert np.isfinite(model.predict(X, return_std=True)).all()
 
 
-def test_listeners_are_called_beside_callbacks():
-    recorder, calls = Recorder(), []
-    with listening(lambda *news: calls.append(news)):
-        quick().set_callbacks(recorder).fit(X, Y)
-    assert len(calls) == len(recorder.news)
-
-
-@pytest.mark.parametrize("where", ["alone", "pipeline", "search"])
+@pytest.mark.parametrize("where", ["alone", "search"])
 def test_the_progress_bar_shows_the_log_likelihood(where, monkeypatch):
     pytest.importorskip("rich", reason="the progress bar needs rich")
     monkeypatch.setenv("COLUMNS", "160")

@@ -21,12 +21,6 @@ def threads(request):
         yield request.param
 
 
-def test_one_setting_rules_both():
-    for limit in (1, 2):
-        with threadpool_limits(limit, user_api="blas"):
-            assert n_threads() == limit
-
-
 def test_one_thread_until_the_last_holder_leaves(threads):
     with one_blas_thread():
         with one_blas_thread():

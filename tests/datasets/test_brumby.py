@@ -4,7 +4,6 @@ import pytest
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 
-TYPICAL = np.array([0.12, -0.06, 0.02, 0.004, -0.015, 0.002, 0.004, -0.05, 0.04, 0.10])
 SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
 
 
@@ -72,13 +71,6 @@ def test_controls_lose_effect_with_deflection_and_elevator_takes_from_aileron():
 def test_lateral_derivatives_change_with_alpha(of, by):
     low, high = (derivative(at(alpha=alpha), of, by) for alpha in (0.05, 0.18))
     assert abs(high - low) > 0.04 * abs(low)
-
-
-def test_leading_axes_are_kept():
-    stacked = np.tile(TYPICAL, (4, 3, 1))
-    assert brumby_coefficients(stacked).shape == (4, 3, 6)
-    assert brumby_derivatives(stacked).shape == (4, 3, 6, 10)
-    np.testing.assert_allclose(brumby_coefficients(stacked)[2, 1], brumby_coefficients(TYPICAL), rtol=1e-9, atol=1e-10)
 
 
 def test_aircraft_can_be_trimmed_at_its_cruise():

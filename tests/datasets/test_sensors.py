@@ -34,8 +34,3 @@ def test_noise_is_white_and_independent(errors):
 def test_perfect_sensors_tell_the_truth(truth):
     measured = measure(truth, 0.0, np.random.default_rng(0))
     np.testing.assert_array_equal(measured.to_numpy(), truth.to_numpy())
-
-
-def test_scale_multiplies_the_noise(truth, errors):
-    doubled = measure(truth, 2.0, np.random.default_rng(4)) - truth.rename(columns=lambda name: name[:-5])
-    np.testing.assert_allclose(doubled, 2 * errors, atol=1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp.datasets._example_flights import brumby_motion
-from skdgp.dynamics import euler_to_quaternion, ned_to_body, standard_density
+from skdgp.dynamics import euler_to_quaternion, ned_to_body
 from skdgp.dynamics._equations.motion import Air
 from skdgp.dynamics._simulation.gusts import Gusts, GustyAir
 
@@ -68,10 +68,3 @@ def test_air_that_turns_with_the_aircraft_takes_its_damping_away():
     with_air = at(STATE, gust=turning, slopes=(0.02, -0.03)).coefficients
     without = at(unturned, gust=STILL, slopes=(0.02, -0.03)).coefficients
     np.testing.assert_allclose(with_air, without, atol=1e-15)
-
-
-def test_density_is_the_standard_atmospheres():
-    """Loads at the same velocities go with the density at the altitude flown."""
-    low, high = at(STATE), at(STATE - [0, 0, 2000.0, *np.zeros(10)])
-    assert low.density == pytest.approx(standard_density(210.0), rel=1e-12)
-    np.testing.assert_allclose(high.force, high.density / low.density * low.force, rtol=1e-12)

@@ -191,23 +191,6 @@ def test_a_flight_without_a_manoeuvre_of_the_plan_says_what_is_nearest(plan, uav
         compare_with_plan(plan, flown(events), uav, NOISE, BEFORE)
 
 
-def test_deflections_without_values_hide_what_they_hold_alone(plan, uav):
-    flight = flown([("doublet", 20.0, 1.0), ("3-2-1-1", 30.0, 1.0)])
-    flight.loc[flight["time"].between(29, 32), "rudder"] = np.nan
-    assert compare_with_plan(plan, flight, uav, NOISE, BEFORE).manoeuvres["name"].tolist() == ["doublet"]
-
-
-def test_flights_shorter_than_the_manoeuvres_are_said_to_be(plan, uav):
-    plan["manoeuvres"] = plan["manoeuvres"][1:2]
-    with pytest.raises(ValueError, match="shorter than any of its manoeuvres"):
-        compare_with_plan(plan, flown([], seconds=1.0), uav, NOISE, BEFORE)
-
-
-def test_a_plan_is_read_as_it_was_written(plan, tmp_path):
-    (tmp_path / "plan.json").write_text(json.dumps(plan))
-    assert read_plan(tmp_path / "plan.json") == plan
-
-
 @pytest.mark.parametrize(
     ("where", "value"),
     [

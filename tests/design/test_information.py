@@ -62,12 +62,6 @@ def test_standard_errors_are_the_scatter_of_estimates(flight, uav):
         np.testing.assert_allclose(estimates[1:].mean(axis=1), [-0.6, -9.0, -1.0], rtol=0.05)
 
 
-def test_correlated_noise_costs_what_white_noise_of_the_same_size_would_not(flight, uav):
-    correlated = expected_information(flight, uav, ["alpha", "elevator"], NOISE)
-    white = expected_information(flight, uav, ["alpha", "elevator"], {"Cm": np.hypot(0.002, 0.003)})
-    assert correlated.std.loc["Cm", "alpha"] > 1.3 * white.std.loc["Cm", "alpha"]
-
-
 def test_information_of_flights_adds_up(flight, uav):
     names = ["alpha", "elevator"]
     one = expected_information(flight, uav, names, NOISE)

@@ -315,28 +315,18 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
     ("changed", "words"),
     [
         ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
-        ({"goal": []}, "Got the goal"),
         ({"goal": "function"}, "give a list"),
         ({"axes": ["elevator", "flaps"]}, "flaps"),
         ({"limits": {"aileron": 0.1}}, "aileron"),
         ({"limits": {"elevator": 5.0}}, "rad, not degrees"),
         ({"limits": {"elevator": "a"}}, "Got limits of 'a' for the elevator"),
         ({"pause": [3.0, 4.0]}, "Got pause"),
-        ({"pause": None}, "Got pause=None, but expected a number > 0"),
         ({"airspeeds": "auto"}, "Got airspeeds='auto', but expected numbers > 0"),
-        ({"seconds": [16.0]}, "Got seconds"),
         ({"detents": {"elevator": 0.0}}, "Got detents of 0.0 for the elevator"),
         ({"detents": {"elevator": 0.01, "rudder": 0.01}}, "axes to move lack 'rudder'"),
         ({"axes": "elevator"}, "Got axes='elevator', but expected different controls in a list"),
-        ({"axes": []}, "different controls"),
         ({"axes": ["elevator", "elevator"]}, "different controls"),
-        ({"goal": "Cm_nothing"}, "Cm_nothing"),
-        ({"airspeeds": []}, "airspeeds"),
-        ({"banks": []}, "banks"),
-        ({"seconds": np.inf}, "Got seconds=inf"),
         ({"seconds": -5.0}, "Got seconds=-5.0, but expected a number > 0"),
-        ({"pause": 0.0}, "pause"),
-        ({"n_paths": 30.5}, "Got n_paths=30.5"),
         ({"n_paths": 10**9}, "Got n_paths=1000000000, but expected a number of aircraft to draw, 0 to 10000"),
         ({"seconds": 1e9}, "Got seconds=1e[+]09, but expected at most 1800"),
         ({"airspeeds": 39.0, "n_paths": 30}, "by flown airspeed .* fly at 4[.0-9]* to 34[.0-9]* m/s, widen this limit"),
@@ -391,13 +381,6 @@ def test_the_throttle_stays_between_0_and_1():
     assert Envelope(growth=1.0).bounds(flown)["growth of throttle"] == (0.0, 1.0)
 
 
-def test_an_axis_that_is_no_deflection_has_limits_in_its_own_unit(model, uav, monkeypatch):
-    few(monkeypatch)
-    options = AXES | {"axes": ["thrust"], "limits": {"thrust": 5.0}, "bands": BANDS.set_axis(["thrust"])}  # [N]
-    found = plan(model, uav, **options | {"noise": NOISE.set_axis(["CX", "Cm"])}, seconds=8.0)
-    assert 1.0 < found.trains[0].table(50.0)["thrust"].max() <= 5.0
-
-
 def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, uav, monkeypatch):
     """Where much is known."""
     few(monkeypatch)
@@ -431,16 +414,6 @@ def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch,
         values = simulate(narrow, uav, found.trims[0], table, 0.04)[channel]
         inside.append(values.between(flown[0] - 0.1 * np.ptp(flown), flown[1] + 0.1 * np.ptp(flown)).all())
     assert inside == [True, False]
-
-
-def test_what_was_flown_limits_what_is_not_given(model):
-    bounds = Envelope(airspeed=(0.0, np.inf)).bounds(model)
-    assert "growth of airspeed" not in bounds
-    assert bounds["growth of bank"] == pytest.approx((-1.2, 1.2))
-    assert bounds["growth of altitude"] == (50.0, np.inf)
-    assert bounds["growth of load_factor"] == pytest.approx(np.array([-14.0, 34.0]) / 9.80665)
-    assert bounds["growth of alpha"] == pytest.approx((-0.14, 0.34))  # a regressor
-    assert not any(name.startswith("growth of") for name in Envelope(growth=np.inf).bounds(model))
 
 
 def test_a_model_that_does_not_know_what_was_flown_says_so(model, uav):

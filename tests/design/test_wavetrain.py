@@ -12,7 +12,6 @@ from skdgp.design import (
     doublet,
     input_bands,
     multisine,
-    orthogonal_multisines,
     three_two_one_one,
     wavetrain,
 )
@@ -134,14 +133,6 @@ def test_doublets_of_the_suggested_width_have_their_spectrum_at_the_mode(uav, po
         assert 2 * np.pi * spectrum.argmax() / 2000.0 == pytest.approx(frequency, rel=0.03)
         assert bands.loc[axis, "lowest"] * 2 * np.pi < frequency < bands.loc[axis, "highest"] * 2 * np.pi
     assert (bands.loc[["aileron", "rudder"], "highest"] >= modes.loc["roll", "frequency"] / (2 * np.pi)).all()
-
-
-def test_a_band_is_wide_enough_for_multisines(uav, point):
-    lowest, highest = input_bands(linearize(MODEL, uav, point)).loc["elevator", ["lowest", "highest"]]
-    limits = {"elevator": Limits(0.03, rate=0.5)}
-    inputs = orthogonal_multisines(limits, 20.0, (lowest, highest), n_tones=8, n_starts=1)
-    table = Wavetrain({"elevator": {2.0: inputs["elevator"]}}).table(50.0)
-    assert abs(np.diff(table["elevator"])).max() * 50.0 <= 0.5
 
 
 def test_modes_that_are_missing_are_said(uav, point):

@@ -154,13 +154,6 @@ def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, ta
         np.testing.assert_allclose(off, around.std_scale_ * unscaled, atol=1e-12)
 
 
-def test_a_calibrated_estimator_that_learned_from_a_table(flight, targets):
-    table = flight[["alpha", "beta"]]
-    regressor = DependentGPRegressor(n_latent=1, optimizer=None).fit(table, targets)
-    model = CalibratedRegressor(regressor, cv="prefit", level=0.6).fit(table, targets, groups=np.repeat([0, 1, 2], 40))
-    np.testing.assert_allclose(as_aerodynamics(model)(table.to_numpy()[:5]), regressor.predict(table[:5]))
-
-
 def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targets):
     class Choice(TransformerMixin, BaseEstimator):
         """Chooses regressors as RegressorSelector does."""

@@ -103,14 +103,6 @@ def test_moments_and_rates_of_stability_axes(state, regressors):
     assert table[["Cl_r", "Cn_r"]].tolist() == pytest.approx((moments(0, h) - moments(0, -h)) / (2 * h))
 
 
-def test_a_model_of_roll_alone_has_yaw_in_stability_axes(state):
-    """Cl = -.4 p: turned, part of it is due to yaw."""
-    model = Aerodynamics(lambda X: -0.4 * X[:, :1] * np.eye(6)[3] - 0.3 * np.eye(6)[2], ["p_hat"])
-    table = stability_derivatives(model, BRUMBY, state, CONTROLS, axes="stability")["value"]
-    assert table["Cl_p"] == pytest.approx(-0.4 * np.cos(0.1) ** 2)
-    assert table["Cl_r"] == pytest.approx(0.4 * np.cos(0.1) * np.sin(0.1))
-
-
 class TestDeviations:
     @pytest.fixture
     def uncertain(self):
@@ -203,12 +195,6 @@ class TestBadInput:
     def test_no_controls(self, state):
         with pytest.raises(ValueError, match="without controls"):
             stability_derivatives(MODEL, BRUMBY, [state, state])
-
-    def test_a_model_that_lacks_a_coefficient(self, state):
-        X = pd.DataFrame(np.random.default_rng(0).normal(size=(8, 1)), columns=["alpha"])
-        model = DependentGPRegressor(max_iter=1).fit(X, pd.DataFrame({"CX": X["alpha"], "CZ": X["alpha"]}))
-        with pytest.raises(ValueError, match=r"lacks \['CY', 'Cl', 'Cm', 'Cn'\]"):
-            stability_derivatives(model, BRUMBY, state, CONTROLS)
 
     def test_a_model_that_is_not_defined_there(self, state):
         nowhere = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])

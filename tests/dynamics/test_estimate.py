@@ -112,10 +112,6 @@ class TestSharing:
         for moment, change in zip(("Ixx", "Iyy", "Izz"), changes, strict=True):
             assert change == pytest.approx(powers.get(moment, 0.0), abs=1e-3), moment
 
-    def test_what_is_told_exactly_has_no_deviation(self):
-        told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2]))
-        assert told.deviations is None
-
 
 class TestFiles:
     def test_round_trip(self, tmp_path):

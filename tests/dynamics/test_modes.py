@@ -71,12 +71,6 @@ def test_names_hold_whatever_the_order_and_units_of_states():
         assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(list(part["eigenvalue"]), rel=1e-6)
 
 
-def test_names_hold_where_the_planes_are_weakly_coupled():
-    A = both()
-    A[:4, 4:], A[4:, :4] = 0.01 * LONGITUDINAL, 0.01 * LATERAL
-    assert list(mode_table(A, ALONG + ACROSS).index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
-
-
 def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     A = LONGITUDINAL.copy()
     A[2, 1] *= -0.5
@@ -85,19 +79,6 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     assert table.loc["short period 1", "damping"] == 1.0
     assert (table["time_to_double"] < np.inf).any()
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
-
-
-def test_a_roll_and_a_spiral_may_become_one_oscillation():
-    A = LATERAL.copy()
-    A[1, 1], A[1, 0], A[1, 2] = -0.02, -0.012, -0.6
-    table = mode_table(A, ACROSS)
-    assert set(table.index) == {"Dutch roll", "roll-spiral"}
-
-
-def test_a_mode_that_neither_grows_nor_decays():
-    table = mode_table(np.array([[0.0, 1.0], [-4.0, 0.0]]), ["x", "v"])
-    assert table.loc["mode", ["frequency", "damping", "period"]].tolist() == pytest.approx([2.0, 0.0, np.pi])
-    assert np.isinf(table[["time_constant", "time_to_half", "time_to_double"]].loc["mode"]).all()
 
 
 class TestSpread:

@@ -42,11 +42,6 @@ def test_equation_7_by_hand():
     np.testing.assert_allclose(moment, [-0.6 - 1.6, -4.6, -0.8 + 1.2], atol=1e-14)
 
 
-def test_thrust_lines_broadcast_over_samples():
-    force, moment = ThrustLine().loads(np.ones((4, 3)), np.zeros(3))
-    assert force.shape == moment.shape == (4, 3, 3)
-
-
 @pytest.mark.parametrize(
     ("bad", "words"),
     [
@@ -126,17 +121,6 @@ def test_bench_tables_that_are_none(change, words):
 def test_propellers_that_are_none(bad, words):
     with pytest.raises(ValueError, match=words):
         Propeller(**{"diameter": 0.5, "thrust_coefficients": (0.1,), **bad})
-
-
-def test_columns_are_taken_as_they_stand(aircraft):
-    force, moment = propulsive_loads(flight(thrust_x=5.0, thrust_z=1.0, thrust_m=0.3), aircraft)
-    np.testing.assert_allclose(force, [[5, 0, 1]] * 2)
-    np.testing.assert_allclose(moment, [[0, 0.3, 0]] * 2)
-
-
-def test_force_columns_alone_act_at_the_thrust_line(aircraft):
-    force, moment = propulsive_loads(flight(thrust_x=5.0), aircraft)
-    np.testing.assert_allclose(moment, np.cross(aircraft.thrust_line.position, force))
 
 
 def test_propeller_thrust_of_a_flight(aircraft):

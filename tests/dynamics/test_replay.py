@@ -26,17 +26,6 @@ def test_the_error_is_of_the_loads_interpolation_only(simulated, aircraft, true_
     assert np.median(orders) == pytest.approx(2.0, abs=0.2), "loads linear between samples: second order"
 
 
-def test_body_velocities_serve_as_well(simulated, aircraft, true_coefficients):
-    flown = replay(simulated, aircraft, true_coefficients)
-    from skdgp.dynamics import euler_to_quaternion, ned_to_body
-
-    quaternion = euler_to_quaternion(*simulated[["phi", "theta", "psi"]].to_numpy().T)
-    velocity = ned_to_body(quaternion, simulated[["v_north", "v_east", "v_down"]])
-    body = simulated.drop(columns=["v_north", "v_east", "v_down"])
-    body[["u", "v", "w"]] = velocity
-    np.testing.assert_allclose(replay(body, aircraft, true_coefficients)[STATES], flown[STATES], atol=1e-9)
-
-
 def test_wrong_gravity_falls_as_gravity_does(simulated, aircraft, true_coefficients, gravity):
     flown = replay(simulated, aircraft, true_coefficients, horizon=1.0, gravity=gravity + 0.1)
     np.testing.assert_allclose(flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3)
@@ -61,21 +50,6 @@ def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true
     assert flown[STATES].isna().all(axis=1).sum() == 10
     good = flown["window"] >= 0
     np.testing.assert_allclose(flown.loc[good, STATES], flight.loc[good, STATES], atol=0.05)
-
-
-def test_slow_sensors_restart_where_they_speak(simulated, aircraft, true_coefficients, gravity):
-    slow = simulated.copy()
-    slow.loc[slow.index % 20 != 3, ["v_north", "v_east", "v_down"]] = np.nan
-    flown = replay(slow, aircraft, true_coefficients, horizon=1.0, gravity=gravity)
-    assert flown["v_east"].isna().sum() == 3
-    np.testing.assert_allclose(flown[STATES].iloc[3:], simulated[STATES].iloc[3:], atol=0.02)
-
-
-def test_several_horizons_stack(simulated, aircraft, true_coefficients):
-    both = replay(simulated, aircraft, true_coefficients, horizon=[1.0, 3.0])
-    assert both["horizon"].unique().tolist() == [1.0, 3.0]
-    one = replay(simulated, aircraft, true_coefficients, horizon=3.0)
-    pd.testing.assert_frame_equal(both[both["horizon"] == 3.0], one)
 
 
 def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficients):
@@ -134,13 +108,6 @@ def test_bands_start_at_the_measured_state_and_scale_with_the_coefficients(simul
     variances = std[:, :, None] ** 2 * np.eye(6)
     again = replay(simulated, aircraft, true_coefficients, std=variances, horizon=2.0)
     np.testing.assert_allclose(again[names], one[names], rtol=1e-9)
-
-
-def test_known_initial_errors_stand_in_the_first_row(simulated, aircraft, true_coefficients):
-    initial = {"v_down": 0.1, "phi": 0.01, "theta": 0.02, "psi": 0.03, "r": 0.005, "east": 2.0}
-    flown = replay(simulated, aircraft, true_coefficients, std=0 * true_coefficients, initial_std=initial)
-    for name in EVERY:
-        assert flown[f"{name}_std"].iloc[0] == pytest.approx(initial.get(name, 0.0), abs=1e-7)
 
 
 def test_errors_are_medians_over_the_samples_flown():

@@ -40,18 +40,6 @@ def test_leading_axes_broadcast(aircraft):
     np.testing.assert_allclose(many[1, 2], one, atol=1e-12)
 
 
-def test_a_thrown_tumbling_body_flies_a_parabola(aircraft):
-    velocity = np.array([8.0, -3.0, -12.0])
-    quaternion = euler_to_quaternion(0.4, 0.3, 2.0)
-    body = quaternion_to_matrix(quaternion).T @ velocity
-    start = np.concatenate([[1.0, 2.0, 3.0], body, quaternion, [1.0, 0.4, -2.0]])
-    times = np.linspace(0, 2, 401)
-    states = rk4(lambda t, s: rigid_body_derivative(s, np.zeros(3), np.zeros(3), aircraft), start, times)
-    expected = start[:3] + np.outer(times, velocity) + np.outer(0.5 * 9.80665 * times**2, [0, 0, 1])
-    np.testing.assert_allclose(states[:, :3], expected, atol=1e-7)
-    np.testing.assert_allclose(np.linalg.norm(states[:, 6:10], axis=1), 1.0, atol=1e-8)
-
-
 def test_power_of_the_loads_is_the_change_of_energy(aircraft):
     start = np.concatenate([np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, 0.3, 2.0), [0.5, 0.4, -0.2]])
     force, moment = np.array([9.0, -4.0, -60.0]), np.array([0.3, -0.2, 0.1])

@@ -1,9 +1,12 @@
 """The usual propeller of a size: what it is, and what its deviation makes of a model."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from skdgp._cli._identify import ENGINE, SIZES, _aircraft
 from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, aerodynamic_coefficients, stability_derivatives
 from skdgp.identification._assumed import assumptions, lacks_thrust, with_thrust_errors
 
@@ -60,6 +63,14 @@ def test_an_aircraft_file_has_diameter_and_pitch():
     assert Aircraft.from_dict(aircraft.to_dict()).propeller == aircraft.propeller
     with pytest.raises(ValueError, match="unknown key 'pich'"):
         Aircraft.from_dict({"kind": "conventional", "mass": 2.0, "span": 1.5, "propeller": {"diameter": 1, "pich": 1}})
+
+
+def test_the_command_line_has_inches_rpm_and_volts():
+    words = {"mass": "2", "span": "1.5", "propeller": "10x5", "motor": "900x11.1", "train": ["sortie.ulg"]}
+    options = SimpleNamespace(**dict.fromkeys([*SIZES, *ENGINE, "kind", "aircraft"]) | words)
+    propeller = _aircraft(SimpleNamespace(options=options)).propeller
+    assert propeller.diameter == pytest.approx(0.254)
+    assert propeller.speed_at(1.0) == pytest.approx(0.75 * 900 * 11.1 * 2 * np.pi / 60)
 
 
 @pytest.fixture(scope="module")

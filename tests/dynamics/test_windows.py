@@ -24,10 +24,6 @@ def test_stored_clocks_that_were_rounded_give_full_windows():
     assert rows.shape == (5, 81)
 
 
-def test_no_runs_no_windows():
-    assert restart_windows(np.arange(5.0), [], 1.0).shape[0] == 0
-
-
 def test_windows_start_where_the_state_is_known_and_cover_what_they_can():
     time, known = np.arange(20) * 0.1, np.zeros(20, dtype=bool)
     known[[2, 7, 11, 13]] = True

@@ -86,21 +86,6 @@ def test_tables_are_linear_between_breakpoints_and_constant_beyond():
     np.testing.assert_allclose(two(np.array([[0.5, 1.0], [2.0, 5.0]])), [4.0, 10.0])
 
 
-def test_smaller_tolerance_more_cells_smaller_loss(fitted, uav, built):
-    coarse = build_up(fitted("joint"), uav, tolerance=1.0, max_loss=np.inf, return_std=False)
-    cells = [sum(t.values.size for tables in b.tables.values() for t in tables) for b in (coarse, built("joint"))]
-    assert cells[0] < cells[1]
-    assert coarse.loss["loss"].sum() > built("joint").loss["loss"].sum()
-
-
-def test_pairs_are_those_asked_for(fitted, uav):
-    for pairs, most in (("none", set()), ("alpha", {"alpha"})):
-        found = build_up(fitted("joint"), uav, pairs=pairs, max_loss=np.inf, return_std=False)
-        for tables in found.tables.values():
-            assert all(most & set(t.regressors) for t in tables if len(t.regressors) == 2)
-            assert most or all(len(t.regressors) == 1 for t in tables)
-
-
 def test_a_compact_model_needs_samples(fitted, uav, regressors):
     model = fitted("joint")
     small = type(model)([("scale", model[0]), ("small", model[-1].compact(300))])
@@ -157,12 +142,6 @@ def test_effects_are_parts_of_the_sum(built):
     away = 0.1 - trend.samples[:, 0].mean()
     np.testing.assert_allclose(mean, trend.derivatives.loc["Cm", "alpha"] * away)
     np.testing.assert_allclose(std, trend.derivatives_std.loc["Cm", "alpha"] * abs(away))
-
-
-def test_deviations_can_be_left_out(fitted, uav, built):
-    found = build_up(fitted("trend"), uav, return_std=False)
-    np.testing.assert_allclose(found.derivatives, built("trend").derivatives, rtol=1e-9, atol=1e-10)
-    assert found.derivatives_std.isna().all(axis=None)
 
 
 class TestBadInput:

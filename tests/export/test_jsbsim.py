@@ -182,8 +182,9 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
     assert fdm["forces/fbx-external-lbs"] * POUND_FORCE == pytest.approx(expected.thrust, rel=1e-3)
 
 
+@pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize("short_flights", [3000], indirect=True)
-def test_code_of_the_page_flies_steadily(short_flights, tmp_path, monkeypatch):
+def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):
     """The build-up of export.md, and its aircraft, whose trim by JSBSim is that of this package, flown for 10 s."""
     pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")
     text = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")

@@ -53,10 +53,6 @@ def test_changes_can_be_read_back():
     assert not re.search(r"--|\*|\?|[^ -~]", text)
 
 
-def test_files_have_a_name():
-    assert [file_name(text) for text in ("uav-2", "", "../é")] == ["uav-2", "aircraft", "____"]
-
-
 @pytest.fixture(scope="module")
 def learned():
     """Return a pipeline of hostile columns, its aircraft and a row of its flight."""

@@ -89,11 +89,6 @@ def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
         read(path)
 
 
-def test_one_name_for_the_whole_file(tmp_path):
-    table(holed(None))[:N].to_csv(tmp_path / "log.csv", index=False)
-    assert read_flight(tmp_path / "log.csv", flight="b").flight.unique().tolist() == ["b"]
-
-
 @pytest.mark.parametrize("dtype", [*DTYPES, "int64", "Int64", "float64"])
 def test_what_holds_the_names_changes_nothing(dtype):
     names = ["7"] * N + ["11"] * N if dtype in DTYPES else [7] * N + [11] * N

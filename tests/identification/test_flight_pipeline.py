@@ -42,14 +42,14 @@ def test_flight(flights):
 def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
     train, s, step = flights.train, 0.5, 0.1
-    draws = np.random.default_rng(0).standard_normal((5, len(train)))
+    draws = np.random.default_rng(0).standard_normal((3, len(train)))
     noisy = [train.assign(ay=train["ay"] + s * draw) for draw in draws]
     before, *after = (
         flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step for one in (train, *noisy)
     )
     scale = flights.aircraft.mass / (0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area)
     power = (s * scale.mean()) ** 2 * train["time"].diff().median()
-    assert np.mean(after) - before == pytest.approx(power, rel=0.15)  # one has a deviation of 13 %
+    assert np.mean(after) - before == pytest.approx(power, rel=0.2)  # one has a deviation of 13 %
 
 
 ODD = ["beta", "p", "r", "ay", "phi", "psi", "east", "v_east", "aileron", "rudder", "thrust_y", "thrust_l", "thrust_n"]
@@ -61,6 +61,7 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
 
     After any number of iterations.
     """
+    quick = DependentGPRegressor(**QUICK | {"structure": "joint", "max_iter": 2})
     turned, record = np.diag([1.0, -1.0, 1.0]), flights.aircraft.to_dict()
     record["inertia"] = (turned @ np.array(record["inertia"]) @ turned).tolist()
     record["propeller"]["rotation"] *= -1
@@ -74,7 +75,7 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
     found = {}
     for side in (1, -1):
         train = seen(flights.train.iloc[:400], side)
-        pipeline = make_identification_pipeline(aircraft[side], regressor=DependentGPRegressor(**QUICK))
+        pipeline = make_identification_pipeline(aircraft[side], regressor=clone(quick))
         pipeline.fit(train, thin_targets(aerodynamic_coefficients(train, aircraft[side]), 60))
         found[side] = pipeline.predict(seen(test_flight.iloc[:200], side), return_std=True)
     (mean, std), (mirrored, deviation) = found[1], found[-1]
@@ -88,8 +89,12 @@ def test_few_rows_do_not_show_the_noise(model, flights):
 
 class TestPredict:
     def test_the_band_knows_how_rough_the_air_was(self, model, test_flight):
+        """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
         X, ratio = flight_regressors(model, test_flight)
-        assert ratio.std() > 0 or ratio.mean() != 1  # another flight, other air
+        reconstruction = model["flightpathreconstruction"]
+        gust, fit = reconstruction.transform(test_flight)["gust"].to_numpy(), reconstruction.gust_std_
+        np.testing.assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
+        assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
         _, std = model.predict(test_flight, return_std=True)
         _, exact = model.predict(test_flight, return_std=True, include_input_noise=False)
         slopes = model[-1].predict_gradient(X)

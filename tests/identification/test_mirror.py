@@ -10,10 +10,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.dynamics import Aircraft
+from skdgp import DependentGPRegressor
 from skdgp.identification import FlightPipeline
-from skdgp.identification._mirror import mirrored
 from skdgp.preprocessing import RegressorSelector
 
 RATE = 40.0
@@ -49,28 +47,12 @@ class TestSymmetry:
         model = pipeline_of(NAMES, last, symmetric=True).fit(table, Y[["CZ"]])[-1]
         assert model.misfit_variance_[0] < 0.05 * model.noise_variance_[0]
 
-    def test_the_mirror_of_the_mirror_is_the_flight(self):
-        table, Y = symmetric_flight(0)
-        image = mirrored(table[NAMES], Y)
-        X, again = mirrored(*image)
-        pd.testing.assert_frame_equal(X, table[NAMES])
-        pd.testing.assert_frame_equal(again, Y)
-        assert (image[0].beta == -table.beta).all()
-        assert (image[0].alpha == table.alpha).all()
-        assert (image[1].CZ == Y.CZ).all()
-
     def test_lateral_coefficients_do_not_depend_on_longitudinal_regressors(self):
         table, Y = symmetric_flight(0)
         found = slopes(pipeline_of(NAMES, LinearRegression(), symmetric=True).fit(table, Y))
         np.testing.assert_allclose(found[[0, 2]][:, [0, 3]], 0, atol=1e-12)
         np.testing.assert_allclose(found[1][[1, 2, 4]], 0, atol=1e-12)
         np.testing.assert_allclose(found[2][[1, 2, 4]], [-0.1, -0.4, 0.2], atol=0.03)
-
-    def test_a_constant_asymmetry_stays(self):
-        table, Y = symmetric_flight(0)
-        pipeline = pipeline_of(NAMES, LinearRegression(), symmetric=True).fit(table, Y)
-        level = table.head(1).assign(**dict.fromkeys(("beta", "p_hat", "aileron"), 0.0))
-        np.testing.assert_allclose(pipeline.predict(level)[0, 2], 0.02, atol=0.01)
 
     def test_bands_count_each_sample_once(self):
         table, Y = symmetric_flight(0, n=150)
@@ -102,11 +84,6 @@ class TestSymmetry:
 
 
 class TestPipeline:
-    def test_the_option_is_a_parameter(self):
-        glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-        pipeline = clone(make_identification_pipeline(glider, symmetric=True))
-        assert pipeline.get_params()["symmetric"]
-
     def test_targets_without_names_are_the_six_coefficients(self):
         table, Y = symmetric_flight(0)
         with pytest.raises(ValueError, match="or the six coefficients: give a DataFrame"):

@@ -187,7 +187,7 @@ FAULTS = [  # in this order: values first, then rows, then columns
 ]
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(st.integers(0, 2**20), st.sets(st.integers(0, len(FAULTS) - 1), min_size=1, max_size=3), st.booleans())
 def test_a_faulty_table_gives_finite_numbers_or_one_error(seed, faults, of_training):
     """Faults of the flights learned from, or of those asked about; warnings are of the documented kind alone."""

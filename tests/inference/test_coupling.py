@@ -24,13 +24,6 @@ def test_equal_filters_of_one_latent_couple_fully_at_their_shift(sign):
     np.testing.assert_array_equal(found["shift"][[0, 1], [0, 1]], 0.0)
 
 
-def test_nothing_shared_nothing_coupled():
-    kernel = ConvolvedGaussian(0, amplitude=np.diag([1.0, 2.0, 3.0]), length_scale=np.ones((3, 3, 1)))
-    found = output_correlation(kernel)
-    np.testing.assert_array_equal(found.correlation, np.eye(3))
-    np.testing.assert_array_equal(found["shift"], 0.0)
-
-
 def test_a_silent_output_is_coupled_to_none():
     found = output_correlation(shared([[1.0, 0.0]], np.ones((1, 2, 1))))
     assert found.correlation[0, 1] == 0.0

@@ -1,6 +1,5 @@
 """Early stopping: hyperparameters are learned until the error of held-out blocks no longer falls."""
 
-import pickle
 import warnings
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.inference import Data, _search, fit_exact, log_likelihood, maximize
 from skdgp.kernels import ConvolvedGaussian
 
@@ -54,14 +53,6 @@ def test_the_noise_is_learned_to_the_end(log, monkeypatch):
     assert np.abs(slope).max() < 1e-3 * data.n_values
 
 
-def test_same_seed_same_result(log, stopped):
-    again = clone(stopped).fit(*log, time=TIME)
-    np.testing.assert_allclose(again.theta_, stopped.theta_, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(
-        pickle.loads(pickle.dumps(again)).predict(log[0]), stopped.predict(log[0]), rtol=1e-6, atol=1e-9
-    )
-
-
 def test_the_posterior_knows_the_held_out_rows(log, stopped):
     X, Y = log
     held = _search.held_out_rows(Y, np.random.RandomState(0))[1]
@@ -92,14 +83,6 @@ def test_goes_with(log, options):
         assert model.converged_
 
 
-def test_a_single_output(log):
-    X, Y = log
-    observed = np.isfinite(Y[:, 0])
-    model = make(n_latent=0, max_iter=500).fit(X[observed], Y[observed, 0], time=TIME[observed])
-    assert model.converged_
-    assert model.predict(X).shape == (N,)
-
-
 def test_few_rows_are_all_learned_from(log):
     X, Y = log
     options = {"max_iter": 10, "inference": "exact"}
@@ -107,20 +90,6 @@ def test_few_rows_are_all_learned_from(log):
     assert fits[0].n_iter_ == fits[0].max_iter or fits[0].converged_
     first, other = (fit.predict(X) for fit in fits)
     assert np.abs(first - other).max() < 0.2  # they differ by the smallest widths of a log
-
-
-def test_ctrl_c_keeps_the_best(log):
-    calls = []
-
-    def press(*news):
-        calls.append(news)
-        if news[0] == "fit":
-            raise KeyboardInterrupt
-
-    with listening(press), pytest.warns(ConvergenceWarning, match="interrupted"):
-        model = make().fit(*log, time=TIME)
-    assert not model.converged_
-    assert np.isfinite(model.predict(log[0][:5])).all()
 
 
 class TestBlocks:

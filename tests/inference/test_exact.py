@@ -29,18 +29,6 @@ def cross(problem, Xs):
     return problem.kernel([Xs] * problem.kernel.n_outputs, problem.data.X)
 
 
-class TestData:
-    def test_missing_targets_are_left_out_output_by_output(self):
-        X = np.arange(6.0).reshape(3, 2)
-        Y = np.array([[1.0, np.nan], [2.0, 3.0], [np.nan, 4.0]])
-        data = Data.from_table(X, Y)
-        assert data.n_values == 4
-        np.testing.assert_array_equal(data.X[0], X[:2])
-        np.testing.assert_array_equal(data.X[1], X[1:])
-        np.testing.assert_array_equal(data.y[0], [1, 2])
-        np.testing.assert_array_equal(data.y[1], [3, 4])
-
-
 class TestLikelihood:
     def test_is_the_density_of_the_observed_values(self, problem):
         expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
@@ -88,15 +76,6 @@ class TestLikelihood:
         assert posterior.likelihood_at(other, noise) == pytest.approx(expected[0])
         np.testing.assert_allclose(gradient, expected[1], rtol=1e-9, atol=1e-10)
 
-    def test_an_output_may_have_a_single_value(self, one_problem):
-        Y = one_problem.Y.copy()
-        Y[1:, 2] = np.nan
-        Y[0, 2] = 1.0
-        data = Data.from_table(one_problem.X, Y)
-        K = one_problem.kernel(data.X) + np.diag(np.repeat(one_problem.noise, [len(y) for y in data.y]))
-        expected = multivariate_normal(cov=K).logpdf(np.concatenate(data.y))
-        assert log_likelihood(one_problem.kernel, one_problem.noise, data) == pytest.approx(expected)
-
 
 class TestPosterior:
     def test_mean_is_equation_17(self, problem):
@@ -111,36 +90,6 @@ class TestPosterior:
         mean, variance = posterior.predict(NEW, return_variance=True)
         np.testing.assert_allclose(variance, np.diag(expected).reshape(-1, len(NEW)).T, rtol=1e-8)
         np.testing.assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
-
-    def test_knowledge_never_raises_the_variance(self, problem):
-        _, variance = posterior_of(problem).predict(NEW, return_variance=True)
-        prior = problem.kernel.diag(NEW).reshape(-1, len(NEW)).T
-        assert (variance > 0).all()
-        assert (variance < prior).all()
-
-    def test_without_noise_the_observed_values_come_back(self, one_problem):
-        posterior = ExactPosterior(one_problem.kernel, np.full(3, 1e-9), one_problem.data)
-        mean, variance = posterior.predict(one_problem.X, return_variance=True)
-        seen = np.isfinite(one_problem.Y)
-        np.testing.assert_allclose(mean[seen], one_problem.Y[seen], atol=1e-4)
-        assert variance[seen].max() < 1e-7
-        assert variance[~seen].min() > 1e-4
-
-    def test_an_output_learns_from_the_others(self, one_problem):
-        """One latent through equal filters: output 1 is twice output 0, though it was never observed nearby."""
-        kernel = ConvolvedGaussian(1, private_latents=False, amplitude=[[1.0, 2.0]], length_scale=np.ones((1, 2, 2)))
-        Y = np.column_stack([np.sin(one_problem.X[:, 0]), np.full(14, np.nan)])
-        Y[0, 1] = 2 * Y[0, 0]
-        posterior = ExactPosterior(kernel, np.full(2, 1e-6), Data.from_table(one_problem.X, Y))
-        mean = posterior.predict(NEW)
-        np.testing.assert_allclose(mean[:, 1], 2 * mean[:, 0], rtol=1e-3)
-
-    def test_far_away_the_prior_is_left(self):
-        kernel = ConvolvedGaussian(1, amplitude=[[1.0, 0.5], [1, 0], [0, 1]], length_scale=np.ones((3, 2, 1)))
-        data = Data.from_table(np.zeros((1, 1)), np.array([[3.0, -1.0]]))
-        mean, variance = ExactPosterior(kernel, np.full(2, 0.1), data).predict(np.array([[50.0]]), return_variance=True)
-        np.testing.assert_allclose(mean, 0.0, atol=1e-12)
-        np.testing.assert_allclose(variance, [[2.0, 1.25]])
 
 
 class TestGradient:
@@ -204,27 +153,11 @@ class TestTrendIntegratedOut:
         expected = multivariate_normal(cov=Ky + H @ B @ H.T).logpdf(one_problem.y)
         assert posterior_of(one_problem).log_marginal_likelihood == pytest.approx(expected)
 
-    def test_trend_alone_is_ridge_regression_and_extrapolates(self):
-        rng = np.random.default_rng(0)
-        X = rng.normal(size=(40, 2))
-        Y = np.column_stack([1 + X @ [2.0, -1.0], X @ [0.5, 3.0]]) + rng.normal(0, 0.1, (40, 2))
-        kernel = LinearTrend(np.full(2, 100.0), np.full((2, 2), 100.0), np.zeros(2))
-        far = np.array([[30.0, -20.0]])
-        mean, variance = ExactPosterior(kernel, np.full(2, 0.01), Data.from_table(X, Y)).predict(far, True)
-        design = np.column_stack([np.ones(40), X])
-        weights = np.linalg.solve(design.T @ design + 0.01 / 100**2 * np.eye(3), design.T @ Y)
-        at_far = np.array([1.0, 30.0, -20.0])
-        np.testing.assert_allclose(mean[0], at_far @ weights, rtol=1e-6)
-        np.testing.assert_allclose(
-            variance[0], 0.01 * at_far @ np.linalg.solve(design.T @ design + 1e-6 * np.eye(3), at_far), rtol=1e-5
-        )
-
 
 class TestTiles:
     """How the matrix is cut is nobody's business."""
 
-    @pytest.mark.parametrize("tile", [1, 3, 5])
-    @pytest.mark.parametrize("threads", [1, 2])
+    @pytest.mark.parametrize(("tile", "threads"), [(1, 2), (3, 1)])
     def test_do_not_change_the_results(self, problem, tile, threads, monkeypatch):
         value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
         posterior = posterior_of(problem)
@@ -241,17 +174,6 @@ class TestTiles:
         np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
         for a, b in zip((*got[0], got[1], *got[2]), (*expected[0], expected[1], *expected[2]), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
-
-    def test_the_same_call_gives_the_same_with_threads(self, one_problem, monkeypatch):
-        monkeypatch.setattr(_likelihood, "TILE", 4)
-        monkeypatch.setattr(_threads, "SMALL", 0)
-        with threadpool_limits(2, user_api="blas"):
-            first, second = (
-                log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)
-                for _ in range(2)
-            )
-        assert first[0] == pytest.approx(second[0])
-        np.testing.assert_allclose(first[1], second[1], rtol=1e-9, atol=1e-10)
 
 
 def peak_memory(function):

@@ -1,6 +1,5 @@
 """Misfit: errors of the function that residuals show where a log comes back to the same regressors."""
 
-import joblib
 import numpy as np
 import pytest
 
@@ -117,14 +116,3 @@ class TestBand:
         assert model.noise_variance_[0] == pytest.approx(
             NOISE**2, rel=0.1
         )  # without misfit, which the search took for noise
-
-    def test_of_a_saved_model_is_kept(self, tmp_path):
-        x, y, _ = log_of(np.abs)
-        model = DependentGPRegressor(structure="trend", inference="sparse", random_state=0).fit(
-            x, y, time=np.arange(len(x))
-        )
-        joblib.dump(model, tmp_path / "model.joblib")
-        again = joblib.load(tmp_path / "model.joblib")
-        np.testing.assert_allclose(
-            again.predict(x, return_std=True)[1], model.predict(x, return_std=True)[1], rtol=1e-9, atol=1e-10
-        )

@@ -7,7 +7,7 @@ import pytest
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp.inference import Data, ExactPosterior, SparsePosterior, compact, shares_of
-from skdgp.kernels import BasisTrend, LinearTrend
+from skdgp.kernels import BasisTrend
 
 N_PATHS = 4000
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -81,12 +81,6 @@ def test_a_trend_in_any_columns(one_problem, make):
     assert_moments(make(one_problem), points(one_problem))
 
 
-def test_a_trend_alone(one_problem, make):
-    one_problem.kernel = one_problem.kernel.k1
-    assert isinstance(one_problem.kernel, LinearTrend)
-    assert_moments(make(one_problem), points(one_problem)[:2])
-
-
 def test_after_an_update(one_problem, make):
     """An exact posterior has appended rows then; loaded from a file it factors anew."""
     X, Y = one_problem.X, one_problem.Y
@@ -100,25 +94,6 @@ def test_an_output_that_was_never_observed(one_problem, make):
     Y = one_problem.Y.copy()
     Y[:, 1] = np.nan
     assert_moments(make(one_problem, Data.from_table(one_problem.X, Y)), points(one_problem))
-
-
-def test_without_noise_every_path_passes_through_the_data(one_problem):
-    one_problem.noise = np.full(3, 1e-12)
-    paths = exact(one_problem).paths(20, 2)
-    values = paths(one_problem.X)
-    seen = np.isfinite(one_problem.Y)
-    expected = np.broadcast_to(one_problem.Y[seen], (20, seen.sum()))
-    np.testing.assert_allclose(values[:, seen], expected, atol=1e-4)
-    assert values[:, ~seen].std(axis=0).min() > 0.01  # what is not known there differs
-
-
-def test_far_from_the_data_paths_vary_as_the_prior(one_problem, make):
-    one_problem.kernel = one_problem.kernel.k2
-    away = np.array([[40.0, -30.0]])
-    values = make(one_problem).paths(N_PATHS, 3)(away)[:, 0]
-    prior = one_problem.kernel.diag(away)
-    assert (np.abs(values.mean(axis=0)) < 5 * np.sqrt(prior / N_PATHS)).all()
-    np.testing.assert_allclose(values.var(axis=0), prior, rtol=5 * np.sqrt(2 / N_PATHS))
 
 
 def test_a_path_is_one_function_between_two_points(one_problem, make):

@@ -92,13 +92,6 @@ class TestPosterior:
         np.testing.assert_allclose(variance, np.diag(cov).reshape(3, -1).T, rtol=1e-6)
         np.testing.assert_allclose(posterior.predict(NEW), found)
 
-    def test_with_many_features_is_the_exact_one(self, problem):
-        axis = np.linspace(-3.5, 3.5, 14)
-        many = sparse(problem, np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2))
-        exact = ExactPosterior(problem.kernel, problem.noise, problem.data)
-        np.testing.assert_allclose(many.predict(NEW), exact.predict(NEW), atol=0.02)
-        np.testing.assert_allclose(many.predict(NEW, True)[1], exact.predict(NEW, True)[1], rtol=0.05, atol=2e-3)
-
     def test_gradient_of_the_mean(self, problem, differences):
         posterior = sparse(problem)
         expected = np.stack([differences(lambda x: posterior.predict(x[None])[0], x) for x in NEW])

@@ -5,10 +5,9 @@ import pandas as pd
 import pytest
 
 from skdgp._flight.channels import CHANNELS
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, standard_atmosphere
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight, read_flights
 from skdgp.io._autopilot import dataflash, ulog
-from skdgp.io._autopilot.formats import density_at
 from skdgp.preprocessing import FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")
@@ -309,15 +308,6 @@ class TestRefusals:
             read_flight(path, **options)
         assert str(path) in str(error.value)
 
-    def test_options_of_logs_with_a_table(self, write):
-        path = write("log.csv", b"time,alpha\n0,0\n1,0\n")
-        with pytest.raises(FlightReadError, match=r"\['rate'\] for a table"):
-            read_flight(path, rate=20.0)
-
-    def test_one_name_for_several_paths(self, write, px4):
-        with pytest.raises(TypeError, match="mapping of flight identifier to path"):
-            read_flight([write("log.ulg", px4)], flight="one")
-
 
 class TestWithoutAnAccelerometer:
     """A steady banked turn: specific force is minus gravity over cos(phi) along z, and zero along x and y."""
@@ -354,11 +344,6 @@ class TestRules:
         for rule in (*ulog.RULES, *dataflash.RULES):
             assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}, rule.topic
             assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (3, len(rule.columns)), rule.topic
-
-    def test_the_atmosphere_is_the_one_of_the_aircraft_half(self):
-        altitude = np.linspace(0, 8000, 9)
-        expected = standard_atmosphere(altitude)
-        np.testing.assert_allclose(density_at(expected.pressure), expected.density, rtol=2e-5)
 
 
 @pytest.mark.shared

@@ -57,10 +57,6 @@ class TestStamps:
         np.testing.assert_array_equal(part["a"].time, time)
         assert remarks == []
 
-    def test_equal_stamps_are_one_message(self):
-        (part,), _ = clock_parts({"a": topic([1.0, 2.0, 2.0, 3.0])})
-        assert part["a"].records["row"].tolist() == [0, 1, 3]
-
     @pytest.mark.parametrize("n", [1, 2, 30, 60])
     def test_a_short_log_far_from_zero_keeps_its_messages(self, n):
         (part,), remarks = clock_parts({"a": topic(1e4 + 0.1 * np.arange(n))})
@@ -134,9 +130,6 @@ class TestResample:
         found = resample(time, values, time, 50.0)
         assert np.isnan(found[40:60]).all()
         assert np.isfinite(np.delete(found, np.arange(40, 60), axis=0)).all()
-
-    def test_one_sample_is_none(self):
-        assert np.isnan(resample(np.array([1.0]), np.ones((1, 1)), np.arange(3.0), 1.0)).all()
 
 
 class TestAttitude:

@@ -110,12 +110,6 @@ class TestDamage:
         assert times(log) == [1, 2, 3, 4]
         assert log.remarks == ("11 bytes could not be read and were skipped",)
 
-    def test_pages_that_are_filled_up(self, read, dataflash):
-        parts = ticks(dataflash(), 1, 2, 3).parts()
-        log = read(b"".join([*parts[:-1], b"\xff" * 40, parts[-1], b"\x00" * 300]))
-        assert times(log) == [1, 2, 3]
-        assert log.remarks == ()
-
     def test_cut_off_anywhere(self, read, dataflash):
         parts = ticks(dataflash(), 1, 2, 3).parts()
         whole, first = b"".join(parts), len(b"".join(parts[:-2]))
@@ -142,16 +136,6 @@ class TestDamage:
         bad = b"\xa3\x95\x80" + body + b"\xa3\x95\xc8" + bytes(12)
         parts = log.parts()
         assert times(read(b"".join([parts[0], bad, *parts[1:]]))) == [1, 2, 3]
-
-    def test_a_format_that_comes_again(self, read, dataflash):
-        parts = ticks(dataflash(), 1, 2, 3).parts()
-        assert times(read(b"".join([*parts[:-1], parts[1], parts[-1]]))) == [1, 2, 3]
-
-    def test_unknown_messages(self, read, dataflash):
-        log = ticks(dataflash(), 1, 2)
-        parts = log.topic("NEW", [3e-6], Y=("f", [1.0])).parts()
-        without = [part for part in parts if b"NEW" not in part]
-        assert times(read(b"".join(without))) == [1, 2]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xa3", b"ULog", b"TimeUS,X\n"])

@@ -56,18 +56,20 @@ def logs(tmp_path_factory, px4, ardupilot):
     return {suffix: np.frombuffer(content, np.uint8)[:30_000] for suffix, content in raw.items()}
 
 
-@pytest.mark.parametrize("damage", fuzz.BYTES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize("suffix", ROUNDS)
-def test_damaged_logs(logs, tmp_path, suffix, damage):
-    rng = np.random.default_rng([len(suffix), fuzz.BYTES.index(damage)])
+def test_damaged_logs(logs, tmp_path, suffix):
+    """Of every format some are read and some refused; a damaged log of an autopilot is mostly a good one."""
     path, outcomes = tmp_path / f"log{suffix}", []
-    for _ in range(ROUNDS[suffix]):
-        content = damage(logs[suffix], rng).tobytes()
-        path.write_bytes(content)
-        began = time.process_time()
-        outcomes.append(survives(path, len(content)))
-        assert time.process_time() - began < 2 * SECONDS
-    assert "read" in outcomes or suffix not in AUTOPILOTS  # a damaged log is mostly a good one
+    for kind, damage in enumerate(fuzz.BYTES):
+        rng = np.random.default_rng([len(suffix), kind])
+        for _ in range(ROUNDS[suffix]):
+            content = damage(logs[suffix], rng).tobytes()
+            path.write_bytes(content)
+            began = time.process_time()
+            outcomes.append(survives(path, len(content)))
+            assert time.process_time() - began < 2 * SECONDS
+    assert set(outcomes) == {"read", "refused"}
+    assert suffix not in AUTOPILOTS or outcomes.count("read") > 0.7 * len(outcomes)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +88,7 @@ LETTERS = [*b"time flight alpha [deg] , ; 0 1 . # \xff".split(), b"\t", b'"', b"
 WORDS = st.one_of(st.binary(max_size=300), st.lists(st.sampled_from(LETTERS), max_size=60).map(b"".join))
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".MAT"]), head=st.integers(0, 3), content=WORDS)
 def test_any_bytes(folder, suffix, head, content):
     heads = HEADS.get(suffix.lower(), [])
@@ -101,31 +103,6 @@ def test_any_bytes(folder, suffix, head, content):
     finally:
         tracemalloc.stop()
     assert time.process_time() - began < SECONDS
-
-
-@pytest.mark.parametrize("suffix", [".ulg", ".bin"])
-def test_noise_after_the_first_bytes(tmp_path, suffix):
-    """A file that begins as a log and goes on as noise, however long."""
-    head = {".ulg": b"ULog\x01\x12\x35\x01" + bytes(8), ".bin": b"\xa3\x95"}[suffix]
-    (tmp_path / f"log{suffix}").write_bytes(head + np.random.default_rng(0).bytes(2_000_000))
-    began = time.process_time()
-    with pytest.raises(FlightReadError):
-        read_flight(tmp_path / f"log{suffix}")
-    assert time.process_time() - began < 10
-
-
-@pytest.mark.parametrize("suffix", [".ulg", ".bin"])
-def test_memory_is_bounded_by_the_size_of_the_file(logs, tmp_path, suffix):
-    rng = np.random.default_rng(0)
-    for damage in fuzz.BYTES:
-        content = damage(logs[suffix], rng).tobytes()
-        (tmp_path / f"log{suffix}").write_bytes(content)
-        tracemalloc.start()
-        try:
-            survives(tmp_path / f"log{suffix}", len(content))
-            assert tracemalloc.get_traced_memory()[1] < MEMORY + GROWTH * len(content)
-        finally:
-            tracemalloc.stop()
 
 
 def element(kind, content):
@@ -226,22 +203,3 @@ def test_small_files_take_little(tmp_path, name, content, message):
         tracemalloc.stop()
     assert pa.total_allocated_bytes() - before < MEMORY
     assert time.process_time() - began < SECONDS
-
-
-def test_wide_tables_are_read_soon(tmp_path):
-    (tmp_path / "log.csv").write_bytes(wide(5000) + b"0" + b",1" * 4999 + b"\n.02" + b",1" * 4999)
-    began = time.process_time()
-    assert read_flight(tmp_path / "log.csv").shape == (2, 5001)
-    assert time.process_time() - began < SECONDS
-
-
-@pytest.mark.shared
-def test_damaged_shared_logs(shared_data, tmp_path):
-    rng = np.random.default_rng(1)
-    for path in sorted((shared_data / "logs").iterdir()):
-        raw = np.frombuffer(path.read_bytes(), np.uint8)[:150_000]
-        for damage in fuzz.BYTES:
-            copy = tmp_path / f"log{path.suffix.lower()}"
-            content = damage(raw, rng).tobytes()
-            copy.write_bytes(content)
-            survives(copy, len(content))

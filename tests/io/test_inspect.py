@@ -99,28 +99,6 @@ class TestSummary:
         assert (topic.gaps, topic.longest_gap) == (1, pytest.approx(2.04))
         assert "1 gaps, the longest of 2.04 s at 4.98 s" in summary.remarks[0]
 
-    def test_dict_is_json(self, whole, quad):
-        for path in (whole, quad):
-            content = json.loads(json.dumps(inspect_log(path).to_dict(), allow_nan=False))
-            assert set(content) >= {"format", "topics", "columns", "missing", "flights", "remarks"}
-
-    def test_text_names_everything(self, whole):
-        summary = inspect_log(whole)
-        text = str(summary)
-        for column in summary.columns:
-            assert column.name in text
-            assert column.source in text
-        for topic in summary.topics:
-            assert topic.name in text
-
-    def test_a_table(self, tmp_path):
-        (tmp_path / "a.csv").write_text("time,flight,airspeed,my\n0,x,20,1\n0.5,x,21,1\n0,y,20,1\n0.5,y,21,1\n")
-        summary = inspect_log(tmp_path / "a.csv")
-        assert [(flight.begin, flight.end) for flight in summary.flights] == [(0.0, 0.5), (0.0, 0.5)]
-        assert summary.columns[0].rate == pytest.approx(2.0)
-        assert summary.remarks == ("column 'my' is not of the vocabulary",)
-        assert "airspeed" in str(summary)
-
     def test_a_table_of_many_short_records(self, tmp_path):
         time = 0.01 * np.arange(150)
         records = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from skdgp.io import FlightReadError, inspect_log, read_flight
+from skdgp.io import FlightReadError, read_flight
 from skdgp.io._mat import parse_mat5
 
 TIME = np.arange(50) * 0.02
@@ -76,15 +76,6 @@ def test_a_struct(save, content):
 def test_flights_by_name(save):
     table = read_flight(save(**VECTORS, flight=np.array(["x"] * 25 + ["y"] * 25, dtype=object)))
     assert table.flight.unique().tolist() == ["x", "y"]
-
-
-def test_flights_that_are_numbers(save):
-    """MATLAB has no whole numbers unless it is asked for them."""
-    assert read_flight(save(**VECTORS, flight=np.repeat([1.0, 12.0], 25))).flight.unique().tolist() == ["1", "12"]
-
-
-def test_inspected(save):
-    assert inspect_log(save(**VECTORS)).firmware == "mat"
 
 
 @pytest.mark.parametrize(

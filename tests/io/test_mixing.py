@@ -1,9 +1,12 @@
 """Surfaces that make controls together: by name, by weights, by the parameters of an autopilot, and back to servos."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from skdgp._cli._plan import _writers
 from skdgp.design import Wavetrain, doublet, write_ardupilot_lua
 from skdgp.io import FlightReadError, read_flight, servo_outputs
 from skdgp.io._autopilot.servos import Mixture, read_servos
@@ -134,6 +137,21 @@ def test_a_plan_for_a_v_tail(tmp_path):
     assert "servo = 79, full = -0.4" in text
     assert "parts = {1.0, 1.0}" in text
     assert "parts = {1.0, -1.0}" in text
+
+
+def test_the_command_plan_writes_what_servos_send(tmp_path):
+    train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}})
+    tail = {"vtail_left": servo(2), "vtail_right": servo(4)}
+    trim = {"elevator": -0.05, "rudder": 0.02}
+    planned = SimpleNamespace(trains=[train], trims=[SimpleNamespace(controls=trim)], flight=pd.DataFrame())
+    files = _writers(SimpleNamespace(rate=50.0, full=[], servos=tail), planned, {})
+    files["plan_servos.csv"](tmp_path / "plan_servos.csv")
+    sent = pd.read_csv(tmp_path / "plan_servos.csv")
+    pd.testing.assert_frame_equal(sent, servo_outputs(train.table(50.0, trim=trim), tail))
+    options = SimpleNamespace(rate=50.0, full=[], servos={"aileron": servo(1)})
+    with pytest.warns(UserWarning, match=r"No outputs of servos.*aileron"):
+        files = _writers(options, planned, {})
+    assert "plan_servos.csv" not in files
 
 
 def test_reversed_surfaces_of_parameters(tmp_path, dataflash):

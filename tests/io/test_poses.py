@@ -117,7 +117,7 @@ def test_noise_of_a_millimetre_and_a_tenth_of_a_degree_in_records_of_three_secon
     assert table.flight.unique().tolist() == ["a", "b"]
 
 
-@pytest.mark.parametrize("frame", [frame for frame in FRAMES if frame != "NED/FRD"])
+@pytest.mark.parametrize("frame", ["ENU/FLU", "NWU/FRD"])
 def test_any_frame_gives_the_same_table(frame):
     time, poses, expected = noisy_table(1.0)
     table = flight_from_poses(time, *in_frame(frame, *poses), frame=frame)

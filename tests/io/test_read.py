@@ -125,10 +125,6 @@ class TestUnitsThatNumbersGiveAway:
             read_flight(write("log.csv", table(**{name: values})))
         read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
 
-    def test_rates(self, write):
-        with pytest.raises(FlightReadError, match=r"'p'.*degrees"):
-            read_flight(write("log.csv", table(p=60 * np.sin(np.arange(50)))))
-
     def test_heading(self, write):
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
@@ -173,12 +169,6 @@ class TestRefusals:
         assert str(path) in str(error.value)
         assert isinstance(error.value, ValueError)
 
-    def test_truncated_parquet(self, write):
-        path = write("log.parquet", table(2000))
-        path.write_bytes(path.read_bytes()[:-200])
-        with pytest.raises(FlightReadError, match="copy or export it again"):
-            read_flight(path)
-
     def test_binary_called_csv(self, tmp_path):
         path = tmp_path / "log.csv"
         path.write_bytes(np.random.default_rng(0).bytes(5000))
@@ -204,10 +194,6 @@ class TestRemarks:
         ):
             assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
 
-    def test_sixty_extra_columns_say_nothing(self, write):
-        extra = {f"servo_output_{k}": 0.0 for k in range(60)}
-        assert len(read_flight(write("log.csv", table(**extra))).attrs["unknown_columns"]) == 60
-
     def test_exact_repeats_are_dropped(self, write):
         rows = table()
         path = write("log.csv", pd.concat([rows[:10], rows[9:10], rows[10:]]))
@@ -219,11 +205,6 @@ class TestRemarks:
         rows.loc[3, "q"] = np.inf
         with pytest.warns(UserWarning, match=r"\['q'\] are read as missing"):
             assert np.isnan(read_flight(write("log.parquet", rows)).q[3])
-
-    def test_missing_values_stay_missing(self, write):
-        rows = table()
-        rows.loc[[3, 4], "q"] = np.nan
-        assert read_flight(write("log.csv", rows)).q.isna().sum() == 2
 
     def test_dates_become_seconds(self, write):
         rows = table(time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s"))

@@ -156,15 +156,6 @@ class TestSpacing:
         X = np.random.default_rng(0).normal(size=(900, 9))
         np.testing.assert_allclose(self.smallest(X, X[:, :2]), 400 ** (-1 / 9))
 
-    def test_single_fits_and_the_tied_start_keep_to_it(self, data):
-        kernel = ConvolvedGaussian(1, length_scale_bounds="spacing")
-        assert kernel.single_output().length_scale_bounds == kernel.coarse().length_scale_bounds == "spacing"
-
-    def test_a_kernel_with_values_has_the_bounds_of_one_without_data(self):
-        values = {"amplitude": [[1.0]], "length_scale": [[[2.0]]]}
-        free, spaced = (ConvolvedGaussian(0, **values, length_scale_bounds=given) for given in (None, "spacing"))
-        np.testing.assert_array_equal(spaced.bounds, free.bounds)
-
 
 class TestRefused:
     X = np.zeros((2, 1))
@@ -206,13 +197,6 @@ class TestRefused:
     def test_trend_without_values(self):
         with pytest.raises(ValueError, match="LinearTrend has no values yet"):
             LinearTrend()(self.X)
-
-    def test_trend_without_center_is_about_the_origin(self):
-        scales = [1.0, 3.0], [[2.0], [0.5]]
-        X = np.array([[0.4], [-2.0]])
-        np.testing.assert_allclose(
-            LinearTrend(*scales)(X), LinearTrend(*scales, center=[0.0])(X), rtol=1e-9, atol=1e-10
-        )
 
 
 class TestSums:

@@ -80,15 +80,6 @@ def test_one_latent_through_equal_filters_correlates_fully(covariance_type, sign
     assert correlation(kernel, [0.0, 0.0]) == pytest.approx(sign)
 
 
-def test_one_latent_through_unequal_filters_is_bound():
-    a = np.array([[0.5, 2.0, 1.0], [1.5, 0.4, 0.9]])  # diagonal of A of the two outputs
-    kernel = ConvolvedGaussian(1, private_latents=False, amplitude=[[0.7, 1.9]], length_scale=np.sqrt(2 / a)[None])
-    np.testing.assert_allclose(kernel.A[0], a)
-    bound = np.prod(np.sqrt(2) * (a[0] * a[1]) ** 0.25 / np.sqrt(a[0] + a[1]))
-    assert correlation(kernel, np.zeros(3)) == pytest.approx(bound)
-    assert bound < 0.95
-
-
 def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
     shift = np.array([[[0.0, 0.0], [0.7, -0.4]]])
     kernel = ConvolvedGaussian(
@@ -97,20 +88,6 @@ def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
     # Output 0 at s - shift says what output 1 says at s: its filter answers later.
     assert correlation(kernel, shift[0, 0] - shift[0, 1]) == pytest.approx(1.0)
     assert correlation(kernel, shift[0, 1] - shift[0, 0]) < 0.8
-
-
-def test_only_differences_of_shifts_matter(rng):
-    shift, X = rng.normal(size=(1, 3, 2)), rng.normal(size=(4, 2))
-    shared = {"private_latents": False, "amplitude": [[1.0, -0.5, 2.0]], "length_scale": np.ones((1, 3, 2))}
-    K = [ConvolvedGaussian(1, shift=shift + common, **shared)(X) for common in (0.0, np.array([3.0, -1.0]))]
-    np.testing.assert_allclose(K[0], K[1], rtol=1e-12)
-
-
-def test_signs_of_a_latents_amplitudes_are_free(rng):
-    w, X = rng.normal(size=(1, 3)), rng.normal(size=(4, 2))
-    shared = {"private_latents": False, "length_scale": np.ones((1, 3, 2))}
-    K = [ConvolvedGaussian(1, amplitude=sign * w, **shared)(X) for sign in (1, -1)]
-    np.testing.assert_allclose(K[0], K[1], rtol=1e-12, atol=0)
 
 
 def test_narrower_types_are_wider_ones_under_constraints(rng):
@@ -128,30 +105,6 @@ def test_narrower_types_are_wider_ones_under_constraints(rng):
     np.testing.assert_allclose(matrix("spherical", equal), matrix("diag", equal), rtol=1e-12)
     tied = np.broadcast_to(rng.uniform(0.5, 2, (1, 1, 3)), (1, 2, 3))
     np.testing.assert_allclose(matrix("tied", tied), matrix("diag", tied), rtol=1e-12)
-
-
-def test_full_filters_see_a_rotation_of_the_regressors(rng):
-    """Two equal full filters: the Mahalanobis distance of their precision."""
-    kernel = ConvolvedGaussian(
-        1,
-        private_latents=False,
-        covariance_type="full",
-        amplitude=[[1.0, 1.0]],
-        length_scale=np.broadcast_to([0.5, 1.0, 2.0], (1, 2, 3)),
-        shear=np.broadcast_to([0.3, -0.8, 0.5], (1, 2, 3)),
-    )
-    X = rng.normal(size=(5, 3))
-    root = np.linalg.cholesky(kernel.A[0, 0] / 2)
-    np.testing.assert_allclose(kernel.block(0, 1, X, X), RBF(1.0)(X @ root), rtol=1e-10)
-
-
-def test_no_amplitude_no_coupling(rng):
-    kernel = ConvolvedGaussian(
-        1, amplitude=[[1.0, 0.0, 2.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], length_scale=np.ones((4, 3, 1))
-    )
-    X = rng.normal(size=(3, 1))
-    assert (kernel.block(0, 1, X, X) == 0).all()
-    assert (kernel.block(0, 2, X, X) != 0).all()
 
 
 def test_trend_is_a_bayesian_linear_model(rng):

@@ -1,7 +1,5 @@
 """Samples of the prior that are functions, and inducing variables drawn with them."""
 
-import pickle
-
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -113,22 +111,12 @@ class TestBundle:
             for k in range(5):
                 np.testing.assert_allclose(function(own)[k], function(own[k][None])[k], rtol=1e-10, atol=1e-11)
 
-    def test_some_of_the_functions_are_the_same_functions(self, kernel):
-        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
-        some = slice(1, None, 2)
-        np.testing.assert_allclose(bundle.take(some).each(own[some]), bundle.each(own)[some], rtol=1e-10, atol=1e-11)
-
     def test_chunks_make_no_difference(self, kernel, monkeypatch):
         bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
         values, slopes = bundle.values(own), bundle.slopes(own)
         monkeypatch.setattr("skdgp.kernels._prior_paths.CHUNK_BYTES", 1)
         np.testing.assert_allclose(bundle.values(own), values, rtol=1e-10, atol=1e-11)
         np.testing.assert_allclose(bundle.slopes(own), slopes, rtol=1e-10, atol=1e-11)
-
-    def test_pickle(self, kernel):
-        bundle = self.bundle(kernel)
-        again = pickle.loads(pickle.dumps(bundle))
-        np.testing.assert_allclose(again.each(X[None]), bundle.each(X[None]), rtol=1e-9, atol=1e-10)
 
 
 def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
@@ -42,19 +41,6 @@ class TestIsTheKernelOfTheColumns:
         np.testing.assert_allclose(found[columns], expected, rtol=1e-9, atol=1e-9)
         others = np.setdiff1d(range(3), columns)
         np.testing.assert_allclose(found[others], 0.0, atol=1e-9)
-
-    def test_hyperparameters(self, columns, rng):
-        of_few, alone = pair(columns, rng)
-        np.testing.assert_array_equal(of_few.theta, alone.theta)
-
-    def test_posterior(self, columns, rng):
-        X, y, (of_few, alone) = rng.normal(size=(30, 3)), rng.normal(size=(30, 2)), pair(columns, rng)
-        noise, new = np.array([0.1, 0.2]), rng.normal(size=(5, 3))
-        found = ExactPosterior(of_few, noise, Data.from_table(X, y))
-        expected = ExactPosterior(alone, noise, Data.from_table(X[:, columns], y))
-        assert found.log_marginal_likelihood == pytest.approx(expected.log_marginal_likelihood, rel=1e-9)
-        for a, b in zip(found.predict(new, True), expected.predict(new[:, columns], True), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize("given", [None, 0.7])

@@ -1,7 +1,6 @@
 """Metrics against references typed from their definitions, and scorers inside scikit-learn's machinery."""
 
 import math
-import pickle
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
@@ -100,12 +99,6 @@ class TestEveryMetric:
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(flat, rel=1e-12)
         assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(flat, rel=1e-12)
 
-    def test_one_sided_permutation_of_samples(self, metric):
-        y, mean, std = sample()
-        order = np.random.default_rng(2).permutation(len(y))
-        shuffled = metric(*(a[order] for a in arguments(metric, y, mean, std)))
-        assert shuffled == pytest.approx(metric(*arguments(metric, y, mean, std)), rel=1e-12)
-
     def test_output_never_observed(self, metric):
         y, mean, std = sample()
         y[:, 1] = np.nan
@@ -132,16 +125,6 @@ class TestEveryMetric:
 
 
 class TestMeaning:
-    def test_perfect_prediction(self):
-        y, _, _ = sample()
-        assert median_relative_error(y, y) == 0
-        assert normalized_rmse(y, y) == 0
-        assert interval_coverage(y, y, np.full_like(y, 1e-9)) == 1
-
-    def test_predicting_the_mean_scores_one(self):
-        y, _, _ = sample()
-        assert normalized_rmse(y, np.broadcast_to(y.mean(axis=0), y.shape)) == pytest.approx(1)
-
     def test_relative_metrics_do_not_know_units(self):
         y, mean, _ = sample()
         for metric in (median_relative_error, normalized_rmse):
@@ -169,9 +152,6 @@ class TestMeaning:
         assert at[1] == pytest.approx(0.3 / math.sqrt(math.pi), rel=0.01)
         scaled = continuous_ranked_probability_score(1e3 * error, 0 * error, 0 * error + 300)
         assert scaled == pytest.approx(1e3 * at[1])
-
-    def test_ranked_probability_of_certainty_is_the_absolute_error(self):
-        assert continuous_ranked_probability_score([1.0, 3.0], [0.0, 0.0], [1e-9, 1e-9]) == pytest.approx(2.0)
 
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
@@ -204,13 +184,6 @@ class TestCoverageCurve:
         assert curve[0].isna().all()
         assert (curve[1] == 0.5).all()
 
-    def test_names_and_levels(self):
-        assert list(coverage_curve(pd.Series([1.0], name="Cm"), [1.0], [1.0])) == ["Cm"]
-        with pytest.raises(ValueError, match="expected probabilities"):
-            coverage_curve([1.0], [1.0], [1.0], levels=[95])
-        with pytest.raises(ValueError, match="expected positive"):
-            coverage_curve([1.0], [1.0], [-1.0])
-
 
 class NoisyModel(RegressorMixin, BaseEstimator):
     """Predict 0 with a latent deviation of 1, and of 2 with measurement noise."""
@@ -241,14 +214,6 @@ class TestScorers:
         search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True]}, cv=2, scoring=covers)
         for estimator in (model, pipeline, search):
             assert covers(clone(estimator).fit(X, y), X, y) == 1.0  # 1.5 lies inside 0.994 * 2, not inside 0.994
-
-    def test_grid_search_maximises(self):
-        rng = np.random.default_rng(0)
-        X = rng.normal(size=(60, 2))
-        Y = pd.DataFrame(X @ [[1.0, 2.0], [0.5, -1.0]] + rng.normal(0, 0.01, (60, 2)), columns=["CX", "Cm"])
-        search = GridSearchCV(Ridge(), {"alpha": [1e-3, 1e4]}, scoring=SCORERS["neg_normalized_rmse"], cv=3)
-        assert search.fit(X, Y).best_params_ == {"alpha": 1e-3}
-        assert search.best_score_ < 0
 
     def test_all_scorers_with_groups_and_missing_targets(self):
         rng = np.random.default_rng(0)
@@ -332,11 +297,3 @@ class TestScorers:
         model = LinearRegression().fit([[0.0], [1.0]], [0.0, 1.0])
         with pytest.raises(TypeError, match="LinearRegression, whose predict takes no return_std"):
             SCORERS["log_predictive_density"](model, [[0.0]], [0.0])
-
-    @pytest.mark.parametrize("name", SCORERS)
-    def test_pickle(self, name):
-        again = pickle.loads(pickle.dumps(SCORERS[name]))
-        X, y = np.arange(10.0)[:, None], np.sin(np.arange(10.0))
-        model = GaussianProcessRegressor(alpha=0.1).fit(X, y)
-        assert again(model, X, y) == SCORERS[name](model, X, y)
-        assert SCORERS[name].metric.__name__ in repr(again)

@@ -1,15 +1,12 @@
 """Blocks in time: what is held out, at what distance, and that whole pipelines live with it."""
 
-import warnings
-
 import numpy as np
 import pandas as pd
 import pytest
 import sklearn
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut, check_cv, cross_validate
-from sklearn.pipeline import make_pipeline
+from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 
 from skdgp.metrics import SCORERS, score_outputs
 from skdgp.model_selection import BlockSplit, thin_targets
@@ -58,19 +55,6 @@ class TestWhatIsHeldOut:
 
 
 class TestProtocol:
-    def test_is_a_splitter(self):
-        splitter = BlockSplit(3, gap=0.5)
-        assert check_cv(splitter) is splitter
-        assert splitter.get_n_splits(clock()) == len(list(splitter.split(clock()))) == 3
-        assert repr(splitter) == "BlockSplit(gap=0.5, n_splits=3)"
-
-    def test_index_does_not_matter(self):
-        table = clock()
-        other = table.set_index("time", drop=False)
-        for one, two in zip(BlockSplit().split(table), BlockSplit().split(other), strict=True):
-            for rows, same in zip(one, two, strict=True):
-                np.testing.assert_array_equal(rows, same)
-
     @pytest.mark.parametrize("routing", [True, False])
     def test_groups_with_and_without_routing(self, flights, model, routing):
         table, Y = flights()
@@ -155,16 +139,6 @@ class TestWholePipeline:
         assert (found["test_neg_normalized_rmse"] > -0.5).all()
         assert (found["test_interval_coverage"] > 0.3).all()  # nothing was optimised
 
-    def test_grid_search_over_every_step(self, flights, model):
-        table, Y = flights()
-        grid = {"flightsmoother__cutoff": [0.02, 3.0], "dependentgpregressor__trend": ["linear"]}
-        search = GridSearchCV(model, grid, cv=BlockSplit(2), scoring=SCORERS["neg_continuous_ranked_probability_score"])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # 0.02 Hz smooths the manoeuvres away, and the fit says so
-            search.fit(table, thin_targets(Y, 60))
-        assert search.best_params_["flightsmoother__cutoff"] == 3.0
-        assert search.predict(table).shape == Y.shape
-
     def test_the_models_of_the_folds_are_those_fitted_by_hand(self, flights, model):
         table, Y = flights()
         thin = thin_targets(Y, 40)
@@ -173,9 +147,3 @@ class TestWholePipeline:
             fitted = clone(model).fit(table.iloc[train], thin.iloc[train])
             by_hand = score_outputs(fitted, table.iloc[test], thin.iloc[test])
             assert by_hand == {name.removeprefix("test_"): found[name][k] for name in found if name.startswith("test_")}
-
-    def test_scikit_learn_s_own_scores_refuse_missing_targets(self, flights, model):
-        table, Y = flights()
-        model = make_pipeline(*[step for _, step in model.steps[:-1]], LinearRegression()).fit(table, Y)
-        with pytest.raises(ValueError, match="NaN"):
-            sklearn.metrics.get_scorer("r2")(model, table, thin_targets(Y, 60))

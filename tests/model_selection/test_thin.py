@@ -1,7 +1,6 @@
 """Thinned targets: which rows stay observed."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from skdgp.model_selection import thin_targets
@@ -44,19 +43,6 @@ def test_kept_rows_keep_their_values_and_the_original_is_untouched():
     thin = thin_targets(Y, 10)
     np.testing.assert_array_equal(thin[observed(thin)], Y[observed(thin)])
     np.testing.assert_array_equal(Y, before)
-
-
-def test_pandas_keeps_names_and_index():
-    Y = pd.DataFrame({"CX": [1, 2, 3, 4], "Cm": [5, 6, 7, 8]}, index=[10, 20, 30, 40])
-    thin = thin_targets(Y, 2)
-    assert list(thin.columns) == ["CX", "Cm"]
-    assert thin.index.equals(Y.index)
-    assert thin.notna().all(axis=1).sum() == 2
-    assert thin_targets(Y["CX"], 2).name == "CX"
-
-
-def test_more_than_there_are_changes_nothing():
-    np.testing.assert_array_equal(thin_targets([1.0, np.nan, 3.0], 9), [1.0, np.nan, 3.0])
 
 
 @pytest.mark.parametrize("n_samples", [0, -3, 2.5, "all", True])

@@ -46,5 +46,5 @@ def test_draws_effects_and_maps(build):
 def test_bad_input(build):
     with pytest.raises(ValueError, match=r"Got the outputs \['CT'\]"):
         BuildUpDisplay.from_build_up(build, ax=Figure(), n_grid=3, outputs="CT")
-    with pytest.raises(ValueError, match="n_grid >= 2"):
+    with pytest.raises(ValueError, match="expected at least 2"):
         BuildUpDisplay.from_build_up(build, ax=Figure(), n_grid=1)

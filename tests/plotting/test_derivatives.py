@@ -57,11 +57,6 @@ def test_draws_the_best_known_by_default_and_any_name(sweep):
     assert labels == [r"$C_{n_{\mathrm{elevon\_left}}}$", "$C_L$"]
 
 
-def test_without_deviations_there_is_no_band(sweep):
-    display = DerivativeDisplay.from_sweep(sweep.drop(columns="std"), ax=Figure())
-    assert display.bands_ == [None] * 3
-
-
 def test_says_what_it_needs(sweep):
     with pytest.raises(ValueError, match="single point"):
         DerivativeDisplay.from_sweep(sweep.loc[0])

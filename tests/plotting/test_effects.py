@@ -35,21 +35,12 @@ def test_draws_a_row_for_each_output_and_a_column_for_each_regressor(model):
 
 def test_draws_what_is_wanted(model):
     display = EffectsDisplay.compute(model, n_grid=5)
-    display.plot(Figure(), outputs="Cm", regressors=["throttle"], legend=False)
-    assert display.axes_.shape == (1, 2)
+    display.plot(Figure(), outputs="Cm", legend=False)
+    assert display.axes_.shape == (1, 3)
     assert len(display.lines_[0].get_xdata()) == 5
     assert display.figure_.legends == []
     with pytest.raises(ValueError, match=r"Got the outputs \['CX'\]"):
         display.plot(Figure(), outputs="CX")
-    with pytest.raises(ValueError, match=r"Got the regressors \['beta'\]"):
-        display.plot(Figure(), regressors="beta")
-
-
-def test_a_trend_has_no_bars(model):
-    X, Y = effects(model).samples, np.arange(100.0).reshape(50, 2)
-    display = EffectsDisplay.from_model(DependentGPRegressor(structure="trend").fit(X, Y), ax=Figure())
-    assert display.axes_.shape == (2, 2)
-    assert display.bars_ == [None] * 4
 
 
 def test_joint_processes_alone_have_no_curves(model):

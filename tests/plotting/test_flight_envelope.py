@@ -54,35 +54,12 @@ def test_against_the_definition(model, display):
                 assert alone == pytest.approx(std[output] / np.sqrt(as_flown[output]), rel=1e-6)
 
 
-def test_units_do_not_matter():
-    X = flown()[NAMES]
-    display, other = (
-        EnvelopeDisplay.compute(DependentGPRegressor(n_latent=1, max_iter=5, random_state=0).fit(X, y), X, n_grid=3)
-        for y in (targets(X), 1e3 * targets(X) + 7.0)
-    )
-    np.testing.assert_allclose(display.relative_std(), other.relative_std(), rtol=1e-3)
-
-
-def test_it_is_known_in_the_middle_and_not_at_the_corners(display):
-    rho = display.relative_std()
-    assert (rho[:, 2, 2] < rho[:, [0, 0, -1, -1], [0, -1, 0, -1]].min(axis=1)).all()
-    assert rho.min() > 0
-
-
 def test_the_usual_pairs_and_units_of_flight(display):
     assert display.pairs == [("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q_hat")]
     labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in display.axes_.flat]
     assert labels == [(r"$\alpha$ [deg]", y) for y in (r"$\beta$ [deg]", "elevator [deg]", r"$\hat{q}$")]
     for ax, points in zip(display.axes_.flat, display.points, strict=True):
         np.testing.assert_allclose(ax.get_xlim(), np.rad2deg(points[0][[0, -1]]))
-
-
-def test_panels_reach_beyond_everything_flown(display):
-    for (right, up), points in zip(display.pairs, display.points, strict=True):
-        for name, axis in zip((right, up), points, strict=True):
-            for table in (display.flown, display.path):
-                assert axis[0] < table[name].min()
-                assert axis[-1] > table[name].max()
 
 
 def test_grey_areas_hold_their_shares_of_the_samples(model):
@@ -103,23 +80,6 @@ def test_no_excursion_of_the_other_flight_is_lost(display):
         for extreme in (rows[:, 0].argmin(), rows[:, 0].argmax()):
             assert np.abs(dots[:, 0] - rows[extreme, 0]).min() < cell
         assert {tuple(dot) for dot in dots.round(12)} <= {tuple(row) for row in rows.round(12)}
-
-
-def test_draws_again_what_it_computed(display):
-    again = EnvelopeDisplay(**{name: getattr(display, name) for name in vars(display) if not name.endswith("_")})
-    again.plot(Figure((4, 4)), pairs=[("alpha", "elevator")], outputs=display.output_names[0], legend=False)
-    assert again.axes_.shape == (1, 1)
-    assert again.legend_ is None
-
-
-def test_pyplot_makes_room_for_the_legend(display):
-    import matplotlib.pyplot as plt
-
-    again = EnvelopeDisplay(**{name: getattr(display, name) for name in vars(display) if not name.endswith("_")}).plot()
-    again.figure_.draw_without_rendering()
-    below = again.legend_.get_window_extent().y0
-    assert all(ax.get_window_extent().y1 <= below for ax in again.axes_.flat)
-    plt.close(again.figure_)
 
 
 def test_other_regressors():

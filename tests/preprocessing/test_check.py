@@ -136,10 +136,6 @@ class TestFaults:
         assert out[channel].isna().to_numpy().tolist() == gone.tolist()
         pd.testing.assert_frame_equal(out[~gone], clean[~gone])
 
-    def test_is_not_looked_for_in_what_is_ignored(self, channel, kind, spoil, rows):
-        table = spoil(log())
-        pd.testing.assert_frame_equal(FlightCheck(ignore=[channel]).fit_transform(table), table)
-
 
 def test_a_slow_sensor_that_sticks_is_found():
     table = log()
@@ -215,11 +211,6 @@ class TestBridging:
         line = np.interp(table.time[500:508], table.time[[499, 508]], table.alpha[[499, 508]])
         np.testing.assert_allclose(out.alpha[500:508], line)
 
-    def test_nothing_is_made_up_between_the_samples_of_a_slow_sensor(self):
-        table = log()
-        table["alpha"] = table["alpha"][::4].reindex(table.index)
-        pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
-
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         table = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
         table.loc[[2399, 2400], "alpha"] = np.nan
@@ -249,12 +240,6 @@ class TestClock:
             out = FlightCheck().fit_transform(table)
         assert out.flight.unique().tolist() == ["sortie", "sortie#3", "sortie#4", "sortie#2"]
 
-    def test_the_reader_does_the_same(self, restarted, tmp_path):
-        restarted.to_csv(tmp_path / "sortie.csv", index=False)
-        with pytest.warns(FlightDataWarning, match="named apart .from 24.975 s to 0 s at row 1000: 'sortie#2'"):
-            table = read_flight(tmp_path / "sortie.csv")
-        assert table.flight.unique().tolist() == ["sortie", "sortie#2", "sortie#3"]
-
     def test_rows_in_disorder_are_refused(self, tmp_path):
         table = log().sample(frac=1.0, random_state=0)
         with pytest.raises(ValueError, match="expected time to increase strictly within a flight"):
@@ -262,10 +247,6 @@ class TestClock:
         table.to_csv(tmp_path / "a.csv", index=False)
         with pytest.raises(FlightReadError, match="sort by time"):
             read_flight(tmp_path / "a.csv")
-
-    def test_without_names_there_is_nothing_to_name_apart(self, restarted):
-        with pytest.raises(ValueError, match="add a column 'flight'"):
-            FlightCheck().fit(restarted.drop(columns="flight"))
 
     def test_a_jump_forward_is_listed_and_silent(self):
         table = log()
@@ -325,9 +306,3 @@ class TestWhatCannotBeLearned:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             RegressorSelector(["alpha", "rudder"]).fit(table)  # without targets nothing is learned
-
-    def test_fewer_samples_than_regressors(self):
-        table = log(seconds=5)
-        targets = pd.Series(np.where(table.index % 70 == 0, 1.0, np.nan))
-        with pytest.warns(FlightDataWarning, match="3 samples to learn from for 3 regressors.*at least 4"):
-            RegressorSelector(["alpha", "q", "r"]).fit(table, targets)

@@ -72,13 +72,3 @@ def test_mixing_of_the_wrong_shape():
         ElevonSplitter(mixing=[[1.0, 1.0, 0.0]]).fit(ELEVONS)
     with pytest.raises(ValueError, match="expected mixing"):
         ElevonSplitter(surfaces=("a", "b", "c")).fit(ELEVONS)
-
-
-def test_text_among_the_surfaces():
-    with pytest.raises(ValueError, match="expected numbers"):
-        ElevonSplitter().fit(ELEVONS.assign(elevon_left="up"))
-
-
-def test_a_control_that_was_never_sampled_disagrees_with_nothing():
-    flight = pd.DataFrame({"elevon_left": [0.1, 0.2], "elevon_right": [0.1, 0.0], "elevator": np.nan})
-    np.testing.assert_allclose(ElevonSplitter().fit_transform(flight).elevator, [0.1, 0.1])

@@ -137,16 +137,9 @@ class TestTransform:
         known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
         np.testing.assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
 
-    def test_none_changes_nothing(self, latlon):
-        pd.testing.assert_frame_equal(LagCorrector(None).fit_transform(latlon), latlon)
-
     @pytest.mark.parametrize(
         ("lags", "words"), [({"vane": 0.1}, r"lags of \['vane'\], but"), ({"air": np.nan}, "expected finite numbers")]
     )
     def test_lags_that_cannot_be(self, lags, words):
         with pytest.raises(ValueError, match=words):
             LagCorrector(lags).fit(linear_aircraft(0, seconds=2))
-
-    def test_without_inertial_sensors_nothing_is_estimated(self):
-        with pytest.raises(ValueError, match="lacks the columns 'az'"):
-            LagCorrector().fit(linear_aircraft(0, seconds=2).drop(columns="az"))

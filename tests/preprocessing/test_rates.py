@@ -54,16 +54,6 @@ def test_geometrically_similar_aircraft_share_the_numbers():
     np.testing.assert_allclose(large[list(HAND)], small[list(HAND)], rtol=1e-12)
 
 
-def test_only_the_rates_that_are_there():
-    out = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT[["airspeed", "q"]])
-    assert list(out.columns) == ["airspeed", "q", "q_hat"]
-
-
-def test_missing_airspeed_is_missing_rate():
-    flight = FLIGHT.assign(airspeed=[np.nan, 40.0])
-    assert RateNondimensionalizer(span=B, chord=C).fit_transform(flight).p_hat.isna().tolist() == [True, False]
-
-
 @pytest.mark.parametrize("speed", [0.0, -1.0])
 def test_standing_still(speed):
     flight = FLIGHT.assign(airspeed=[40.0, speed])

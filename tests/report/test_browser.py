@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.report import FlightRecord, FlightResult, ReportContent, write_report
+from skdgp.report import FlightResult, ReportContent, write_report
 
 N, RATE = 4000, 40.0
 TIME = np.arange(N) / RATE
@@ -22,7 +22,7 @@ def page(tmp_path_factory):
     flight = FlightResult(
         name="a flight", time=TIME, measured=MEASURED, mean=MEAN, std=np.full((N, 6), 0.02), table=table
     )
-    content = ReportContent(title="Report", train=[FlightRecord(name="b", table=table.copy())], test=[flight])
+    content = ReportContent(title="Report", train={"b": table.copy()}, test=[flight])
     return write_report(tmp_path_factory.mktemp("report") / "report.html", content)
 
 

@@ -28,13 +28,6 @@ def test_colours_are_the_pages():
     assert "#000000" not in svg
 
 
-def test_names_of_two_pictures_do_not_meet():
-    one, two = (picture(lambda ax, k=k: ax.plot([0, k], "o-"), label="", **SQUARE) for k in (1, 2))
-    names = [set(re.findall(r'id="([^"]*)"', svg)) for svg in (one, two)]
-    assert names[0]
-    assert not names[0] & names[1]
-
-
 def test_written_numbers_are_not_rounded():
     def draw(ax):
         ax.set_yticks([0.12345678], ["0.12345678"])

@@ -60,12 +60,3 @@ def test_a_model_too_large_for_a_graph(exact, monkeypatch):
     monkeypatch.setattr(reduce_module, "MAX_TERMS", 1000)
     with pytest.raises(ValueError, match="give max_kb=256"):
         reduce_module.check_terms(exact)
-
-
-def test_formats_and_their_options(exact, tmp_path):
-    with pytest.raises(ValueError, match="the format 'fortran', but expected one of portable, c"):
-        export_model(tmp_path, exact, "fortran")
-    with pytest.raises(ValueError, match=r"options \['precision'\] for the format onnx, but expected \['max_kb'\]"):
-        export_model(tmp_path, exact, "onnx", precision="float")
-    with pytest.raises(ValueError, match="max_kb=-1, but expected a size > 0"):
-        export_model(tmp_path, exact, "portable", max_kb=-1)

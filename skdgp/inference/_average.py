@@ -41,8 +41,9 @@ BLOCKS, FOLDS = 8, 4
 """Blocks of the log, which are held out in turn, a fourth of them at a time.
 
 Errors of real logs are correlated over up to a tenth of the log, so of short blocks the rest knows too much. On twelve
-pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the error of least squares (tests/benchmarks/pairs.py);
-the records of the Sport Cub, on which nothing was chosen, have errors of .165, .143, .134 and .104 (sportcub.py).
+pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the error of least squares
+(tests/benchmarks/pairs.py); records of the Sport Cub, on which nothing was chosen, have errors of .165, .143, .134 and
+.104 (sportcub.py).
 """
 MOST_ROWS = 4000  # largest number of rows that weights are learned from
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out

@@ -341,6 +341,8 @@ class ScaledPaths(Sequence):
         return self._scaled(X, self.paths.gradient(X), self.regressor.predict_gradient, scale)
 
     def _scaled(self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any) -> Array:
-        mean = predict(np.reshape(X, (-1, np.shape(X)[-1])))
-        mean = mean.reshape(values.shape if np.ndim(X) == 3 else values.shape[1:])
+        if np.ndim(X) == 3:
+            mean = predict(X.reshape(-1, X.shape[-1])).reshape(values.shape)
+        else:
+            mean = predict(X)  # a table has names
         return mean + scale * (values - mean)

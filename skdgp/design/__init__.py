@@ -1,9 +1,9 @@
 """Design of flights: inputs that excite an aircraft, their sequences, and what they teach."""
 
-from skdgp.design._bands import input_bands
 from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
+from skdgp.design._library import input_bands
 from skdgp.design._multisines import Multisine, multisine, orthogonal_multisines
 from skdgp.design._plan import Plan
 from skdgp.design._planner import plan

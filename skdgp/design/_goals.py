@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.frames import euler_per_rotation
-from skdgp.design._information import Information
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim
 from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
 from skdgp.dynamics._equations.motion import Motion
@@ -111,9 +110,3 @@ def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -
     euler = euler_per_rotation(point.phi, point.theta) @ moved[TURN]
     angles = np.concatenate([found.outputs_state[ANGLES] @ moved, euler[:2]])
     return (angles**2).mean(axis=0)
-
-
-def weighted_error(information: Information, weights: Array) -> float:
-    """Return the error of a goal, inf where the information does not determine it."""
-    covariance = np.where(weights == 0, 0.0, information.whole_covariance)
-    return float(np.sqrt(np.sum(weights * covariance)))

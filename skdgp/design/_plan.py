@@ -12,7 +12,6 @@ import pandas as pd
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import QUANTITIES, quantities
-from skdgp.design._goals import weighted_error
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
 from skdgp.design._signals import Limits, Signal
@@ -163,8 +162,9 @@ class Plan:
 
 
 def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
-    """Return standard errors by the names of derivatives, and of goals by their weights."""
-    errors = information.std
-    names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]
-    others = {name: weighted_error(information, value) for name, value in (weights or {}).items()}
-    return pd.concat([pd.Series(errors.to_numpy(float).ravel(), index=names), pd.Series(others, dtype=float)])
+    """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
+    errors, covariance = information.std, information.whole_covariance
+    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
+    for name, weight in (weights or {}).items():
+        found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
+    return pd.Series(found, dtype=float)

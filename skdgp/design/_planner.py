@@ -17,7 +17,6 @@ from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
-from skdgp.design._bands import input_bands
 from skdgp.design._envelope import OPTIONS, WHOLE_RANGE, Envelope, flown_quantities, with_band
 from skdgp.design._goals import WHOLE, check_goal, goal_weights
 from skdgp.design._information import (
@@ -28,7 +27,7 @@ from skdgp.design._information import (
     posterior_information,
     regressors_of,
 )
-from skdgp.design._library import TICK, Inputs, duration_of, library, moves, scaled
+from skdgp.design._library import TICK, Inputs, duration_of, input_bands, library, moves, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
 from skdgp.design._signals import Limits

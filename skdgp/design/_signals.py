@@ -19,11 +19,11 @@ EDGE = 1e-5
 ROUNDING = 1e-9
 """By which a limit may be exceeded, relative to it."""
 RMS_SAMPLES = 10_000
-"""Samples of a signal."""
+"""Samples of a signal, for its root mean square."""
 RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
-"""Samples per period of the highest frequency of a sweep, and of a sweep at most, for the bound of its rate."""
+"""For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples at most."""
 MOST_PERIODS = RMS_SAMPLES // 2
-"""Of the highest frequency of a signal: its samples then have two of each; 100 s at 50 Hz, ten minutes at 8 Hz."""
+"""Periods of its highest frequency in a signal: two of its samples lie in each. 100 s at 50 Hz, ten minutes at 8 Hz."""
 AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
@@ -83,7 +83,7 @@ class Limits:
     Raises
     ------
     ValueError
-        If a limit is not > 0, it would forbid every input; if the lag is negative or infinite.
+        If a limit is not > 0, or the lag is negative or infinite.
 
     Examples
     --------
@@ -101,25 +101,24 @@ class Limits:
     lag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in (("amplitude", self.amplitude), ("rate", self.rate), ("rms", self.rms)):
-            if not isinstance(value, Real):
-                raise TypeError(f"Got a limit {name}={value!r}, but expected a number > 0.")
-            if not value > 0:
-                raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected one > 0.")
+        for name in ("amplitude", "rate", "rms"):
+            if not (isinstance(value := getattr(self, name), Real) and value > 0):
+                raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected a number > 0.")
         if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
             raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")
 
-    def check(self, signal: Signal, axis: str = "") -> None:
-        """Raise ValueError if an input exceeds a limit; ``axis`` is its name in the error."""
-        for what, has, limit in (
-            ("peak", signal.peak, self.amplitude), ("rate", signal.speed, self.rate), ("rms", signal.rms, self.rms)
+    def check(self, signal: AnySignal, axis: str = "") -> AnySignal:
+        """Return an input, or raise ValueError if it exceeds a limit; ``axis`` is its name in the error."""
+        for what, name, limit in (
+            ("peak", "peak", self.amplitude), ("rate", "speed", self.rate), ("rms", "rms", self.rms)
         ):  # fmt: skip
-            if has > limit * (1.0 + ROUNDING):
+            if np.isfinite(limit) and (has := getattr(signal, name)) > limit * (1.0 + ROUNDING):
                 remedy = "give its steps ramps (limits=...)" if np.isinf(has) else "make it smaller"
                 raise ValueError(
                     f"Got an input{axis and ' of the ' + axis} with a {what} of {has:.4g}, but the limit is {limit:g}: "
                     f"{remedy} or raise the limit."
                 )
+        return signal
 
     def followed(self, values: Vector, step: float) -> Vector:
         """Return what the servo makes of deviations from trim that are set every ``step`` seconds."""
@@ -132,10 +131,16 @@ class Limits:
         """Return an input scaled to the largest that the limits allow; raise ValueError if its steps are no ramps."""
         if not signal.peak > 0:
             raise ValueError("Got an input that is zero, but expected one to scale.")
-        factors = [self.amplitude / signal.peak, self.rms / signal.rms]
-        found = signal.scaled(min([*factors, self.rate / signal.speed] if np.isfinite(signal.speed) else factors))
-        self.check(found)
-        return found
+        by_rate = self.rate / signal.speed if np.isfinite(signal.speed) else np.inf
+        return self.check(signal.scaled(min(self.amplitude / signal.peak, self.rms / signal.rms, by_rate)))
+
+
+UNLIMITED = Limits(np.inf)
+
+
+def as_limits(limit: Limits | float) -> Limits:
+    """Return limits; a number is the amplitude."""
+    return limit if isinstance(limit, Limits) else Limits(limit)
 
 
 @dataclass(frozen=True)
@@ -271,27 +276,10 @@ class Chirp(Signal):
 
 
 def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
-    """Return a doublet: a pulse up and one down, each ``width`` seconds long.
+    """Return a doublet: a pulse up and one down, each ``width`` seconds long; down first if the amplitude is < 0.
 
-    Its spectrum peaks at 2.33 / width [rad/s]; see `input_bands`.
-
-    Parameters
-    ----------
-    width : float
-        [s].
-    amplitude : float
-        Deviation from trim, < 0 for down first.
-    limits : Limits, optional
-        Of its axis; their rate is that of the ramps.
-
-    Returns
-    -------
-    Steps
-
-    Raises
-    ------
-    ValueError
-        If a limit is exceeded, or the ramps do not fit into the width.
+    Its spectrum peaks at 2.33 / width [rad/s]; see `input_bands`. The rate of ``limits`` is that of its ramps. Raises
+    ValueError if a limit is exceeded, or the ramps do not fit into the width.
 
     Examples
     --------
@@ -299,32 +287,14 @@ def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> 
     >>> doublet(0.5, 0.1)([0.0, 0.25, 0.75, 1.0])
     array([ 0.1,  0.1, -0.1,  0. ])
     """
-    return _steps((1, 1), width, amplitude, limits)
+    return _pulses((1, 1), width, amplitude, limits)
 
 
 def three_two_one_one(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
     """Return a 3-2-1-1: pulses up, down, up, down of 3, 2, 1 and 1 times ``width`` seconds.
 
     It excites a wider band than a doublet (Jategaonkar, Flight Vehicle System Identification, 2nd edition, 2015,
-    section 2.3). Its mean is not zero.
-
-    Parameters
-    ----------
-    width : float
-        Of the shortest pulse [s].
-    amplitude : float
-        Deviation from trim, < 0 for down first.
-    limits : Limits, optional
-        Of its axis; their rate is that of the ramps.
-
-    Returns
-    -------
-    Steps
-
-    Raises
-    ------
-    ValueError
-        If a limit is exceeded, or the ramps do not fit into the width.
+    section 2.3). Its mean is not zero. Amplitude, limits and errors are as of `doublet`.
 
     Examples
     --------
@@ -332,7 +302,14 @@ def three_two_one_one(width: float, amplitude: float, *, limits: Limits | None =
     >>> round(three_two_one_one(0.5, 0.1, limits=Limits(0.1, rate=1.0)).duration, 9)
     3.6
     """
-    return _steps((3, 2, 1, 1), width, amplitude, limits)
+    return _pulses((3, 2, 1, 1), width, amplitude, limits)
+
+
+def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits | None) -> Steps:
+    """Return pulses of alternating sign, of ``units`` times the width."""
+    allowed = limits or UNLIMITED
+    levels = [amplitude * (-1) ** k for k in range(len(units))]
+    return allowed.check(Steps([unit * width for unit in units], levels, allowed.rate))
 
 
 def chirp(
@@ -392,18 +369,7 @@ def chirp(
             "'linear', and a share in (0, 0.5]."
         )
     signal = Chirp(float(duration), (low, high), float(amplitude), spacing == "logarithmic", float(fade))
-    if limits is not None:
-        limits.check(signal)
-    return signal
-
-
-def _steps(units: Sequence[int], width: float, amplitude: float, limits: Limits | None) -> Steps:
-    """Return pulses of alternating sign, of ``units`` times the width."""
-    levels = [amplitude * (-1) ** k for k in range(len(units))]
-    signal = Steps([unit * width for unit in units], levels, np.inf if limits is None else limits.rate)
-    if limits is not None:
-        limits.check(signal)
-    return signal
+    return (limits or UNLIMITED).check(signal)
 
 
 def freeze(signal: Signal, kind: Callable, *names: str) -> None:
@@ -413,23 +379,21 @@ def freeze(signal: Signal, kind: Callable, *names: str) -> None:
 
 
 def checked_band(band: tuple[float, float], duration: float) -> tuple[float, float]:
-    """Return lowest and highest frequency [Hz]; raise ValueError if they or the duration [s] are not finite and > 0.
-
-    And if they have more than `MOST_PERIODS`.
-    """
-    if not 0 < duration < np.inf:
-        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
+    """Return lowest and highest frequency [Hz]; raise ValueError if they are no band, or as of `check_duration`."""
     low, high = map(float, band)
     if not 0 < low < high < np.inf:
         raise ValueError(f"Got a band of {low:g} to {high:g} Hz, but expected 0 < lowest < highest.")
-    check_periods(duration, high)
+    check_duration(duration, high * duration)
     return low, high
 
 
-def check_periods(duration: float, high: float) -> None:
-    """Raise ValueError if a signal has more than `MOST_PERIODS` of its highest frequency."""
-    if duration * high > MOST_PERIODS:
+def check_duration(duration: float, periods: float) -> None:
+    """Raise ValueError if a duration [s] is none, or has more than `MOST_PERIODS` of the highest frequency."""
+    if not 0 < duration < np.inf:
+        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
+    if periods > MOST_PERIODS:
+        high = periods / duration
         raise ValueError(
-            f"Got {duration:g} s of up to {high:g} Hz, {duration * high:.3g} periods, but expected at most "
-            f"{MOST_PERIODS}: at most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
+            f"Got {duration:g} s of up to {high:g} Hz, {periods:.3g} periods, but expected at most {MOST_PERIODS}: at "
+            f"most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
         )

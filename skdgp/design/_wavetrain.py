@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_names
-from skdgp.design._signals import ROUNDING, Limits, Signal, Steps
+from skdgp.design._signals import ROUNDING, UNLIMITED, Limits, Signal, Steps
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
 MOST_ROWS = 1_000_000
@@ -63,8 +63,7 @@ class Wavetrain:
         for axis, start, signal in self.events():
             if not 0 <= start < np.inf:
                 raise ValueError(f"Got an input of the {axis} at {start:g} s, but expected a time >= 0.")
-            if axis in self.limits:
-                self.limits[axis].check(signal, axis)
+            self.limits.get(axis, UNLIMITED).check(signal, axis)
 
     def __call__(self, axis: str, time: ArrayLike) -> Array:
         """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
@@ -136,10 +135,16 @@ class Wavetrain:
                 f"Got {length:g} s at {rate:g} Hz, {length * rate:.3g} rows, but expected at most {MOST_ROWS}: at most "
                 f"{MOST_ROWS / length:.3g} Hz, or {MOST_ROWS / rate:.3g} s."
             )
-        time = np.arange(round(np.ceil((self.duration + pause) * rate - ROUNDING)) + 1) / rate
+        time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
         columns = {axis: self(axis, time) for axis in self.axes}
         for axis, values in columns.items():
-            self._check(axis, values, rate)
+            limit = self.limits.get(axis, UNLIMITED)
+            peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
+            if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
+                raise ValueError(
+                    f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate of {speed:.4g}, but "
+                    f"the limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after the other."
+                )
         if trim is not None:
             check_names(columns, trim, "controls of the trim")
             columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
@@ -148,26 +153,11 @@ class Wavetrain:
     def flyable(self, *, tick: float = 0.5, detent: float = np.deg2rad(1.0)) -> Wavetrain:
         """Return the inputs as a pilot can fly them: times in multiples of a tick, steps in multiples of a detent.
 
-        Durations become the nearest multiple; an input with a shorter one than a tick is first stretched as a whole.
-        Levels become the next smaller multiple, so that limits hold; starts the next later one. The ramps are the
-        pilot's own.
-
-        Parameters
-        ----------
-        tick : float, default=0.5
-            [s].
-        detent : float
-            [rad, or 1 of the throttle]; by default a degree.
-
-        Returns
-        -------
-        Wavetrain
-            Without limits of rate.
-
-        Raises
-        ------
-        ValueError
-            If an input is not made of steps, is smaller than a detent, or would overlap the next one of its axis.
+        A tick is a time [s], a detent a deflection [rad, or 1 of the throttle], by default a degree. Durations become
+        the nearest multiple; an input with a shorter one than a tick is first stretched as a whole. Levels become the
+        next smaller multiple, so that limits hold; starts the next later one. The ramps are the pilot's own: there are
+        no limits of rate. Raises ValueError if an input is not made of steps, is smaller than a detent, or would
+        overlap the next one of its axis.
         """
         if not (tick > 0 and detent > 0):
             raise ValueError(f"Got tick={tick}, detent={detent}, but expected both > 0.")
@@ -199,10 +189,7 @@ class Wavetrain:
     def card(self) -> pd.DataFrame:
         """Return what a pilot does: ``time`` [s], ``axis``, and the ``level`` to move it to, a row for each step.
 
-        Raises
-        ------
-        ValueError
-            If an input is not made of steps.
+        Raises ValueError if an input is not made of steps.
         """
         rows: list[tuple[float, str, float]] = []
         for axis, start, signal in self.events():
@@ -212,41 +199,14 @@ class Wavetrain:
             rows += [(start + edge, axis, level) for edge, level in zip(signal.edges, levels, strict=True)]
         return pd.DataFrame(sorted(rows), columns=["time", "axis", "level"])
 
-    def _check(self, axis: str, values: Array, rate: float) -> None:
-        """Raise ValueError if inputs that overlap exceed a limit."""
-        limit = self.limits.get(axis)
-        if limit is None:
-            return
-        peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
-        if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
-            raise ValueError(
-                f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate of {speed:.4g}, but the "
-                f"limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after the other."
-            )
-
 
 def wavetrain(
     manoeuvres: Sequence[Mapping[str, Signal]], *, pause: float = 5.0, limits: Mapping[str, Limits] | None = None
 ) -> Wavetrain:
     """Return manoeuvres one after another, with flight at trim before, between and after them.
 
-    Parameters
-    ----------
-    manoeuvres : sequence of mapping of str to Signal
-        The inputs of each, which begin together, by axis.
-    pause : float, default=5.0
-        Time at trim before each, in which the modes decay [s].
-    limits : mapping of str to Limits, optional
-        Of the axes.
-
-    Returns
-    -------
-    Wavetrain
-
-    Raises
-    ------
-    ValueError
-        If a manoeuvre has no input, or as of `Wavetrain`.
+    Each manoeuvre is a mapping of axes to inputs, which begin together. Before each is a ``pause`` [s] in which the
+    modes decay. Raises ValueError if a manoeuvre has no input, or as of `Wavetrain`, whose ``limits`` are these.
 
     Examples
     --------

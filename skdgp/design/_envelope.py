@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 import pandas as pd
@@ -83,7 +82,7 @@ class Envelope:
                 raise ValueError(f"Got {name}={pair!r}, but expected the lowest and the highest value.")
         for name, (least, most) in BETWEEN.items():
             is_absent = (value := getattr(self, name)) is None and name in ("bank", "altitude")
-            if not (is_absent or (isinstance(value, Real) and least <= value <= most)):
+            if not (is_absent or (isinstance(value, int | float | np.number) and least <= value <= most)):
                 raise ValueError(f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}.")
         if self.bank == 0 or self.risk in (0, 1):
             raise ValueError(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -30,8 +31,7 @@ SIZES = (0.5, 2.0)
 ENDS = 0.4
 """Of flight at trim before and after, which a manoeuvre is recognised by too [s]."""
 Match = tuple[int, float, int, float, float]
-"""Segment, start [s], row of the plan, likeness, size."""
-NAMES = ("coefficients", "regressors")
+"""A manoeuvre that was flown: segment, start [s], row of the plan, likeness, size."""
 SIZE = ("wing_area", "span", "chord")
 DAMAGE = (KeyError, TypeError, ValueError, AttributeError, IndexError)
 """What reading a plan that is not whole raises."""
@@ -100,7 +100,8 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
 
 def _before(plan: Mapping[str, Any]) -> Information:
     """Return what was known before the flight."""
-    return Information(np.asarray(plan["known"]["fisher"], dtype=float), *(tuple(plan["known"][n]) for n in NAMES))
+    known = plan["known"]
+    return Information(np.array(known["fisher"], dtype=float), tuple(known["coefficients"]), tuple(known["regressors"]))
 
 
 def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
@@ -108,7 +109,7 @@ def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def _errors(plan: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the errors before and after the flight that were expected."""
+    """Return the expected errors, before and after the flight."""
     return pd.DataFrame.from_dict(plan["errors"], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
 
 
@@ -154,24 +155,12 @@ PARTS: dict[str, Callable[[Any], object]] = {
 def compare_with_plan(
     plan: Mapping[str, Any], flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
 ) -> FlownPlan:
-    """Return what a plan expected beside what was found.
+    """Return what a plan, as of `read_plan`, expected beside what was found in recorded flights.
 
-    Parameters
-    ----------
-    plan : mapping
-        As of `read_plan`.
-    flights : DataFrame
-        Recorded: ``time``, ``flight``, deflections of the plan's axes, what an envelope limits, and the regressors.
-    aircraft : Aircraft
-    noise : DataFrame
-        As of `coefficient_noise`.
-    model : Information
-        Of the model that is judged, at the plan's trims.
-
-    Raises
-    ------
-    ValueError
-        If the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre was flown.
+    They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope limits, and the
+    regressors. The noise is as of `coefficient_noise`, ``model`` what the model that is judged knows at the plan's
+    trims. Raises ValueError if the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre
+    was flown.
     """
     _check_aircraft(plan["aircraft"], aircraft)
     before = _before(plan)
@@ -182,28 +171,21 @@ def compare_with_plan(
         )
     axes = sorted({axis for one in plan["manoeuvres"] for axis in one["inputs"]})
     check_columns(flights, ["time", *axes], what="flight")
-    rows = sorted(_recognised(plan, flights, axes), key=lambda one: one[:2])
-    windows = [_window(plan, flights, *row) for row in rows]
-    used = [
-        name for name in {one.removesuffix(HAT).removesuffix("_dot") for one in before.regressors} if name in flights
-    ]
-    whole = [part.dropna(subset=used) for _, part in windows]
+    segments = _segments(flights)
+    windows = [_window(plan, segments[one[0]], *one[1:]) for one in sorted(_recognised(plan, segments, axes))]
+    names = {name.removesuffix(HAT).removesuffix("_dot") for name in before.regressors}
+    whole = [part.dropna(subset=[name for name in names if name in part]) for _, part in windows]
     thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
     about = [plan["at"][name] for name in before.regressors] if plan["curvature"] else None
     noise = noise.loc[list(before.coefficients)]
     gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
-    weights = _weights(plan)
-    found = {"found": errors_of(before + gained, weights), "model": errors_of(model, weights)}
-    errors = _errors(plan).rename(columns={"after": "expected"})
-    planned = pd.Series([one["name"] for one in plan["manoeuvres"]]).value_counts()
+    errors, weights = _errors(plan).rename(columns={"after": "expected"}), _weights(plan)
+    for name, information in (("found", before + gained), ("model", model)):
+        errors[name] = errors_of(information, weights)[list(errors.index)]
     flown = pd.DataFrame([row for row, _ in windows])
-    missed = (planned - flown["name"].value_counts().reindex(planned.index, fill_value=0)).clip(lower=0)
-    return FlownPlan(
-        errors.assign(**{name: values[list(errors.index)] for name, values in found.items()}),
-        flown,
-        {str(name): int(n) for name, n in missed.items() if n},
-    )
+    missed = Counter(one["name"] for one in plan["manoeuvres"]) - Counter(flown["name"])
+    return FlownPlan(errors, flown, dict(missed))
 
 
 def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
@@ -215,14 +197,14 @@ def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
             )
 
 
-def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str]) -> list[Match]:
-    """Return segment, start, row of the plan, likeness and size of each manoeuvre that is recognised."""
+def _recognised(plan: Mapping[str, Any], segments: list[pd.DataFrame], axes: list[str]) -> list[Match]:
+    """Return the manoeuvres of the plan that are recognised."""
     step = _step(plan)
     ends = round(ENDS / step)
     kinds = {one["name"]: k for k, one in reversed([*enumerate(plan["manoeuvres"])])}
     found: list[Match] = []
     nearest: list[Match] = []
-    for number, part in _segments(flights):
+    for number, part in enumerate(segments):
         time = part["time"].to_numpy(float)
         starts = np.arange(time[0], time[-1], step)
         grid = time[0] + step * np.arange(-ends, len(starts) + ends)
@@ -235,17 +217,17 @@ def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str])
             for rows, into in ((fits, candidates), (best, nearest)):
                 into += [(number, float(starts[n]), k, float(likeness[n]), float(size[n])) for n in rows]
         taken: list[tuple[float, float]] = []
-        for one in sorted(candidates, key=lambda one: -one[3]):
+        for one in sorted(candidates, key=lambda one: -one[3]):  # the most alike first, of those that overlap
             start, end = one[1], one[1] + plan["manoeuvres"][one[2]]["duration"]
             if all(end <= low or start >= high for low, high in taken):
                 taken.append((start, end))
                 found.append(one)
     if not found:
-        raise ValueError(f"Got flights without a manoeuvre of the plan: {_why_none(plan, flights, nearest)}")
+        raise ValueError(f"Got flights without a manoeuvre of the plan: {_why_none(plan, segments, nearest)}")
     return found
 
 
-def _why_none(plan: Mapping[str, Any], flights: pd.DataFrame, nearest: list[Match]) -> str:
+def _why_none(plan: Mapping[str, Any], segments: list[pd.DataFrame], nearest: list[Match]) -> str:
     """Return why no manoeuvre is recognised, and what to do."""
     if not nearest:
         return "all are shorter than any of its manoeuvres. Give the flights that flew this plan."
@@ -257,19 +239,16 @@ def _why_none(plan: Mapping[str, Any], flights: pd.DataFrame, nearest: list[Matc
         remedy = "Check the units of the deflections (rad), or fly it at its planned size."
     return (
         f"nearest is {plan['manoeuvres'][k]['name']!r} at {start:.2f} s of flight "
-        f"{dict(_segments(flights))[number]['flight'].iloc[0]!r}, with a correlation of {like:.2f} and {abs(size):.2g} "
+        f"{segments[number]['flight'].iloc[0]!r}, with a correlation of {like:.2f} and {abs(size):.2g} "
         f"times its size, but expected at least {LIKE} and {SIZES[0]:g} to {SIZES[1]:g} times. {remedy}"
     )
 
 
-def _segments(flights: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
-    """Yield number and rows of each gap-free part of the flights."""
-    number = 0
-    for _, table in flights.groupby("flight", sort=False, observed=True):
-        for rows in flight_segments(table["time"].to_numpy(float)):
-            if len(table.iloc[rows]) > 1:
-                yield number, table.iloc[rows]
-            number += 1
+def _segments(flights: pd.DataFrame) -> list[pd.DataFrame]:
+    """Return the gap-free parts of the flights."""
+    tables = [table for _, table in flights.groupby("flight", sort=False, observed=True)]
+    parts = [table.iloc[rows] for table in tables for rows in flight_segments(table["time"].to_numpy(float))]
+    return [part for part in parts if len(part) > 1]
 
 
 def _resampled(grid: Array, time: Array, values: Array) -> Array:
@@ -303,11 +282,10 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
 
 
 def _window(
-    plan: Mapping[str, Any], flights: pd.DataFrame, number: int, start: float, k: int, like: float, size: float
+    plan: Mapping[str, Any], part: pd.DataFrame, start: float, k: int, like: float, size: float
 ) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the facts of a manoeuvre that was flown, and its rows and those of the response after it."""
     one = plan["manoeuvres"][k]
-    part = dict(_segments(flights))[number]
     part = part[part["time"].between(start, start + one["duration"] + min(one["pause"], RESPONSE))]
     values = quantities(part)
     facts: dict[str, Any] = {

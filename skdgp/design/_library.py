@@ -128,11 +128,6 @@ def scaled(inputs: Mapping[str, Signal], factor: float, detents: Mapping[str, fl
     return found
 
 
-def moves(inputs: Mapping[str, Signal]) -> bool:
-    """Return whether any axis moves: a pilot's input may be smaller than a detent."""
-    return any(signal.peak for signal in inputs.values())
-
-
 def duration_of(inputs: Mapping[str, Signal]) -> float:
     """Return how long the inputs of a manoeuvre last [s]."""
     return max(signal.duration for signal in inputs.values())

@@ -11,10 +11,10 @@ import pandas as pd
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT
-from skdgp.design._envelope import QUANTITIES, quantities
+from skdgp.design._envelope import quantities
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
-from skdgp.design._signals import Limits, Signal
+from skdgp.design._signals import UNLIMITED, Signal
 from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
@@ -115,25 +115,23 @@ class Plan:
     def expected(self, rows: Sequence[int]) -> pd.DataFrame:
         """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
         flight = self.flight[self.flight["flight"].isin(list(rows))]
-        values = quantities(flight)
-        ends = [
-            (flight.get(f"{name}_low", values[name]).min(), flight.get(f"{name}_high", values[name]).max())
-            for name in QUANTITIES
-        ]
-        return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
+        low, high = (
+            {name: flight.get(f"{name}_{end}", mean) for name, mean in quantities(flight).items()}
+            for end in ("low", "high")
+        )
+        return pd.DataFrame({"low": pd.DataFrame(low).min(), "high": pd.DataFrame(high).max()})
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-        periods = [signal.period for train in self.trains for _, _, signal in train.events()]
-        step = min(STEP, *(period / SAMPLES for period in periods))
+        step = min(STEP, *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
             limits = self.trains[int(row["train"])].limits
             lag = max((limit.lag for limit in limits.values()), default=0.0)
             time = np.arange(0.0, row["duration"] + 3 * lag + step, step)
             inputs = {
-                axis: limits.get(axis, Limits(np.inf)).followed(signal(time), step).round(6).tolist()
+                axis: limits.get(axis, UNLIMITED).followed(signal(time), step).round(6).tolist()
                 for axis, signal in self.inputs(k).items()
             }
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})

@@ -102,7 +102,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "rate", "rms"):
-            if not (isinstance(value := getattr(self, name), Real) and value > 0):
+            if not (isinstance(value := getattr(self, name), Real) and float(value) > 0):
                 raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected a number > 0.")
         if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
             raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")

@@ -30,16 +30,10 @@ SMALL = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    r"""Fisher information about the derivatives of coefficients, :math:`F_i = X^T V_i^{-1} X`.
+    r"""Fisher information about the derivatives of P named coefficients by d named regressors.
 
-    The information of several flights is their sum: ``first + second``.
-
-    Parameters
-    ----------
-    fisher : ndarray of shape (P, m, m)
-        Of the constant and the d derivatives of each coefficient, and of its curvature if that is estimated too.
-    coefficients, regressors : tuple of str
-        Names of the P coefficients and d regressors.
+    ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of each coefficient, and
+    of its curvature if that is estimated too. The information of several flights is their sum: ``first + second``.
     """
 
     fisher: Array
@@ -147,7 +141,7 @@ def expected_information(
     >>> import numpy as np
     >>> import pandas as pd
     >>> from skdgp.design import expected_information
-    >>> from skdgp.dynamics import Aircraft, as_aerodynamics
+    >>> from skdgp.dynamics import Aircraft
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
     >>> time = np.arange(0, 10, 0.02)
     >>> flight = pd.DataFrame({"time": time, "alpha": 0.05 * np.sin(3 * time), "elevator": 0.05 * np.cos(3 * time)})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Self
@@ -34,20 +34,8 @@ class Multisine(Signal):
     Multisines of the same duration T without common harmonics are orthogonal over it, and so are the responses of a
     linear aircraft to them (Morelli, AIAA 2003-5700; Klein & Morelli, Aircraft System Identification, 2006, chapter 9).
 
-    Parameters
-    ----------
-    duration : float
-        T [s], the period.
-    harmonics : sequence of int
-        h.
-    amplitudes, phases : sequence of float
-        a, and phi [rad].
-
-    Raises
-    ------
-    ValueError
-        If harmonics are not distinct integers > 0, the numbers of harmonics, amplitudes and phases differ, or one is
-        not finite.
+    The duration, T [s], is the period; phases are in radians. Raises ValueError if harmonics are not distinct integers
+    > 0, the numbers of harmonics, amplitudes and phases differ, or one is not finite.
 
     Examples
     --------
@@ -151,18 +139,11 @@ class Multisine(Signal):
         return replace(self, phases=phases.tolist())
 
 
-def multisine(
-    duration: float,
-    harmonics: Sequence[int],
-    *,
-    rms: float,
-    power: ArrayLike | None = None,
-    limits: Limits | None = None,
-) -> Multisine:
-    r"""Return a multisine with Schroeder's phases, which keep the peaks low (IEEE Trans. Inf. Theory 16, 1970).
+def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: Limits | None = None) -> Multisine:
+    r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
-    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l`. `Multisine.optimized`
-    finds better ones.
+    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE Trans. Inf. Theory 16,
+    1970). `Multisine.optimized` finds better ones.
 
     Parameters
     ----------
@@ -172,10 +153,7 @@ def multisine(
         Its frequencies are these over T.
     rms : float
         Root mean square.
-    power : array-like of shape (n,), optional
-        Relative power of each harmonic; by default all have the same.
     limits : Limits, optional
-        Of its axis.
 
     Returns
     -------
@@ -184,7 +162,7 @@ def multisine(
     Raises
     ------
     ValueError
-        If harmonics are not distinct integers > 0, a power or the rms is not > 0, or a limit is exceeded.
+        If harmonics are not distinct integers > 0, the rms is not > 0, or a limit is exceeded.
 
     Examples
     --------
@@ -192,13 +170,10 @@ def multisine(
     >>> round(multisine(10.0, [2, 3, 5], rms=0.02).rms, 6)
     0.02
     """
-    shares = np.ones(len(harmonics)) if power is None else np.array(power, dtype=float)
-    if len(shares) != len(harmonics) or not ((shares > 0) & np.isfinite(shares)).all():
-        raise ValueError(f"Got power {power!r} of {len(harmonics)} harmonics, but expected a number > 0 for each.")
     if not 0 < rms < np.inf:
         raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
-    amplitudes = rms * np.sqrt(2.0 * shares / shares.sum())
-    signal = Multisine(duration, harmonics, amplitudes.tolist(), _schroeder(shares).tolist())
+    n = len(harmonics)
+    signal = Multisine(duration, harmonics, [rms * float(np.sqrt(2.0 / n))] * n, _schroeder(np.ones(n)).tolist())
     return (limits or UNLIMITED).check(signal)
 
 
@@ -208,7 +183,6 @@ def orthogonal_multisines(
     band: tuple[float, float],
     *,
     n_tones: int | None = None,
-    power: Callable[[Array], ArrayLike] | None = None,
     n_starts: int = 8,
     random_state: Seed = 0,
 ) -> dict[str, Multisine]:
@@ -228,12 +202,8 @@ def orthogonal_multisines(
         Lowest and highest frequency [Hz].
     n_tones : int, optional
         Of each axis, spread over the band; by default all there are.
-    power : callable, optional
-        Frequencies [Hz] to their relative power; by default the same for all.
-    n_starts : int, default=8
-        Number of searches for phases of each input.
-    random_state : int, RandomState instance or None, default=0
-        Of the searches.
+    n_starts, random_state
+        As of `Multisine.optimized`.
 
     Returns
     -------
@@ -264,8 +234,7 @@ def orthogonal_multisines(
         )
     inputs = {}
     for (axis, limit), harmonics in zip(limits.items(), _dealt(found, len(limits), each), strict=True):
-        shares = None if power is None else np.broadcast_to(power(harmonics / duration), len(harmonics))
-        signal = multisine(duration, harmonics.tolist(), rms=1.0, power=shares)
+        signal = multisine(duration, harmonics.tolist(), rms=1.0)
         best = signal.optimized(n_starts=n_starts, random_state=random_state)
         inputs[axis] = as_limits(limit).largest(best)
     return inputs

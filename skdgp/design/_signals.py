@@ -28,17 +28,14 @@ AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
 class Signal(ABC):
-    """Deviation of one control from trim as a function of time, from zero to zero.
-
-    ``signal(time)`` returns the deviation at times [s] since its start, of any shape, zero before and after it.
-    """
+    """Deviation of one control from trim as a function of the time since its start [s], zero before it and after it."""
 
     duration: float
     """How long it lasts [s]."""
 
     @abstractmethod
     def __call__(self, time: ArrayLike) -> Array:
-        """Return the deviation at times since the start [s]."""
+        """Return the deviation at times of any shape."""
 
     @property
     @abstractmethod
@@ -67,7 +64,7 @@ class Signal(ABC):
 
 @dataclass(frozen=True)
 class Limits:
-    """What an axis allows around its trim.
+    """What an axis allows around its trim; raises ValueError if a limit is not > 0, or the lag is negative or infinite.
 
     Parameters
     ----------
@@ -79,11 +76,6 @@ class Limits:
         Largest root mean square of one input, the limit of its power.
     lag : float
         Time constant of the servo [s]: `plan` flies surfaces that follow the inputs with a first-order lag.
-
-    Raises
-    ------
-    ValueError
-        If a limit is not > 0, or the lag is negative or infinite.
 
     Examples
     --------
@@ -145,24 +137,11 @@ def as_limits(limit: Limits | float) -> Limits:
 
 @dataclass(frozen=True)
 class Steps(Signal):
-    r"""Levels that are held one after another; `doublet` and `three_two_one_one` are steps.
+    r"""Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
 
-    With a finite rate the steps are ramps, each centred on its edge, so that the mean stays what it was; the first
-    begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r` longer.
-
-    Parameters
-    ----------
-    durations : sequence of float
-        How long each level is held [s].
-    levels : sequence of float
-        Deviations from trim.
-    rate : float, default=inf
-        Of the ramps between levels [1/s].
-
-    Raises
-    ------
-    ValueError
-        If there is no level, a duration is not > 0, or the ramps do not fit into the durations.
+    With a finite ``rate`` [1/s] the steps are ramps, each centred on its edge, so that the mean stays what it was; the
+    first begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r` longer. Raises ValueError if there is no
+    level, a duration is not > 0, or the ramps do not fit into the durations.
 
     Examples
     --------
@@ -334,12 +313,10 @@ def chirp(
     band : tuple of float
         First and last frequency f0, f1 [Hz].
     amplitude : float
-        Deviation from trim.
     spacing : {"logarithmic", "linear"}
     fade : float, default=0.1
         Share of the duration over which the amplitude rises, and falls again, as sin^2; at most 0.5.
     limits : Limits, optional
-        Of its axis.
 
     Returns
     -------
@@ -348,8 +325,7 @@ def chirp(
     Raises
     ------
     ValueError
-        If the band is not increasing, the duration is too short for it, ``spacing`` or ``fade`` is not one of these, or
-        a limit is exceeded.
+        If the duration is too short for the band, an argument is not one of these, or a limit is exceeded.
 
     Examples
     --------

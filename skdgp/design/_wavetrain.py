@@ -22,19 +22,11 @@ SAMPLES_PER_PERIOD = 10
 
 @dataclass(frozen=True, eq=False)
 class Wavetrain:
-    """Inputs of several axes, each at its time.
+    """Inputs of several axes, each at its time: for each axis a mapping of start [s] to `Signal`.
 
-    Parameters
-    ----------
-    inputs : mapping of str to mapping of float to Signal
-        For each axis (elevator, aileron, rudder [rad], throttle, ...) the time of each input's start [s].
-    limits : mapping of str to Limits, optional
-        Of the axes; every input is checked against them, and so is every row of `table`.
-
-    Raises
-    ------
-    ValueError
-        If an axis is unknown, an input has no time or begins before time 0, or a limit is no `Limits` or exceeded.
+    The axes are elevator, aileron, rudder, elevons [rad], throttle, propeller_speed [rad/s] and thrust [N]. Every input
+    is checked against ``limits``, `Limits` by axis, and so is every row of `table`. Raises ValueError if an axis is
+    unknown, an input has no time or begins before time 0, or a limit is no `Limits` or exceeded.
 
     Examples
     --------
@@ -90,28 +82,13 @@ class Wavetrain:
                 yield axis, start, signal
 
     def table(self, rate: float, *, trim: Mapping[str, float] | None = None, pause: float = 0.0) -> pd.DataFrame:
-        """Return the inputs as a table of the rate at which an autopilot sets them.
+        """Return a table of ``time`` [s] and the axes at the rate [Hz] at which an autopilot sets them.
 
-        Parameters
-        ----------
-        rate : float
-            Of its rows [Hz].
-        trim : mapping of str to float, optional
-            Controls of trimmed flight, such as ``Trim.controls``, to which the inputs are added: the table is then
-            what :func:`skdgp.dynamics.simulate` flies. By default the table holds deviations from trim.
-        pause : float, default=0.0
-            At trim, after the last input [s].
-
-        Returns
-        -------
-        DataFrame
-            ``time`` [s] and the axes, and other controls of ``trim``.
-
-        Raises
-        ------
-        ValueError
-            If the rate is too low for an input, there would be more than a million rows, the pause is negative, inputs
-            that overlap exceed a limit of their axis, or ``trim`` lacks an axis.
+        It ends a ``pause`` [s] after the last input. By default it holds deviations from trim. With the controls of
+        trimmed flight, such as ``Trim.controls``, it holds their sums, and controls without inputs: it is then what
+        :func:`skdgp.dynamics.simulate` flies. Raises ValueError if the rate is too low for an input, there would be
+        more than a million rows, the pause is negative, inputs that overlap exceed a limit of their axis, or ``trim``
+        lacks an axis.
 
         Examples
         --------

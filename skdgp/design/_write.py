@@ -78,13 +78,12 @@ def write_csv(
 def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float]) -> pd.DataFrame:
     """Write the inputs in the columns, units and signs of PX4's topic vehicle_torque_setpoint, and return the table.
 
-    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the file are
-    to be added to the setpoints of the controllers.
+    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the CSV file
+    are to be added to the setpoints of the controllers.
 
     Parameters
     ----------
     path : path-like
-        A CSV file.
     train : Wavetrain
         Of elevator, aileron and rudder.
     rate : float
@@ -100,7 +99,7 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     Raises
     ------
     ValueError
-        If an axis is none of these, a full deflection lacks, is no number > 0 or smaller than an input, or as of
+        If an axis is none of these, a full deflection lacks, is not > 0 or smaller than an input, or as of
         `Wavetrain.table`.
 
     Examples

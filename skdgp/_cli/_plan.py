@@ -54,6 +54,7 @@ def plan(run: Run) -> None:
     axes, limits, full = list(dict.fromkeys(options.axes)), _limits(options), opt.by_axis(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
+    asked = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
     with listening(console.progress), console.counting_interrupts():
@@ -65,10 +66,10 @@ def plan(run: Run) -> None:
             axes=axes,
             goal=options.goal,
             limits=limits,
-            envelope=_envelope(options),
+            envelope=Envelope(growth=float(options.growth), risk=options.risk, margin=options.margin, **asked),
             altitude=options.altitude,
-            gusts=None if options.gusts == "none" else "auto",
-            pause="auto" if options.pause is None else options.pause,
+            gusts=opt.none_of(options.gusts),
+            pause=options.pause or "auto",
             rate=options.rate,
             n_paths=options.paths,
             thrust=thrust,
@@ -78,11 +79,6 @@ def plan(run: Run) -> None:
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     files = run.write(_writers(options, planned, numbers))
     run.print(_text(planned, options, files), numbers)
-
-
-def _envelope(options: argparse.Namespace) -> Envelope:
-    given = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
-    return Envelope(**given, growth=float(options.growth), risk=options.risk, margin=options.margin)
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:

@@ -11,6 +11,7 @@ from skdgp._compute.typing import Matrix
 from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.dynamics._equations.rigid_body import STANDARD_GRAVITY
+from skdgp.dynamics._simulation.trajectory import path_quantiles
 
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
@@ -24,7 +25,7 @@ BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.
            "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
 WHOLE_RANGE = {"throttle": (0.0, 1.0)}
-"""Beyond which nothing grows."""
+"""Lowest and highest value that a control can have, beyond which no limit grows."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,10 @@ class Envelope:
 
     Parameters
     ----------
-    alpha, beta : tuple of float, optional
-        Lowest and highest [rad].
-    load_factor : tuple of float, optional
-        Lowest and highest of -az / g.
+    alpha, beta, load_factor, airspeed : tuple of float, optional
+        Lowest and highest [rad], of -az / g, and [m/s].
     bank : float, optional
         Largest, to either side [rad].
-    airspeed : tuple of float, optional
-        Lowest and highest [m/s].
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
@@ -166,9 +163,6 @@ def quantities(flight: pd.DataFrame) -> pd.DataFrame:
 
 def with_band(flight: pd.DataFrame, paths: pd.DataFrame) -> pd.DataFrame:
     """Return a flight with the central 95 % of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
-    others = quantities(paths).to_numpy().reshape(-1, len(flight), len(QUANTITIES))
-    flown = np.isfinite(others).any(axis=0).all(axis=-1)
-    bounds = np.full((2, *others.shape[1:]), np.nan)
-    bounds[:, flown] = np.nanquantile(others[:, flown], [0.025, 0.975], axis=0)
-    names = [[f"{name}_{end}" for name in QUANTITIES] for end in ("low", "high")]
-    return pd.concat([flight, *(pd.DataFrame(b, flight.index, n) for b, n in zip(bounds, names, strict=True))], axis=1)
+    by_path = {name: values.to_numpy().reshape(-1, len(flight)) for name, values in quantities(paths).items()}
+    bands = {name: path_quantiles(values, 0.95) for name, values in by_path.items()}
+    return flight.assign(**{f"{name}_{end}": bands[name][k] for k, end in ((0, "low"), (2, "high")) for name in bands})

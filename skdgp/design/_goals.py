@@ -19,9 +19,9 @@ FUNCTION, FREE_FLIGHT = "function", "free-flight"
 WHOLE = (FUNCTION, FREE_FLIGHT)
 """Goals that are errors of the whole model rather than of one derivative."""
 HORIZON = 2.0
-"""Of free flight [s]."""
+"""Duration of free flight [s]."""
 ROWS = 500
-"""Drawn from the flown range of the regressors."""
+"""Number of rows drawn from the flown range of the regressors."""
 
 
 def _derivatives(model: Aerodynamics, coefficients: Sequence[str]) -> dict[str, tuple[int, int]]:

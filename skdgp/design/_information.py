@@ -23,9 +23,8 @@ UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
 NO_SHARE = 1e-6
 """Share of a regressor in such a combination below which it does not matter."""
-STEP = 0.02
-"""Part of the range of a regressor over which a posterior's slope is taken to either side; absolute without a range."""
-SMALL = 0.05
+SLOPE_STEP, ABSOLUTE_STEP = 0.02, 0.05
+"""Half the interval of a posterior's slope: part of the range of a regressor, and absolute where it has no range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +306,8 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
     """
     aerodynamics = as_aerodynamics(model)
     at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
-    size = np.full(d, SMALL) if aerodynamics.limits is None else STEP * np.ptp(aerodynamics.limits, axis=0)
-    size = np.where(size > 0, size, SMALL)
+    size = np.zeros(d) if aerodynamics.limits is None else SLOPE_STEP * np.ptp(aerodynamics.limits, axis=0)
+    size = np.where(size > 0, size, ABSOLUTE_STEP)
     points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
     slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
     linear = np.concatenate([np.eye(1, 1 + 2 * d), slopes])

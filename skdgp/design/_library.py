@@ -9,24 +9,24 @@ import numpy as np
 import pandas as pd
 
 from skdgp.design._multisines import orthogonal_multisines
-from skdgp.design._signals import ROUNDING, Limits, Signal, Steps, doublet, three_two_one_one
+from skdgp.design._signals import Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.dynamics import LinearModel
 
 DOUBLET_PEAK = 2.331
 """Frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x."""
 LONGITUDINAL, LATERAL = ("short period",), ("Dutch roll", "roll")
-"""Modes that the surfaces excite. Names begin so: a pair that has split has numbers."""
+"""How names of the modes begin that surfaces excite; a pair that has split also has numbers."""
 MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
 MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
 MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
 BELOW, ABOVE = 0.4, 2.5
 """The band begins at this part of the slowest mode and ends at this multiple of an oscillation."""
 WIDTHS = (1.0, 2.5)
-"""Of pulses, in units of the suggested width."""
+"""Widths of pulses, in units of the suggested one."""
 MULTISINES = (5.0, 10.0)
-"""Durations [s]."""
+"""Durations of multisines [s]."""
 TICK = 0.5
-"""Of the steps of a pilot [s]."""
+"""Unit of time of a pilot's steps [s]."""
 MOST_TONES = 8
 STARTS = 2
 """Searches for the phases of a multisine."""
@@ -121,11 +121,8 @@ def library(
 def scaled(inputs: Mapping[str, Signal], factor: float, detents: Mapping[str, float]) -> Inputs:
     """Return inputs of another size, the levels of a pilot's in whole detents."""
     found = {axis: signal.scaled(factor) for axis, signal in inputs.items()}
-    for axis, signal in found.items():
-        if detents and isinstance(signal, Steps):
-            counts = np.trunc(np.divide(signal.levels, detents[axis]) * (1 + ROUNDING))
-            found[axis] = Steps(signal.durations, (detents[axis] * counts).tolist())
-    return found
+    steps = {axis: signal for axis, signal in found.items() if detents and isinstance(signal, Steps)}
+    return found | {axis: Steps(signal.durations, signal.levels_in(detents[axis])) for axis, signal in steps.items()}
 
 
 def duration_of(inputs: Mapping[str, Signal]) -> float:

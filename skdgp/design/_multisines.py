@@ -18,11 +18,11 @@ from skdgp._compute.typing import Array, Seed, Vector
 from skdgp.design._signals import ROUNDING, UNLIMITED, Limits, Signal, as_limits, check_duration, checked_band, freeze
 
 POWERS = (4, 8, 16, 32, 64, 128, 256)
-"""Of the norms that approach the peak in the search for phases."""
+"""Powers p of the norms that approach the peak in the search for phases."""
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
 MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
-"""Of a search: for one norm, of all its steps together (some seconds), and searches for one signal."""
+"""Steps of a search for one norm, samples in all its steps together (some seconds), searches for one signal."""
 LEAST_COVERAGE = 0.7
 """Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
 
@@ -172,8 +172,8 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
     """
     if not 0 < rms < np.inf:
         raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
-    n = len(harmonics)
-    signal = Multisine(duration, harmonics, [rms * float(np.sqrt(2.0 / n))] * n, _schroeder(np.ones(n)).tolist())
+    amplitudes = [rms * float(np.sqrt(2.0 / len(harmonics))) for _ in harmonics]
+    signal = Multisine(duration, harmonics, amplitudes, _schroeder(np.ones(len(harmonics))).tolist())
     return (limits or UNLIMITED).check(signal)
 
 

@@ -19,7 +19,7 @@ from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20
-"""Of the inputs that are stored, in the shortest period: a flight beside it is late by a fortieth at most."""
+"""Stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,8 +131,7 @@ def plan(
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
     gusts : Turbulence, "auto" or None, default="auto"
-        Of the check. "auto": that of the training flights, with a warning if the model does not know it. None: calm
-        air.
+        Of the check. "auto": that of the training flights. None: calm air.
     known : Information, optional
         Of earlier flights; by default that of the model's posterior at the trims.
     noise : DataFrame or mapping, optional
@@ -141,8 +140,7 @@ def plan(
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=False
         Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
-        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
-        coefficients are linear.
+        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air.
     pause : float or "auto"
         At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
         the phugoid's period, in which the airspeed returns, and at least 3 s. The period is Lanchester's, of the
@@ -172,8 +170,7 @@ def plan(
     Warns
     -----
     UserWarning
-        If the model does not know the turbulence of its flights, and none is given; or if it does not know the range
-        of a quantity that the envelope does not limit.
+        If the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
 
     Examples
     --------

@@ -18,11 +18,11 @@ from skdgp.design._wavetrain import Wavetrain
 from skdgp.dynamics import Aircraft, Trim, as_aerodynamics, simulate
 
 STEP = 0.04
-"""Of simulations, and between the rows that count as independent measurements [s]."""
+"""Time between rows of a simulation, which count as independent measurements [s]."""
 ENTRY = {"phi": 0.035, "theta": 0.035}
 """Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
-"""The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
+"""Standard deviations of the airspeed, relative to it, and of held controls, relative to their limits."""
 LEAST = 0.2
 """Part of the limits below which a manoeuvre is left out."""
 RESPONSE, REACTION = 3.0, 1.0

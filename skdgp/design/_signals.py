@@ -15,15 +15,15 @@ from scipy.signal import lfilter
 from skdgp._compute.typing import Array, Vector
 
 EDGE = 1e-5
-"""By which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
+"""Time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
 ROUNDING = 1e-9
-"""By which a limit may be exceeded, relative to it."""
+"""Relative excess of a limit that is rounding."""
 RMS_SAMPLES = 10_000
 """Samples of a signal, for its root mean square."""
 RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
 """For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples at most."""
 MOST_PERIODS = RMS_SAMPLES // 2
-"""Periods of its highest frequency in a signal: two of its samples lie in each. 100 s at 50 Hz, ten minutes at 8 Hz."""
+"""Largest number of periods of a signal, with two samples in each: 100 s at 50 Hz, ten minutes at 8 Hz."""
 AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
@@ -206,6 +206,10 @@ class Steps(Signal):
     @property
     def period(self) -> float:
         return 2.0 * min(self.durations)
+
+    def levels_in(self, detent: float) -> list[float]:
+        """Return the levels, each as the next smaller multiple of a detent."""
+        return (detent * np.trunc(np.divide(self.levels, detent) * (1.0 + ROUNDING))).tolist()
 
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor, the rate of its ramps too."""

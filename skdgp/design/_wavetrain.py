@@ -15,9 +15,9 @@ from skdgp.design._signals import ROUNDING, UNLIMITED, Limits, Signal, Steps
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
 MOST_ROWS = 1_000_000
-"""Of a table: five hours at 50 Hz."""
+"""Largest number of rows of a table: five hours at 50 Hz."""
 SAMPLES_PER_PERIOD = 10
-"""Least number in the shortest period of a signal: held for a sample, it is then late by a twentieth of the period."""
+"""Least number of samples in the shortest period of a signal: held for one, it is late by a twentieth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class Wavetrain:
                     f"Got a {type(signal).__name__} of the {axis}, which no pilot can fly: choose doublets, 3-2-1-1s "
                     "or other Steps."
                 )
-            levels = [np.sign(level) * detent * np.floor(abs(level) / detent + ROUNDING) for level in signal.levels]
+            levels = signal.levels_in(detent)
             if not all(levels):
                 raise ValueError(
                     f"Got levels {signal.levels} of the {axis}, but expected each to be at least a detent, "

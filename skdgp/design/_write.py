@@ -29,7 +29,7 @@ ARDUPILOT = {
 MIXES = {"elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0}}
 """Surfaces that several axes move."""
 THROTTLE_SCALE, SURFACE_SCALE = 100.0, 4500.0
-"""Of ArduPilot's scaled commands: per cent, and centidegrees of a range of 45."""
+"""ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45."""
 NO_LIMIT = 1e30
 FASTEST = 1000.0
 """Rate of a script [Hz]: ArduPilot counts milliseconds."""

@@ -41,22 +41,6 @@ def derivatives(run: Run) -> None:
     climb = None if thrust is None else 0.0  # without thrust it follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
     trims = cast(list[Trim], trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions))
-    _warn_of_beyond(trims)
-    run.console.stage("derivatives")
-    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
-    run.console.stage("modes")
-    modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
-    points: list[Any] = [(one, table.loc[number], modes[number]) for number, one in enumerate(trims)]
-    numbers = {"model": options.model, "axes": options.axes, "altitude": options.altitude}
-    numbers["points"] = [_point(*point) for point in points]
-    blocks = [_text(*point) for point in points]
-    if written := run.write(_writers(trims, table, modes, numbers)):
-        blocks.append("wrote " + ", ".join(map(str, written)))
-    run.print("\n\n".join(blocks), numbers)
-
-
-def _warn_of_beyond(trims: list[Trim]) -> None:
     for one in trims:
         if one.beyond:
             names = [f"{name} {value:.3g} ({low:.3g} to {high:.3g})" for name, (value, low, high) in one.beyond.items()]
@@ -64,6 +48,18 @@ def _warn_of_beyond(trims: list[Trim]) -> None:
                 f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: {', '.join(names)}.",
                 stacklevel=2,
             )
+    run.console.stage("derivatives")
+    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
+    table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
+    run.console.stage("modes")
+    modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
+    points: list[Any] = [(one, table.loc[number], modes[number]) for number, one in enumerate(trims)]
+    numbers = {name: getattr(options, name) for name in ("model", "axes", "altitude")}
+    numbers["points"] = [_point(*point) for point in points]
+    blocks = [_text(*point) for point in points]
+    if written := run.write(_writers(trims, table, modes, numbers)):
+        blocks.append("wrote " + ", ".join(map(str, written)))
+    run.print("\n\n".join(blocks), numbers)
 
 
 def _point(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
@@ -102,15 +98,13 @@ def _text(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
 
 def _matrix(table: pd.DataFrame) -> list[str]:
     """Return coefficients by regressors; under each value its standard deviation, where it is known."""
-    value = _by_regressor(table, "value")
-    std = _by_regressor(table, "std") if "std" in table else None
-    lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in value)]
-    for name in value.index:
-        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in value.loc[name]))
-        if std is not None:
-            lines.append(
-                f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in std.loc[str(name)])
-            )
+    regressors = table["regressor"].unique()
+    lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in regressors)]
+    for name, rows in table.groupby("coefficient", sort=False):
+        row = rows.set_index("regressor").loc[regressors]
+        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row["value"]))
+        if "std" in row:
+            lines.append(f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in row["std"]))
     if "std_merged" in table:
         held = table[table["std_unmerged"] < NOTABLE * table["std"]]
         named = [f"{name} {row['std_unmerged']:.2g} (without {row['merged']})" for name, row in held.iterrows()]
@@ -121,11 +115,6 @@ def _matrix(table: pd.DataFrame) -> list[str]:
                  for name, row in known.iterrows()]  # fmt: skip
         lines += ["", *wrap(f"std_aircraft, errors of the aircraft that derivatives share: {', '.join(words)}", WIDTH)]
     return lines
-
-
-def _by_regressor(table, column) -> pd.DataFrame:
-    wide = table.pivot(index="coefficient", columns="regressor", values=column)
-    return wide.loc[table["coefficient"].unique(), table["regressor"].unique()]
 
 
 def _mode_rows(modes: pd.DataFrame) -> list[str]:

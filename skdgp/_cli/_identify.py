@@ -81,12 +81,12 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    told = {name: getattr(options, name) for name in (*SIZES, "kind", *ENGINE) if getattr(options, name) is not None}
-    if options.aircraft is not None and not told:
+    names = ("aircraft", *SIZES, "kind", *ENGINE)
+    told = {name: words for name in names if (words := getattr(options, name)) is not None}
+    if [*told] == ["aircraft"]:
         return options.aircraft
-    if options.aircraft is not None or not {"mass", "span"} <= set(told):
-        names = ["aircraft"] * (options.aircraft is not None) + [name.replace("_", "-") for name in told]
-        got = " ".join(f"--{name}" for name in names) or "no aircraft"
+    if "aircraft" in told or not {"mass", "span"} <= set(told):
+        got = " ".join(f"--{name.replace('_', '-')}" for name in told) or "no aircraft"
         run.command.parser({}).error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is estimated"
         )

@@ -10,7 +10,6 @@ import sys
 import traceback
 from contextlib import nullcontext
 from importlib.metadata import version
-from pathlib import Path
 
 from skdgp._cli._console import Console
 from skdgp._cli._derivatives import DERIVATIVES
@@ -18,7 +17,7 @@ from skdgp._cli._export import EXPORT
 from skdgp._cli._identify import DEMO, IDENTIFY
 from skdgp._cli._inspect import INSPECT
 from skdgp._cli._output import OutputFolder, Run
-from skdgp._cli._parser import PROGRAM, check_replaceable
+from skdgp._cli._parser import PROGRAM
 from skdgp._cli._plan import PLAN
 from skdgp._cli._predict import PREDICT, VALIDATE
 from skdgp._cli._simulate import SIMULATE
@@ -29,17 +28,6 @@ COMMANDS = {
     command.name: command
     for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES, PLAN, EXPORT)
 }
-OPTIONS = {
-    "thrust=None": "--thrust none",
-    "thin_targets(": "--samples 755",
-    "inference='sparse'": "--inference sparse",
-    "airborne=False": "--airborne all or --airborne 6",
-    "regressors.": "--regressors",
-    "max_kb=": "--max-kb",
-    "controls of the trim lack": "--axes with some of these",
-    "give limits={": "--limits",
-}
-"""Options of the command line for the parameters that error messages of the library name."""
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -63,20 +51,20 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
     _open_streams()
-    folder, console = None, Console()
+    folder: OutputFolder | None = None
+    console = Console()
     try:
         with console:
             name = argv[0] if argv and argv[0] in COMMANDS else _parser().parse_args(argv).command
             command = COMMANDS[name]
             options = command.parse(argv[1:])
-            folder = _output_folder(command, options)
+            if (output := getattr(options, "output", None)) is not None:
+                folder = OutputFolder(output, command.writes_table)
             run = Run(command, options, console, folder, shlex.join([*PROGRAM.split(), *argv]))
             with folder or nullcontext():
-                if folder is not None:
-                    check_replaceable(folder.path / run.config_name)
                 command.run(run)
     except KeyboardInterrupt:
-        console.print_error(_interruption(folder))
+        console.print_error("stopped" if folder is None or folder.is_written else "stopped: no output was written")
         return INTERRUPTED
     except Exception as error:
         if "--traceback" in argv:
@@ -106,26 +94,11 @@ def _open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _output_folder(command, options) -> OutputFolder | None:
-    """Return the folder that the command writes to: of ``predict`` the one of its table."""
-    output = getattr(options, "output", None)
-    if output is None:
-        return None
-    return OutputFolder(Path(output).parent if command is PREDICT else output)
-
-
-def _interruption(folder) -> str:
-    return "stopped" if folder is None or folder.is_written else "stopped: no output was written"
-
-
 def _message(error: Exception) -> str:
-    """Return the message on one line, with its remedies as options; of the system's errors with the file's name."""
+    """Return the message on one line; of the system's errors with the file's name."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
     words = " ".join(str(error).split()) or type(error).__name__
-    if not isinstance(error, EXPECTED):
-        return (
-            f"Got an unexpected {type(error).__name__}: {words}. Run again with --traceback, and report what it says."
-        )
-    options = [option for code, option in OPTIONS.items() if code in words]
-    return f"{words} On the command line: {', '.join(options)}." if options else words
+    if isinstance(error, EXPECTED):
+        return words
+    return f"Got an unexpected {type(error).__name__}: {words}. Run again with --traceback, and report what it says."

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from skdgp._flight.channels import REGRESSOR_SETS
 
@@ -153,13 +153,40 @@ def by_axis(words: list[str]) -> dict[str, float]:
     return {axis: float(value) for axis, _, value in (word.partition("=") for word in words)}
 
 
-def axis_value(text: str) -> str:
-    """Return words such as ``elevator=0.4``."""
-    try:
-        by_axis([text])
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"got {text}, but expected AXIS=NUMBER such as elevator=0.4") from None
-    return text
+def value_and_std(text: str) -> tuple[float, float]:
+    """Return the numbers of ``3.2+-0.05``; without a deviation it is 0. Raise ValueError if it is no size."""
+    value, _, std = text.partition("+-")
+    found = float(value), float(std or 0.0)
+    if not (0 < found[0] < math.inf and 0 <= found[1] < math.inf):
+        raise ValueError
+    return found
+
+
+def factors_of(text: str) -> tuple[float, float]:
+    """Return the numbers of ``10x5``; raise ValueError if they are not two numbers > 0."""
+    first, _, second = text.partition("x")
+    found = float(first), float(second)
+    if not all(0 < value < math.inf for value in found):
+        raise ValueError
+    return found
+
+
+def words_of(read: Callable[[str], object], expected: str) -> Callable[[str], str]:
+    """Return what returns words as they are, for the configuration, if they can be read."""
+
+    def check(text):
+        try:
+            read(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}") from None
+        return text
+
+    return check
+
+
+axis_value = words_of(lambda text: by_axis([text]), "AXIS=NUMBER such as elevator=0.4")
+size = words_of(value_and_std, "a number > 0, or with its deviation such as 3.2+-0.05")
+factors = words_of(factors_of, "two numbers > 0 such as 10x5")
 
 
 def axis_values(name: str, help: str) -> Option:
@@ -167,7 +194,7 @@ def axis_values(name: str, help: str) -> Option:
     return option(f"{name} AXIS=X", help, axis_value, nargs="+", default=[])
 
 
-def none_of(words: str) -> str | None:
+def none_of(words: Any) -> Any:
     """Return None for "none", which the command line says for it."""
     return None if words == "none" else words
 
@@ -177,36 +204,3 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     learned = {} if model is None else model.get("options", {})
     return {"servos": options.servos or learned.get("servos"), "airborne": airborne}
-
-
-def size(text: str) -> str:
-    """Return words such as ``3.2`` or ``3.2+-0.05``, a size and its standard deviation."""
-    try:
-        value, std = value_and_std(text)
-        if 0 < value < math.inf and 0 <= std < math.inf:
-            return text
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"got {text}, but expected a number > 0, or with its deviation such as 3.2+-0.05")
-
-
-def value_and_std(text: str) -> tuple[float, float]:
-    """Return the numbers of ``3.2+-0.05``; without a deviation it is 0."""
-    value, _, std = text.partition("+-")
-    return float(value), float(std or 0.0)
-
-
-def factors(text: str) -> str:
-    """Return words such as ``10x5``, two numbers."""
-    try:
-        if all(0 < value < math.inf for value in factors_of(text)):
-            return text
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"got {text}, but expected two numbers > 0 such as 10x5")
-
-
-def factors_of(text: str) -> tuple[float, float]:
-    """Return the numbers of ``10x5``; raise ValueError if they are not two."""
-    first, _, second = text.partition("x")
-    return float(first), float(second)

@@ -15,19 +15,22 @@ from pathlib import Path
 import pandas as pd
 
 from skdgp._cli._console import Console, ctrl_c
-from skdgp._cli._parser import Command
+from skdgp._cli._parser import HEAD, Command
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
 from skdgp._compute.tables import csv_writer
 
 
 class OutputFolder:
-    """A folder made for outputs, and removed again if nothing was written into it.
+    """A folder made for outputs, or that of a single table; removed again if nothing was written into it.
 
-    The ``with`` block begins with an OSError if the folder cannot be made or written to.
+    The ``with`` block begins with an OSError if the folder cannot be made or written to, or if the configuration of the
+    run would replace a file that no run wrote.
     """
 
-    def __init__(self, path):
-        self.path = Path(path)
+    def __init__(self, output, is_table: bool = False):
+        path = Path(output)
+        self.path = path.parent if is_table else path
+        self.config = self.path / (f"{path.stem}.config.toml" if is_table else "config.toml")
         self.is_written = False
 
     def __enter__(self) -> OutputFolder:
@@ -43,6 +46,11 @@ class OutputFolder:
                 f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be written there ({reason}): "
                 "name another one after -o."
             ) from error
+        if self.config.is_file() and not _text(self.config).startswith(HEAD):
+            raise FileExistsError(
+                f"Got {str(self.config)!r}, where the configuration of this run belongs, but it is there already and "
+                "no run wrote it: name another output after -o, or move it."
+            )
         return self
 
     def __exit__(self, kind, error, trace):
@@ -79,12 +87,6 @@ class Run:
     folder: OutputFolder | None
     command_line: str
 
-    @property
-    def config_name(self) -> str:
-        """Name of the configuration: beside a single table it has the name of that."""
-        is_table = self.command.name == "predict"
-        return f"{Path(self.options.output).stem}.config.toml" if is_table else "config.toml"
-
     def write(self, writers: dict[str, Writer]) -> list[Path]:
         """Write all outputs, and the configuration that repeats them, or none; return where they are.
 
@@ -93,15 +95,19 @@ class Run:
         if self.folder is None:
             return []
         self.console.stage("writing")
-        text, config = self.command.config_text(self.options), self.folder.path / self.config_name
-        again = config.is_file() and config.read_text(encoding="utf-8").startswith(text.partition("\n")[0])
-        writers = writers | {self.config_name: text_writer(text)}
+        text, config = self.command.config_text(self.options), self.folder.config
+        again = config.is_file() and _text(config).startswith(text.partition("\n")[0])
+        writers = writers | {config.name: text_writer(text)}
         self.folder.write(writers, self.command.outputs if again else "")
         return [self.folder.path / name for name in writers]
 
     def print(self, text: str, numbers: dict) -> None:
         """Print the result: text, or on request JSON."""
         self.console.print(json_text(numbers).rstrip() if self.options.json else text)
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
 
 
 def table_writer(table: pd.DataFrame, suffix: str) -> Writer:

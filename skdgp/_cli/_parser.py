@@ -32,15 +32,16 @@ COMMON = [
 
 @dataclass(frozen=True)
 class Command:
-    """A command of ``python -m skdgp``: the function that it runs, whose docstring is its help, and its options.
-
-    ``options`` are lists by the title of their group. ``outputs`` is a pattern of the names of files that not every run
-    writes: those of an earlier run are removed.
-    """
+    """A command of ``python -m skdgp``."""
 
     run: Callable
+    """Its docstring is the help."""
     options: dict[str, list[Option]]
+    """By the title of their group."""
     outputs: str = ""
+    """Pattern of the names of files that not every run writes: those of an earlier run are removed."""
+    writes_table: bool = False
+    """Whether its output is the file of a single table, not a folder."""
 
     @property
     def name(self) -> str:
@@ -55,8 +56,7 @@ class Command:
     def parse(self, words: list[str]) -> argparse.Namespace:
         """Return the options of a command line; those that it lacks are the ones of ``--config``.
 
-        Raises SystemExit as argparse does, and ValueError or OSError if the configuration cannot be read or holds an
-        unknown option.
+        SystemExit, as of argparse, ends wrong usage; a wrong configuration raises ValueError or OSError.
         """
         parser = self.parser({})
         self._refuse_unknown(words, parser)
@@ -93,21 +93,26 @@ class Command:
         for key in (word[2:].split("=")[0] for word in words if word.startswith("--")):
             if key not in known:
                 near = get_close_matches(key, known, n=1)
-                parser.error(
-                    f"unknown option --{key}: {f'did you mean --{near[0]}?' if near else '--help lists the options'}"
-                )
+                hint = f"did you mean --{near[0]}?" if near else "--help lists the options"
+                parser.error(f"unknown option --{key}: {hint}")
 
     def _read_config(self, path: FileName) -> dict:
         if not Path(path).exists():
             raise FileNotFoundError(f"Got {path} as the configuration, but there is no such file.")
         values = read_toml(path)
-        _warn_of_changes(path)
+        above, found, line = Path(path).read_text(encoding="utf-8-sig").rpartition(CHECKSUM)
+        if found and line.split(" ")[0] != _checksum(above):
+            warnings.warn(
+                f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its "
+                "last line.",
+                stacklevel=2,
+            )
         command = values.pop("command", self.name)
         if command != self.name:
             raise ValueError(f"Got {path} of the command {command}, but the command is {self.name}: say {command}.")
         _warn_of_versions(path, values.pop("versions", {}))
         known = {each.key: each for each in self.all_options if each.key != "config"}
-        found = {}
+        options = {}
         for name, value in values.items():
             key = name.replace("_", "-")
             if key not in known:
@@ -115,11 +120,11 @@ class Command:
                 hint = f"did you mean {near[0]!r}?" if near else f"known options are {', '.join(known)}."
                 raise ValueError(f"Got unknown option {name!r} in {path}: {hint}")
             try:
-                found[key] = _converted(known[key], value)
+                options[key] = _converted(known[key], value)
             except ValueError as error:
                 shown = json.dumps(value, default=str)
                 raise ValueError(f"Got {name} = {shown} in {path}: {error}.") from None
-        return found
+        return options
 
     def config_text(self, options: argparse.Namespace) -> str:
         """Return all options of a run as TOML, files by their whole paths, and the versions that it ran on."""
@@ -136,27 +141,8 @@ class Command:
         return f"{text}{CHECKSUM}{_checksum(text)} of the lines above: remove this line when you change them.\n"
 
 
-def check_replaceable(path: Path) -> None:
-    """Raise FileExistsError if the configuration of a run would replace a file that no run wrote."""
-    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(HEAD):
-        raise FileExistsError(
-            f"Got {str(path)!r}, where the configuration of this run belongs, but it is there already and no run wrote "
-            "it: name another output after -o, or move it."
-        )
-
-
 def _checksum(text) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _warn_of_changes(path) -> None:
-    above, found, line = Path(path).read_text(encoding="utf-8-sig").rpartition(CHECKSUM)
-    if found and line.split(" ")[0] != _checksum(above):
-        warnings.warn(
-            f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its last "
-            "line.",
-            stacklevel=2,
-        )
 
 
 def _warn_of_versions(path, made_by) -> None:

@@ -5,26 +5,21 @@ from __future__ import annotations
 import argparse
 import warnings
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from skdgp._cli import _options as opt
-from skdgp._cli._options import axis_value as _axis_value
-from skdgp._cli._options import axis_values as _axis_values
-from skdgp._cli._options import by_axis as _by_axis
 from skdgp._cli._output import Run, table_writer
 from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
-from skdgp._excitation.wavetrain import AXES, Wavetrain
-from skdgp.design import Envelope, Limits, Pilot, Plan, write_ardupilot_lua, write_csv, write_flight_card
+from skdgp._excitation.wavetrain import AXES
+from skdgp.design import Envelope, Limits, Pilot, Plan, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.design._write import surface_mixes
+from skdgp.design._write import ardupilot_script, surface_mixes
 from skdgp.io import servo_outputs
 from skdgp.io._autopilot.servos import read_servos
 
@@ -58,12 +53,14 @@ def plan(run: Run) -> None:
       python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
     options, console = run.options, run.console
-    axes, limits, full = list(dict.fromkeys(options.axes)), _limits(options), _by_axis(options.full)
+    axes, limits, full = list(dict.fromkeys(options.axes)), _limits(options), opt.by_axis(options.full)
     if options.servos:
         read_servos(options.servos)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    detents = None if options.pilot is None else {one: DETENTS[one] for one in axes} | _by_axis(options.pilot)
+    detents = None if options.pilot is None else {one: DETENTS[one] for one in axes} | opt.by_axis(options.pilot)
+    asked = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
+    chosen = {"growth": float(options.growth), "risk": options.risk, "margin": options.margin, "n_paths": options.paths}
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
     with listening(console.progress), console.counting_interrupts():
@@ -75,9 +72,9 @@ def plan(run: Run) -> None:
             axes=axes,
             goal=options.goal,
             limits=limits,
-            envelope=_envelope(options),
+            envelope=Envelope(**asked, **chosen, gusts=opt.none_of(options.gusts)),
             altitude=options.altitude,
-            pilot=Pilot("auto" if options.pause is None else options.pause, options.rate, detents),
+            pilot=Pilot(options.pause or "auto", options.rate, detents),
             thrust=thrust,
             random_state=options.seed,
         )
@@ -86,21 +83,9 @@ def plan(run: Run) -> None:
     run.print(_text(planned, options, files), numbers)
 
 
-def _envelope(options: argparse.Namespace) -> Envelope:
-    given = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
-    return Envelope(
-        **given,
-        growth=float(options.growth),
-        risk=options.risk,
-        margin=options.margin,
-        gusts=None if options.gusts == "none" else "auto",
-        n_paths=options.paths,
-    )
-
-
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
-    amplitudes = _by_axis(options.limits)
-    more = {"rate": _by_axis(options.rates), "lag": _by_axis(options.servo_lags)}
+    amplitudes = opt.by_axis(options.limits)
+    more = {"rate": opt.by_axis(options.rates), "lag": opt.by_axis(options.servo_lags)}
     for option, values in zip(("--rates", "--servo-lags"), more.values(), strict=True):
         if lacking := sorted({*values} - {*amplitudes}):
             raise ValueError(f"Got {option} of {', '.join(lacking)} without --limits, but expected both: add --limits.")
@@ -112,13 +97,13 @@ def _limits(options: argparse.Namespace) -> dict[str, Limits]:
 
 def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[str, Writer]:
     files: dict[str, Writer] = {}
-    rate, full = options.rate, _by_axis(options.full)
+    rate, full = options.rate, opt.by_axis(options.full)
     for number, train in enumerate(planned.trains, start=1):
         name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
         files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
         if full:
             try:
-                files[f"{name}.lua"] = text_writer(_script(train, rate, full))
+                files[f"{name}.lua"] = text_writer(ardupilot_script(train, rate, full))
             except ValueError as error:  # the plan is kept
                 warnings.warn(f"No script for ArduPilot: {error}", stacklevel=2)
         if options.servos:
@@ -132,12 +117,6 @@ def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[
         "expected.csv": table_writer(planned.flight, ".csv"),
         "plan.json": text_writer(json_text(numbers)),
     }
-
-
-def _script(train: Wavetrain, rate: float, full: dict[str, float]) -> str:
-    with TemporaryDirectory() as folder:
-        write_ardupilot_lua(path := Path(folder) / "plan.lua", train, rate, full)
-        return path.read_text(encoding="utf-8")
 
 
 def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
@@ -203,18 +182,18 @@ PLAN = Command(
             opt.option(
                 "--pilot AXIS=X",
                 "only steps that a pilot can fly: half seconds, multiples of X [rad] (default: a degree, throttle 0.1)",
-                _axis_value,
+                opt.axis_value,
                 nargs="*",
             ),
-            _axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
+            opt.axis_values("--full", "deflections [rad] at the ends of the servos' ranges, for the script"),
             opt.option("--servos FILE", "TOML, as of identify: also writes what the channels of these servos send"),
             opt.SEED,
             opt.FOLDER,
         ],
         "limits": [
-            _axis_values("--limits", "largest deviations from trim [rad] (default: what was flown)"),
-            _axis_values("--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"),
-            _axis_values("--servo-lags", "time constants [s] of servos of axes with --limits (default: none)"),
+            opt.axis_values("--limits", "largest deviations from trim [rad] (default: what was flown)"),
+            opt.axis_values("--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"),
+            opt.axis_values("--servo-lags", "time constants [s] of servos of axes with --limits (default: none)"),
             _ends("--alpha", "[rad]"),
             _ends("--beta", "[rad]"),
             _ends("--load-factor", "of -az / g"),

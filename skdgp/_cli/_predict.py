@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch
 
@@ -98,21 +98,19 @@ def predict(run: Run) -> None:
 
 def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.DataFrame:
     """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
-    mean, std = predict_flight(pipeline, table, include_noise=include_noise)
     names = pipeline[-1].output_names_
-    found = dict(zip(names, mean.T, strict=True))
-    found |= {f"{name}_std": column for name, column in zip(names, std.T, strict=True)}
-    return table[["flight", "time"]].reset_index(drop=True).assign(**found)
+    columns = [*names, *(f"{name}_std" for name in names)]
+    values = np.hstack(predict_flight(pipeline, table, include_noise=include_noise))
+    return table[["flight", "time"]].reset_index(drop=True).join(pd.DataFrame(values, columns=columns))
 
 
 def _print(run, whole, flights):
-    options = run.options
+    options, rows = run.options, {name: len(table) for name, table in flights.items()}
     coefficients = {
         name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
         for name in whole
         if f"{name}_std" in whole
     }
-    rows = {name: len(table) for name, table in flights.items()}
     numbers = {"model": options.model, "output": options.output, "flights": rows}
     numbers |= {"include_noise": options.include_noise, "coefficients": coefficients}
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
@@ -136,9 +134,8 @@ def validate(run: Run) -> None:
       python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    known: dict[str, Any] = {} if options.thrust is None else {"thrust": opt.none_of(options.thrust)}
-    if options.external_forces is not None:
-        known["external_forces"] = options.external_forces
+    known = {name: getattr(options, name) for name in ("thrust", "external_forces")}
+    known = {name: opt.none_of(value) for name, value in known.items() if value is not None}
     with listening(run.console.progress):
         model = read_model(options)
         result = judge(model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known)
@@ -157,6 +154,7 @@ PREDICT = Command(
             opt.option("-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True),
         ]
     },
+    writes_table=True,
 )
 VALIDATE = Command(
     validate,

@@ -90,8 +90,7 @@ def simulate(run: Run) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
             conditions |= {"n_paths": options.paths, "random_state": options.seed}
-            conditions["gusts"] = None if options.gusts == "none" else "auto"
-            sampled = simulate_flight(*initial, **conditions)
+            sampled = simulate_flight(*initial, **conditions, gusts=opt.none_of(options.gusts))
         files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
     numbers = _numbers(options, start, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
@@ -166,7 +165,13 @@ def _logged(options, model) -> Start:
     """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError("Got --flight without --at, but expected the moment to start from: --at SECONDS.")
-    log = _flight_around(options.at, named_flights(options.flight, **opt.reading(options, model)))
+    flights = named_flights(options.flight, **opt.reading(options, model))
+    spans = {name: (table["time"].iloc[0], table["time"].iloc[-1]) for name, table in flights.items()}
+    inside = [name for name, (first, last) in spans.items() if first <= options.at < last]
+    if len(inside) != 1:
+        times = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        raise ValueError(f"Got --at {options.at:g}, but expected a moment of exactly one flight of the log: {times}.")
+    log = FlightCheck(bridge=0).fit_transform(flights[inside[0]])
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)
@@ -184,16 +189,6 @@ def _logged(options, model) -> Start:
     return Start(state, table, wind, _duration(options, log, table))
 
 
-def _flight_around(at, flights) -> pd.DataFrame:
-    """Return the flight that a moment lies in, its faults removed."""
-    spans = {name: (table["time"].iloc[0], table["time"].iloc[-1]) for name, table in flights.items()}
-    inside = [name for name, (first, last) in spans.items() if first <= at < last]
-    if len(inside) != 1:
-        times = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
-        raise ValueError(f"Got --at {at:g}, but expected a moment of exactly one flight of the log: {times}.")
-    return FlightCheck(bridge=0).fit_transform(flights[inside[0]])
-
-
 def _duration(options, *tables) -> float:
     longest = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
     return min(DURATION, longest) if options.duration is None else options.duration
@@ -201,13 +196,15 @@ def _duration(options, *tables) -> float:
 
 def _numbers(options, start, trajectory, paths) -> dict:
     """Return the summary as numbers, SI units and radians."""
-    flying = trajectory[trajectory["ended"] == ""]
-    first = trajectory.iloc[0]
+    flying, first = trajectory[trajectory["ended"] == ""], trajectory.iloc[0]
     last = first if flying.empty else flying.iloc[-1]
     outside, beyond = flying[flying["beyond"] != ""], None
     if len(outside):
-        beyond = {"first": outside["time"].iloc[0] - first["time"], "share": len(outside) / len(flying)}
-        beyond["regressors"] = sorted(set(outside["beyond"]))
+        beyond = {
+            "first": outside["time"].iloc[0] - first["time"],
+            "share": len(outside) / len(flying),
+            "regressors": sorted(set(outside["beyond"])),
+        }
     return {
         "model": options.model,
         "start": {name: first[name] for name in START},
@@ -228,21 +225,20 @@ def _spread(paths) -> dict:
     return {
         "n": by_path.ngroups,
         "air": paths.attrs["air"],
-        "ended_early": int(by_path["ended"].agg(lambda ended: (ended != "").any()).sum()),
-        "beyond": int(by_path["beyond"].agg(lambda beyond: (beyond != "").any()).sum()),
+        "ended_early": paths.loc[paths["ended"] != "", "path"].nunique(),
+        "beyond": paths.loc[paths["beyond"] != "", "path"].nunique(),
         "end": {name: [bands[f"{name}_low"], bands[f"{name}_high"]] for name in START},
     }
 
 
 def _text(numbers, files) -> str:
-    lines = [f"flown {numbers['flown']:.4g} s, to the end"]
+    lines, beyond, paths = [f"flown {numbers['flown']:.4g} s, to the end"], numbers["beyond"], numbers["paths"]
     if numbers["ended"] is not None:
         lines = [f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}"]
     if numbers["trim"] is not None:
         units = {"throttle": "", "thrust": " N", "propeller_speed": " rad/s"}
         shown = (f"{name} {value:.4g}{units.get(name, ' rad')}" for name, value in numbers["trim"].items())
         lines.append(f"trim: {', '.join(shown)}")
-    beyond, paths = numbers["beyond"], numbers["paths"]
     if beyond is None:
         lines.append("always within what the model was learned from")
     else:
@@ -251,11 +247,8 @@ def _text(numbers, files) -> str:
             f"{beyond['first']:.4g} s: {', '.join(beyond['regressors'])}"
         )
     if paths is not None:
-        lines.append(
-            f"{paths['n']} functions of the posterior: {paths['ended_early']} ended early, {paths['beyond']} left what "
-            "was learned from"
-        )
-        lines.append(paths["air"])
+        counts = f"{paths['ended_early']} ended early, {paths['beyond']} left what was learned from"
+        lines += [f"{paths['n']} functions of the posterior: {counts}", paths["air"]]
     lines += ["", f"{'':<10}{'start':>10}{'end':>10}{'' if paths is None else '95 % of the paths':>24}"]
     for name in START:
         factor, unit = display_unit(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Self
@@ -15,14 +15,23 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed, Vector
-from skdgp._excitation.signals import ROUNDING, Limits, Signal, check_periods, checked_band, freeze
+from skdgp._excitation.signals import (
+    ROUNDING,
+    UNLIMITED,
+    Limits,
+    Signal,
+    as_limits,
+    check_duration,
+    checked_band,
+    freeze,
+)
 
 POWERS = (4, 8, 16, 32, 64, 128, 256)
-"""Of the norms that approach the peak in the search for phases."""
+"""Powers p of the norms that approach the peak in the search for phases."""
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
 MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
-"""Of a search: for one norm, of all its steps together (some seconds), and searches for one signal."""
+"""Steps of a search for one norm, samples in all its steps together (some seconds), searches for one signal."""
 LEAST_COVERAGE = 0.7
 """Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
 
@@ -34,20 +43,8 @@ class Multisine(Signal):
     Multisines of the same duration T without common harmonics are orthogonal over it, and so are the responses of a
     linear aircraft to them (Morelli, AIAA 2003-5700; Klein & Morelli, Aircraft System Identification, 2006, chapter 9).
 
-    Parameters
-    ----------
-    duration : float
-        T [s], the period.
-    harmonics : sequence of int
-        h.
-    amplitudes, phases : sequence of float
-        a, and phi [rad].
-
-    Raises
-    ------
-    ValueError
-        If harmonics are not distinct integers > 0, the numbers of harmonics, amplitudes and phases differ, or one is
-        not finite.
+    The duration, T [s], is the period; phases are in radians. Raises ValueError if harmonics are not distinct integers
+    > 0, the numbers of harmonics, amplitudes and phases differ, or one is not finite.
 
     Examples
     --------
@@ -67,8 +64,7 @@ class Multisine(Signal):
         given = np.asarray(self.harmonics)
         if not (len(given) and (given == given.astype(int)).all() and given.min() > 0 and len({*given}) == len(given)):
             raise ValueError(f"Got harmonics {list(self.harmonics)}, but expected distinct integers > 0.")
-        if not 0 < self.duration < np.inf:
-            raise ValueError(f"Got a duration of {self.duration} s, but expected one > 0.")
+        check_duration(self.duration, int(given.max()))
         if not len(given) == len(self.amplitudes) == len(self.phases):
             raise ValueError(
                 f"Got {len(self.amplitudes)} amplitudes and {len(self.phases)} phases of {len(given)} harmonics, but "
@@ -77,15 +73,12 @@ class Multisine(Signal):
         if not np.isfinite([*self.amplitudes, *self.phases]).all():
             raise ValueError("Got amplitudes or phases that are NaN or infinite, but expected finite numbers.")
         freeze(self, int, "harmonics")
-        check_periods(self.duration, max(given) / self.duration)
         freeze(self, float, "amplitudes", "phases")
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
         total = np.zeros(x.shape)
-        for k, amplitude, phase in zip(
-            self.harmonics, self.amplitudes, self.phases, strict=True
-        ):  # one at a time: memory
+        for k, amplitude, phase in zip(self.harmonics, self.amplitudes, self.phases, strict=True):  # for memory
             total += amplitude * np.sin(2.0 * np.pi * k * x + phase)
         return total * ((x >= 0) & (x < 1))
 
@@ -120,18 +113,8 @@ class Multisine(Signal):
 
         The range of the signal is the limit of :math:`\|s_+\|_p + \|s_-\|_p`, which is smooth; p grows step by step
         (Guillaume, Schoukens, Pintelon & Kollar, IEEE Trans. Instrum. Meas. 40, 1991). Then time is shifted to a zero.
-
-        Parameters
-        ----------
-        n_starts : int, default=8
-            Number of searches, 1 to 1000: one from Schroeder's phases, the others from random ones. Long signals of
-            high frequencies get fewer steps in each, so that all take some seconds at most.
-        random_state : int, RandomState instance or None
-            Of the random phases.
-
-        Returns
-        -------
-        Multisine
+        One of ``n_starts`` searches, 1 to 1000, begins at Schroeder's phases, the others at random ones. Long signals
+        of high frequencies get fewer steps in each, so that all take some seconds at most.
         """
         if not (isinstance(n_starts, Integral) and 1 <= n_starts <= MOST_STARTS):
             raise ValueError(f"Got n_starts={n_starts!r}, but expected a whole number from 1 to {MOST_STARTS}.")
@@ -139,12 +122,11 @@ class Multisine(Signal):
         random = check_random_state(random_state)
         steps = MOST_SAMPLES // (SEARCH_SAMPLES * max(self.harmonics) * len(POWERS) * n_starts)
         steps = min(max(steps, 1), MOST_STEPS)
-        starts = [_schroeder(amplitudes**2)] + [
-            random.uniform(0.0, 2.0 * np.pi, len(amplitudes)) for _ in range(n_starts - 1)
-        ]
+        others = random.uniform(0.0, 2.0 * np.pi, (n_starts - 1, len(amplitudes)))
         with one_blas_thread():
             found = [
-                replace(self, phases=_flattest(self.harmonics, amplitudes, start, steps).tolist()) for start in starts
+                replace(self, phases=_flattest(self.harmonics, amplitudes, start, steps).tolist())
+                for start in (_schroeder(amplitudes**2), *others)
             ]
         return min(found, key=lambda one: one.relative_peak_factor)._from_zero()
 
@@ -156,29 +138,21 @@ class Multisine(Signal):
             return float(np.sin(2.0 * np.pi * x * harmonics + self.phases) @ amplitudes)
 
         signal = _sampled(self.harmonics, amplitudes, self.phases, PEAK_SAMPLES)
-        x = np.arange(len(signal)) / len(signal)
         following = np.roll(signal, -1)
         crossings = np.flatnonzero(signal * following <= 0)
-        k = crossings[np.argmin(np.abs(following - signal)[crossings])]
-        low, high = float(x[k]), float(x[k]) + 1.0 / len(x)
+        k = int(crossings[np.argmin(np.abs(following - signal)[crossings])])
+        low, high = k / len(signal), k / len(signal) + 1.0 / len(signal)
         crosses = value(low) * value(high) < 0  # else one of them is the zero
         at = brentq(value, low, high, xtol=1e-16) if crosses else min(low, high, key=lambda x: abs(value(x)))
         phases = np.mod(self.phases + 2.0 * np.pi * harmonics * at, 2.0 * np.pi)
         return replace(self, phases=phases.tolist())
 
 
-def multisine(
-    duration: float,
-    harmonics: Sequence[int],
-    *,
-    rms: float,
-    power: ArrayLike | None = None,
-    limits: Limits | None = None,
-) -> Multisine:
-    r"""Return a multisine with Schroeder's phases, which keep the peaks low (IEEE Trans. Inf. Theory 16, 1970).
+def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: Limits | None = None) -> Multisine:
+    r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
-    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l`. `Multisine.optimized`
-    finds better ones.
+    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE Trans. Inf. Theory 16,
+    1970). `Multisine.optimized` finds better ones.
 
     Parameters
     ----------
@@ -188,10 +162,7 @@ def multisine(
         Its frequencies are these over T.
     rms : float
         Root mean square.
-    power : array-like of shape (n,), optional
-        Relative power of each harmonic; by default all have the same.
     limits : Limits, optional
-        Of its axis.
 
     Returns
     -------
@@ -200,7 +171,7 @@ def multisine(
     Raises
     ------
     ValueError
-        If harmonics are not distinct integers > 0, a power or the rms is not > 0, or a limit is exceeded.
+        If harmonics are not distinct integers > 0, the rms is not > 0, or a limit is exceeded.
 
     Examples
     --------
@@ -208,16 +179,11 @@ def multisine(
     >>> round(multisine(10.0, [2, 3, 5], rms=0.02).rms, 6)
     0.02
     """
-    shares = np.ones(len(harmonics)) if power is None else np.array(power, dtype=float)
-    if len(shares) != len(harmonics) or not ((shares > 0) & np.isfinite(shares)).all():
-        raise ValueError(f"Got power {power!r} of {len(harmonics)} harmonics, but expected a number > 0 for each.")
     if not 0 < rms < np.inf:
         raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
-    amplitudes = rms * np.sqrt(2.0 * shares / shares.sum())
-    signal = Multisine(duration, harmonics, amplitudes.tolist(), _schroeder(shares).tolist())
-    if limits is not None:
-        limits.check(signal)
-    return signal
+    amplitudes = [rms * float(np.sqrt(2.0 / len(harmonics))) for _ in harmonics]
+    signal = Multisine(duration, harmonics, amplitudes, _schroeder(np.ones(len(harmonics))).tolist())
+    return (limits or UNLIMITED).check(signal)
 
 
 def orthogonal_multisines(
@@ -226,7 +192,6 @@ def orthogonal_multisines(
     band: tuple[float, float],
     *,
     n_tones: int | None = None,
-    power: Callable[[Array], ArrayLike] | None = None,
     n_starts: int = 8,
     random_state: Seed = 0,
 ) -> dict[str, Multisine]:
@@ -246,12 +211,8 @@ def orthogonal_multisines(
         Lowest and highest frequency [Hz].
     n_tones : int, optional
         Of each axis, spread over the band; by default all there are.
-    power : callable, optional
-        Frequencies [Hz] to their relative power; by default the same for all.
-    n_starts : int, default=8
-        Number of searches for phases of each input.
-    random_state : int, RandomState instance or None, default=0
-        Of the searches.
+    n_starts, random_state
+        As of `Multisine.optimized`.
 
     Returns
     -------
@@ -282,12 +243,9 @@ def orthogonal_multisines(
         )
     inputs = {}
     for (axis, limit), harmonics in zip(limits.items(), _dealt(found, len(limits), each), strict=True):
-        shares = None if power is None else np.broadcast_to(power(harmonics / duration), len(harmonics))
-        best = multisine(duration, harmonics.tolist(), rms=1.0, power=shares).optimized(
-            n_starts=n_starts, random_state=random_state
-        )
-        allowed = limit if isinstance(limit, Limits) else Limits(limit)
-        inputs[axis] = allowed.largest(best)
+        signal = multisine(duration, harmonics.tolist(), rms=1.0)
+        best = signal.optimized(n_starts=n_starts, random_state=random_state)
+        inputs[axis] = as_limits(limit).largest(best)
     return inputs
 
 

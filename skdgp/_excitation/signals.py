@@ -15,30 +15,27 @@ from scipy.signal import lfilter
 from skdgp._compute.typing import Array, Vector
 
 EDGE = 1e-5
-"""By which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
+"""Time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
 ROUNDING = 1e-9
-"""By which a limit may be exceeded, relative to it."""
+"""Relative excess of a limit that is rounding."""
 RMS_SAMPLES = 10_000
-"""Samples of a signal."""
+"""Samples of a signal, for its root mean square."""
 RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
-"""Samples per period of the highest frequency of a sweep, and of a sweep at most, for the bound of its rate."""
+"""For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples at most."""
 MOST_PERIODS = RMS_SAMPLES // 2
-"""Of the highest frequency of a signal: its samples then have two of each; 100 s at 50 Hz, ten minutes at 8 Hz."""
+"""Largest number of periods of a signal, with two samples in each: 100 s at 50 Hz, ten minutes at 8 Hz."""
 AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
 class Signal(ABC):
-    """Deviation of one control from trim as a function of time, from zero to zero.
-
-    ``signal(time)`` returns the deviation at times [s] since its start, of any shape, zero before and after it.
-    """
+    """Deviation of one control from trim as a function of the time since its start [s], zero before it and after it."""
 
     duration: float
     """How long it lasts [s]."""
 
     @abstractmethod
     def __call__(self, time: ArrayLike) -> Array:
-        """Return the deviation at times since the start [s]."""
+        """Return the deviation at times of any shape."""
 
     @property
     @abstractmethod
@@ -67,7 +64,7 @@ class Signal(ABC):
 
 @dataclass(frozen=True)
 class Limits:
-    """What an axis allows around its trim.
+    """What an axis allows around its trim; raises ValueError if a limit is not > 0, or the lag is negative or infinite.
 
     Parameters
     ----------
@@ -79,11 +76,6 @@ class Limits:
         Largest root mean square of one input, the limit of its power.
     lag : float
         Time constant of the servo [s]: `plan` flies surfaces that follow the inputs with a first-order lag.
-
-    Raises
-    ------
-    ValueError
-        If a limit is not > 0, it would forbid every input; if the lag is negative or infinite.
 
     Examples
     --------
@@ -101,25 +93,24 @@ class Limits:
     lag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in (("amplitude", self.amplitude), ("rate", self.rate), ("rms", self.rms)):
-            if not isinstance(value, Real):
-                raise TypeError(f"Got a limit {name}={value!r}, but expected a number > 0.")
-            if not value > 0:
-                raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected one > 0.")
+        for name in ("amplitude", "rate", "rms"):
+            if not (isinstance(value := getattr(self, name), Real) and float(value) > 0):
+                raise ValueError(f"Got a limit {name}={value!r}, which forbids every input, but expected a number > 0.")
         if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
             raise ValueError(f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more.")
 
-    def check(self, signal: Signal, axis: str = "") -> None:
-        """Raise ValueError if an input exceeds a limit; ``axis`` is its name in the error."""
-        for what, has, limit in (
-            ("peak", signal.peak, self.amplitude), ("rate", signal.speed, self.rate), ("rms", signal.rms, self.rms)
+    def check(self, signal: AnySignal, axis: str = "") -> AnySignal:
+        """Return an input, or raise ValueError if it exceeds a limit; ``axis`` is its name in the error."""
+        for what, name, limit in (
+            ("peak", "peak", self.amplitude), ("rate", "speed", self.rate), ("rms", "rms", self.rms)
         ):  # fmt: skip
-            if has > limit * (1.0 + ROUNDING):
+            if np.isfinite(limit) and (has := getattr(signal, name)) > limit * (1.0 + ROUNDING):
                 remedy = "give its steps ramps (limits=...)" if np.isinf(has) else "make it smaller"
                 raise ValueError(
                     f"Got an input{axis and ' of the ' + axis} with a {what} of {has:.4g}, but the limit is {limit:g}: "
                     f"{remedy} or raise the limit."
                 )
+        return signal
 
     def followed(self, values: Vector, step: float) -> Vector:
         """Return what the servo makes of deviations from trim that are set every ``step`` seconds."""
@@ -132,32 +123,25 @@ class Limits:
         """Return an input scaled to the largest that the limits allow; raise ValueError if its steps are no ramps."""
         if not signal.peak > 0:
             raise ValueError("Got an input that is zero, but expected one to scale.")
-        factors = [self.amplitude / signal.peak, self.rms / signal.rms]
-        found = signal.scaled(min([*factors, self.rate / signal.speed] if np.isfinite(signal.speed) else factors))
-        self.check(found)
-        return found
+        by_rate = self.rate / signal.speed if np.isfinite(signal.speed) else np.inf
+        return self.check(signal.scaled(min(self.amplitude / signal.peak, self.rms / signal.rms, by_rate)))
+
+
+UNLIMITED = Limits(np.inf)
+
+
+def as_limits(limit: Limits | float) -> Limits:
+    """Return limits; a number is the amplitude."""
+    return limit if isinstance(limit, Limits) else Limits(limit)
 
 
 @dataclass(frozen=True)
 class Steps(Signal):
-    r"""Levels that are held one after another; `doublet` and `three_two_one_one` are steps.
+    r"""Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
 
-    With a finite rate the steps are ramps, each centred on its edge, so that the mean stays what it was; the first
-    begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r` longer.
-
-    Parameters
-    ----------
-    durations : sequence of float
-        How long each level is held [s].
-    levels : sequence of float
-        Deviations from trim.
-    rate : float, default=inf
-        Of the ramps between levels [1/s].
-
-    Raises
-    ------
-    ValueError
-        If there is no level, a duration is not > 0, or the ramps do not fit into the durations.
+    With a finite ``rate`` [1/s] the steps are ramps, each centred on its edge, so that the mean stays what it was; the
+    first begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r` longer. Raises ValueError if there is no
+    level, a duration is not > 0, or the ramps do not fit into the durations.
 
     Examples
     --------
@@ -223,6 +207,10 @@ class Steps(Signal):
     def period(self) -> float:
         return 2.0 * min(self.durations)
 
+    def levels_in(self, detent: float) -> list[float]:
+        """Return the levels, each as the next smaller multiple of a detent."""
+        return (detent * np.trunc(np.divide(self.levels, detent) * (1.0 + ROUNDING))).tolist()
+
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor, the rate of its ramps too."""
         levels = [factor * level for level in self.levels]
@@ -271,27 +259,10 @@ class Chirp(Signal):
 
 
 def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
-    """Return a doublet: a pulse up and one down, each ``width`` seconds long.
+    """Return a doublet: a pulse up and one down, each ``width`` seconds long; down first if the amplitude is < 0.
 
-    Its spectrum peaks at 2.33 / width [rad/s]; see `input_bands`.
-
-    Parameters
-    ----------
-    width : float
-        [s].
-    amplitude : float
-        Deviation from trim, < 0 for down first.
-    limits : Limits, optional
-        Of its axis; their rate is that of the ramps.
-
-    Returns
-    -------
-    Steps
-
-    Raises
-    ------
-    ValueError
-        If a limit is exceeded, or the ramps do not fit into the width.
+    Its spectrum peaks at 2.33 / width [rad/s]; see `input_bands`. The rate of ``limits`` is that of its ramps. Raises
+    ValueError if a limit is exceeded, or the ramps do not fit into the width.
 
     Examples
     --------
@@ -299,32 +270,14 @@ def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> 
     >>> doublet(0.5, 0.1)([0.0, 0.25, 0.75, 1.0])
     array([ 0.1,  0.1, -0.1,  0. ])
     """
-    return _steps((1, 1), width, amplitude, limits)
+    return _pulses((1, 1), width, amplitude, limits)
 
 
 def three_two_one_one(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
     """Return a 3-2-1-1: pulses up, down, up, down of 3, 2, 1 and 1 times ``width`` seconds.
 
     It excites a wider band than a doublet (Jategaonkar, Flight Vehicle System Identification, 2nd edition, 2015,
-    section 2.3). Its mean is not zero.
-
-    Parameters
-    ----------
-    width : float
-        Of the shortest pulse [s].
-    amplitude : float
-        Deviation from trim, < 0 for down first.
-    limits : Limits, optional
-        Of its axis; their rate is that of the ramps.
-
-    Returns
-    -------
-    Steps
-
-    Raises
-    ------
-    ValueError
-        If a limit is exceeded, or the ramps do not fit into the width.
+    section 2.3). Its mean is not zero. Amplitude, limits and errors are as of `doublet`.
 
     Examples
     --------
@@ -332,7 +285,14 @@ def three_two_one_one(width: float, amplitude: float, *, limits: Limits | None =
     >>> round(three_two_one_one(0.5, 0.1, limits=Limits(0.1, rate=1.0)).duration, 9)
     3.6
     """
-    return _steps((3, 2, 1, 1), width, amplitude, limits)
+    return _pulses((3, 2, 1, 1), width, amplitude, limits)
+
+
+def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits | None) -> Steps:
+    """Return pulses of alternating sign, of ``units`` times the width."""
+    allowed = limits or UNLIMITED
+    levels = [amplitude * (-1) ** k for k in range(len(units))]
+    return allowed.check(Steps([unit * width for unit in units], levels, allowed.rate))
 
 
 def chirp(
@@ -357,12 +317,10 @@ def chirp(
     band : tuple of float
         First and last frequency f0, f1 [Hz].
     amplitude : float
-        Deviation from trim.
     spacing : {"logarithmic", "linear"}
     fade : float, default=0.1
         Share of the duration over which the amplitude rises, and falls again, as sin^2; at most 0.5.
     limits : Limits, optional
-        Of its axis.
 
     Returns
     -------
@@ -371,8 +329,7 @@ def chirp(
     Raises
     ------
     ValueError
-        If the band is not increasing, the duration is too short for it, ``spacing`` or ``fade`` is not one of these, or
-        a limit is exceeded.
+        If the duration is too short for the band, an argument is not one of these, or a limit is exceeded.
 
     Examples
     --------
@@ -392,18 +349,7 @@ def chirp(
             "'linear', and a share in (0, 0.5]."
         )
     signal = Chirp(float(duration), (low, high), float(amplitude), spacing == "logarithmic", float(fade))
-    if limits is not None:
-        limits.check(signal)
-    return signal
-
-
-def _steps(units: Sequence[int], width: float, amplitude: float, limits: Limits | None) -> Steps:
-    """Return pulses of alternating sign, of ``units`` times the width."""
-    levels = [amplitude * (-1) ** k for k in range(len(units))]
-    signal = Steps([unit * width for unit in units], levels, np.inf if limits is None else limits.rate)
-    if limits is not None:
-        limits.check(signal)
-    return signal
+    return (limits or UNLIMITED).check(signal)
 
 
 def freeze(signal: Signal, kind: Callable, *names: str) -> None:
@@ -413,23 +359,21 @@ def freeze(signal: Signal, kind: Callable, *names: str) -> None:
 
 
 def checked_band(band: tuple[float, float], duration: float) -> tuple[float, float]:
-    """Return lowest and highest frequency [Hz]; raise ValueError if they or the duration [s] are not finite and > 0.
-
-    And if they have more than `MOST_PERIODS`.
-    """
-    if not 0 < duration < np.inf:
-        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
+    """Return lowest and highest frequency [Hz]; raise ValueError if they are no band, or as of `check_duration`."""
     low, high = map(float, band)
     if not 0 < low < high < np.inf:
         raise ValueError(f"Got a band of {low:g} to {high:g} Hz, but expected 0 < lowest < highest.")
-    check_periods(duration, high)
+    check_duration(duration, high * duration)
     return low, high
 
 
-def check_periods(duration: float, high: float) -> None:
-    """Raise ValueError if a signal has more than `MOST_PERIODS` of its highest frequency."""
-    if duration * high > MOST_PERIODS:
+def check_duration(duration: float, periods: float) -> None:
+    """Raise ValueError if a duration [s] is none, or has more than `MOST_PERIODS` of the highest frequency."""
+    if not 0 < duration < np.inf:
+        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
+    if periods > MOST_PERIODS:
+        high = periods / duration
         raise ValueError(
-            f"Got {duration:g} s of up to {high:g} Hz, {duration * high:.3g} periods, but expected at most "
-            f"{MOST_PERIODS}: at most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
+            f"Got {duration:g} s of up to {high:g} Hz, {periods:.3g} periods, but expected at most {MOST_PERIODS}: at "
+            f"most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
         )

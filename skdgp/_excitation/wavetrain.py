@@ -10,31 +10,23 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
-from skdgp._excitation.signals import ROUNDING, Limits, Signal, Steps
+from skdgp._excitation.signals import ROUNDING, UNLIMITED, Limits, Signal, Steps
 from skdgp._flight.checks import check_names
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
 MOST_ROWS = 1_000_000
-"""Of a table: five hours at 50 Hz."""
+"""Largest number of rows of a table: five hours at 50 Hz."""
 SAMPLES_PER_PERIOD = 10
-"""Least number in the shortest period of a signal: held for a sample, it is then late by a twentieth of the period."""
+"""Least number of samples in the shortest period of a signal: held for one, it is late by a twentieth of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wavetrain:
-    """Inputs of several axes, each at its time.
+    """Inputs of several axes, each at its time: for each axis a mapping of start [s] to `Signal`.
 
-    Parameters
-    ----------
-    inputs : mapping of str to mapping of float to Signal
-        For each axis (elevator, aileron, rudder [rad], throttle, ...) the time of each input's start [s].
-    limits : mapping of str to Limits, optional
-        Of the axes; every input is checked against them, and so is every row of `table`.
-
-    Raises
-    ------
-    ValueError
-        If an axis is unknown, an input has no time or begins before time 0, or a limit is no `Limits` or exceeded.
+    The axes are elevator, aileron, rudder, elevons [rad], throttle, propeller_speed [rad/s] and thrust [N]. Every input
+    is checked against ``limits``, `Limits` by axis, and so is every row of `table`. Raises ValueError if an axis is
+    unknown, an input has no time or begins before time 0, or a limit is no `Limits` or exceeded.
 
     Examples
     --------
@@ -63,8 +55,7 @@ class Wavetrain:
         for axis, start, signal in self.events():
             if not 0 <= start < np.inf:
                 raise ValueError(f"Got an input of the {axis} at {start:g} s, but expected a time >= 0.")
-            if axis in self.limits:
-                self.limits[axis].check(signal, axis)
+            self.limits.get(axis, UNLIMITED).check(signal, axis)
 
     def __call__(self, axis: str, time: ArrayLike) -> Array:
         """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
@@ -91,28 +82,13 @@ class Wavetrain:
                 yield axis, start, signal
 
     def table(self, rate: float, *, trim: Mapping[str, float] | None = None, pause: float = 0.0) -> pd.DataFrame:
-        """Return the inputs as a table of the rate at which an autopilot sets them.
+        """Return a table of ``time`` [s] and the axes at the rate [Hz] at which an autopilot sets them.
 
-        Parameters
-        ----------
-        rate : float
-            Of its rows [Hz].
-        trim : mapping of str to float, optional
-            Controls of trimmed flight, such as ``Trim.controls``, to which the inputs are added: the table is then
-            what :func:`skdgp.dynamics.simulate` flies. By default the table holds deviations from trim.
-        pause : float, default=0.0
-            At trim, after the last input [s].
-
-        Returns
-        -------
-        DataFrame
-            ``time`` [s] and the axes, and other controls of ``trim``.
-
-        Raises
-        ------
-        ValueError
-            If the rate is too low for an input, there would be more than a million rows, the pause is negative, inputs
-            that overlap exceed a limit of their axis, or ``trim`` lacks an axis.
+        It ends a ``pause`` [s] after the last input. By default it holds deviations from trim. With the controls of
+        trimmed flight, such as ``Trim.controls``, it holds their sums, and controls without inputs: it is then what
+        :func:`skdgp.dynamics.simulate` flies. Raises ValueError if the rate is too low for an input, there would be
+        more than a million rows, the pause is negative, inputs that overlap exceed a limit of their axis, or ``trim``
+        lacks an axis.
 
         Examples
         --------
@@ -136,10 +112,16 @@ class Wavetrain:
                 f"Got {length:g} s at {rate:g} Hz, {length * rate:.3g} rows, but expected at most {MOST_ROWS}: at most "
                 f"{MOST_ROWS / length:.3g} Hz, or {MOST_ROWS / rate:.3g} s."
             )
-        time = np.arange(round(np.ceil((self.duration + pause) * rate - ROUNDING)) + 1) / rate
+        time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
         columns = {axis: self(axis, time) for axis in self.axes}
         for axis, values in columns.items():
-            self._check(axis, values, rate)
+            limit = self.limits.get(axis, UNLIMITED)
+            peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
+            if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
+                raise ValueError(
+                    f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate of {speed:.4g}, but "
+                    f"the limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after the other."
+                )
         if trim is not None:
             check_names(columns, trim, "controls of the trim")
             columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
@@ -148,26 +130,11 @@ class Wavetrain:
     def flyable(self, *, tick: float = 0.5, detent: float = np.deg2rad(1.0)) -> Wavetrain:
         """Return the inputs as a pilot can fly them: times in multiples of a tick, steps in multiples of a detent.
 
-        Durations become the nearest multiple; an input with a shorter one than a tick is first stretched as a whole.
-        Levels become the next smaller multiple, so that limits hold; starts the next later one. The ramps are the
-        pilot's own.
-
-        Parameters
-        ----------
-        tick : float, default=0.5
-            [s].
-        detent : float
-            [rad, or 1 of the throttle]; by default a degree.
-
-        Returns
-        -------
-        Wavetrain
-            Without limits of rate.
-
-        Raises
-        ------
-        ValueError
-            If an input is not made of steps, is smaller than a detent, or would overlap the next one of its axis.
+        A tick is a time [s], a detent a deflection [rad, or 1 of the throttle], by default a degree. Durations become
+        the nearest multiple; an input with a shorter one than a tick is first stretched as a whole. Levels become the
+        next smaller multiple, so that limits hold; starts the next later one. The ramps are the pilot's own: there are
+        no limits of rate. Raises ValueError if an input is not made of steps, is smaller than a detent, or would
+        overlap the next one of its axis.
         """
         if not (tick > 0 and detent > 0):
             raise ValueError(f"Got tick={tick}, detent={detent}, but expected both > 0.")
@@ -178,7 +145,7 @@ class Wavetrain:
                     f"Got a {type(signal).__name__} of the {axis}, which no pilot can fly: choose doublets, 3-2-1-1s "
                     "or other Steps."
                 )
-            levels = [np.sign(level) * detent * np.floor(abs(level) / detent + ROUNDING) for level in signal.levels]
+            levels = signal.levels_in(detent)
             if not all(levels):
                 raise ValueError(
                     f"Got levels {signal.levels} of the {axis}, but expected each to be at least a detent, "
@@ -199,10 +166,7 @@ class Wavetrain:
     def card(self) -> pd.DataFrame:
         """Return what a pilot does: ``time`` [s], ``axis``, and the ``level`` to move it to, a row for each step.
 
-        Raises
-        ------
-        ValueError
-            If an input is not made of steps.
+        Raises ValueError if an input is not made of steps.
         """
         rows: list[tuple[float, str, float]] = []
         for axis, start, signal in self.events():
@@ -212,41 +176,14 @@ class Wavetrain:
             rows += [(start + edge, axis, level) for edge, level in zip(signal.edges, levels, strict=True)]
         return pd.DataFrame(sorted(rows), columns=["time", "axis", "level"])
 
-    def _check(self, axis: str, values: Array, rate: float) -> None:
-        """Raise ValueError if inputs that overlap exceed a limit."""
-        limit = self.limits.get(axis)
-        if limit is None:
-            return
-        peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
-        if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
-            raise ValueError(
-                f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate of {speed:.4g}, but the "
-                f"limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after the other."
-            )
-
 
 def wavetrain(
     manoeuvres: Sequence[Mapping[str, Signal]], *, pause: float = 5.0, limits: Mapping[str, Limits] | None = None
 ) -> Wavetrain:
     """Return manoeuvres one after another, with flight at trim before, between and after them.
 
-    Parameters
-    ----------
-    manoeuvres : sequence of mapping of str to Signal
-        The inputs of each, which begin together, by axis.
-    pause : float, default=5.0
-        Time at trim before each, in which the modes decay [s].
-    limits : mapping of str to Limits, optional
-        Of the axes.
-
-    Returns
-    -------
-    Wavetrain
-
-    Raises
-    ------
-    ValueError
-        If a manoeuvre has no input, or as of `Wavetrain`.
+    Each manoeuvre is a mapping of axes to inputs, which begin together. Before each is a ``pause`` [s] in which the
+    modes decay. Raises ValueError if a manoeuvre has no input, or as of `Wavetrain`, whose ``limits`` are these.
 
     Examples
     --------

@@ -11,11 +11,11 @@ from skdgp._excitation.signals import (
     three_two_one_one,
 )
 from skdgp._excitation.wavetrain import Wavetrain, wavetrain
-from skdgp.design._bands import input_bands
 from skdgp.design._card import write_flight_card
 from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan, flown_plan
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
+from skdgp.design._library import input_bands
 from skdgp.design._plan import Plan
 from skdgp.design._planner import Known, Pilot, plan
 from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4

@@ -11,7 +11,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.design._information import regressors_of
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, trajectory_bands
 
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
@@ -20,14 +20,12 @@ OPTIONS = {
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "
-BETWEEN = (
-    ("bank", 0, np.inf), ("altitude", -np.inf, np.inf), ("growth", 0, np.inf), ("risk", 0, 1), ("margin", 0, np.inf),
-)  # fmt: skip
+"""Before the name of a limit that comes from what was flown."""
+BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
+           "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
 WHOLE_RANGE = {"throttle": (0.0, 1.0)}
-"""Beyond which nothing grows."""
-SOURCES = {"asked": "", "flown": GROWTH}
-"""Where a limit comes from, and how its name then begins."""
+"""Lowest and highest value that a control can have, beyond which no limit grows."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,8 @@ class Envelope:
 
     Parameters
     ----------
-    alpha, beta : tuple of float, optional
-        Lowest and highest [rad].
-    load_factor : tuple of float, optional
-        Lowest and highest of -az / g.
+    alpha, beta, load_factor : tuple of float, optional
+        Lowest and highest [rad], and of -az / g.
     bank : float, optional
         Largest, to either side [rad].
     airspeed : tuple of float, optional
@@ -90,11 +86,9 @@ class Envelope:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
             if (pair := getattr(self, name)) is not None and not (np.shape(pair) == (2,) and pair[0] < pair[1]):
                 raise ValueError(f"Got {name}={pair!r}, but expected the lowest and the highest value.")
-        for name, least, most in BETWEEN:
-            value = getattr(self, name)
-            if value is None and name in ("bank", "altitude"):
-                continue
-            if not (isinstance(value, int | float | np.number) and least <= value <= most):
+        for name, (least, most) in BETWEEN.items():
+            is_absent = (value := getattr(self, name)) is None and name in ("bank", "altitude")
+            if not (is_absent or (isinstance(value, int | float | np.number) and least <= value <= most)):
                 raise ValueError(f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}.")
         if self.bank == 0 or self.risk in (0, 1):
             raise ValueError(
@@ -105,10 +99,10 @@ class Envelope:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
         given = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
         found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
-        if self.bank is not None:
-            found["bank"] = (-self.bank, self.bank)
-        if self.altitude is not None:
-            found["altitude"] = (self.altitude, np.inf)
+        if "bank" in given:
+            found["bank"] = (-given["bank"], given["bank"])
+        if "altitude" in given:
+            found["altitude"] = (given["altitude"], np.inf)
         if np.isfinite(self.growth):
             ranges = {name: pair for name, pair in flown_quantities(model).items() if name not in given}
             if model.limits is not None:
@@ -153,24 +147,18 @@ def flown_quantities(model: Aerodynamics) -> dict[str, tuple[float, float]]:
 
 def option_of(limit: str, model: Aerodynamics) -> str:
     """Return the option of the command line that changes a limit of an envelope."""
-    grown = {GROWTH + name: "--growth" for name in model.regressors}
-    return grown.get(limit) or OPTIONS.get(limit.removeprefix(GROWTH), "--limits")
+    name = limit.removeprefix(GROWTH)
+    return "--growth" if limit != name and name in model.regressors else OPTIONS.get(name, "--limits")
 
 
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:
     """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
-    flight = flight.reindex(columns=["alpha", "beta", "airspeed", "altitude", "az", "phi"])
-    found = {name: flight[name].to_numpy(float) for name in ("alpha", "beta", "airspeed", "altitude")}
-    found["load_factor"] = -flight["az"].to_numpy(float) / STANDARD_GRAVITY
-    found["bank"] = flight["phi"].to_numpy(float)
-    return pd.DataFrame(found, index=flight.index)[list(QUANTITIES)]
+    names = ["alpha", "beta", "airspeed", "altitude", "az", "phi"]
+    flight = flight.reindex(columns=names).astype(float)
+    return flight.assign(load_factor=-flight["az"] / STANDARD_GRAVITY, bank=flight["phi"])[list(QUANTITIES)]
 
 
 def with_band(flight: pd.DataFrame, paths: pd.DataFrame) -> pd.DataFrame:
     """Return a flight with the central 95 % of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
-    others = quantities(paths).to_numpy().reshape(-1, len(flight), len(QUANTITIES))
-    flown = np.isfinite(others).any(axis=0).all(axis=-1)
-    bounds = np.full((2, *others.shape[1:]), np.nan)
-    bounds[:, flown] = np.nanquantile(others[:, flown], [0.025, 0.975], axis=0)
-    names = [[f"{name}_{end}" for name in QUANTITIES] for end in ("low", "high")]
-    return pd.concat([flight, *(pd.DataFrame(b, flight.index, n) for b, n in zip(bounds, names, strict=True))], axis=1)
+    bands = trajectory_bands(paths.assign(path=paths["flight"], **quantities(paths)), 0.95, QUANTITIES)
+    return flight.join(bands.filter(regex="_(low|high)$"))

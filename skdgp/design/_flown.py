@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
@@ -28,15 +29,12 @@ from skdgp.dynamics import Aircraft, as_aerodynamics
 LIKE = 0.85
 """Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it counts as flown."""
 SIZES = (0.5, 2.0)
-"""Of what was flown, relative to the plan."""
+"""Least and largest size of what counts as flown, relative to the plan."""
 ENDS = 0.4
-"""Of flight at trim before and after, which a manoeuvre is recognised by too [s]."""
-Match = tuple[int, float, int, float, float]
-"""Segment, start [s], row of the plan, likeness, size."""
-NAMES = ("coefficients", "regressors")
-SIZE = ("wing_area", "span", "chord")
+"""Time at trim before and after a manoeuvre, by which it is recognised too [s]."""
+GEOMETRY = ("wing_area", "span", "chord")
 DAMAGE = (KeyError, TypeError, ValueError, AttributeError, IndexError)
-"""What reading a plan that is not whole raises."""
+"""Errors of reading a plan that is not whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +90,21 @@ class FlownPlan:
         }
 
 
+class Match(NamedTuple):
+    """A manoeuvre of a plan, and where a part of a flight is like it."""
+
+    part: pd.DataFrame
+    start: float
+    planned: Mapping[str, Any]
+    likeness: float
+    size: float
+
+    @property
+    def end(self) -> float:
+        """When its inputs end [s]."""
+        return self.start + self.planned["duration"]
+
+
 def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
     """Return what `Plan.to_dict` returns, of a plan or of the plan.json of ``python -m skdgp plan``."""
     if isinstance(plan, Plan):
@@ -116,7 +129,8 @@ def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
 
 def _before(plan: Mapping[str, Any]) -> Information:
     """Return what was known before the flight."""
-    return Information(np.asarray(plan["known"]["fisher"], dtype=float), *(tuple(plan["known"][n]) for n in NAMES))
+    known = plan["known"]
+    return Information(np.array(known["fisher"], dtype=float), tuple(known["coefficients"]), tuple(known["regressors"]))
 
 
 def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
@@ -124,7 +138,7 @@ def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def _errors(plan: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the errors before and after the flight that were expected."""
+    """Return the expected errors, before and after the flight."""
     return pd.DataFrame.from_dict(plan["errors"], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
 
 
@@ -154,7 +168,7 @@ def _step(plan: Mapping[str, Any]) -> float:
 
 
 PARTS: dict[str, Callable[[Any], object]] = {
-    "aircraft": lambda plan: _finite([plan["aircraft"][name] for name in SIZE]),
+    "aircraft": lambda plan: _finite([plan["aircraft"][name] for name in GEOMETRY]),
     "known": lambda plan: (_finite(plan["known"]["fisher"]), _before(plan).std),
     "at": lambda plan: _finite([plan["at"][name] for name in plan["known"]["regressors"]]),
     "step": _step,
@@ -164,7 +178,7 @@ PARTS: dict[str, Callable[[Any], object]] = {
     "limits": lambda plan: [(limit["low"], limit["high"]) for limit in plan["limits"].values()],
     "manoeuvres": _check_manoeuvres,
 }
-"""What reads each part of a plan, as it is used."""
+"""Functions that read each part of a plan, and raise `DAMAGE`."""
 
 
 def flown_plan(
@@ -207,27 +221,20 @@ def flown_plan(
 def compare_with_plan(
     plan: Mapping[str, Any], flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
 ) -> FlownPlan:
-    """Return what a plan expected beside what was found.
+    """Return what a plan, as of `read_plan`, expected beside what was found in recorded flights.
 
-    Parameters
-    ----------
-    plan : mapping
-        As of `read_plan`.
-    flights : DataFrame
-        Recorded: ``time``, ``flight``, deflections of the plan's axes, what an envelope limits, and the regressors.
-    aircraft : Aircraft
-    noise : DataFrame
-        As of `coefficient_noise`.
-    model : Information
-        Of the model that is judged, at the plan's trims.
-
-    Raises
-    ------
-    ValueError
-        If the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre was flown.
+    They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope limits, and the
+    regressors. The noise is as of `coefficient_noise`, ``model`` what the model that is judged knows at the plan's
+    trims. Raises ValueError if the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre
+    was flown.
     """
-    _check_aircraft(plan["aircraft"], aircraft)
-    before = _before(plan)
+    planned, before = plan["aircraft"], _before(plan)
+    for name in GEOMETRY:
+        if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
+            raise ValueError(
+                f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of {planned[name]:g}, but the model "
+                f"is of {aircraft.name!r} with {getattr(aircraft, name):g}: give the plan of this aircraft."
+            )
     if set(before.regressors) != set(model.regressors):
         raise ValueError(
             f"Got a plan about the regressors {list(before.regressors)}, but the model has {list(model.regressors)}: "
@@ -235,94 +242,68 @@ def compare_with_plan(
         )
     axes = sorted({axis for one in plan["manoeuvres"] for axis in one["inputs"]})
     check_columns(flights, ["time", *axes], what="flight")
-    rows = sorted(_recognised(plan, flights, axes), key=lambda one: one[:2])
-    windows = [_window(plan, flights, *row) for row in rows]
-    used = [
-        name for name in {one.removesuffix(HAT).removesuffix("_dot") for one in before.regressors} if name in flights
-    ]
-    whole = [part.dropna(subset=used) for _, part in windows]
+    parts = [flights.iloc[rows] for rows in flight_segments(flights["time"], flights["flight"])]
+    segments = [part for part in parts if len(part) > 1]
+    windows = [_window(plan["limits"], match) for match in _recognised(plan, segments, axes)]
+    names = {name.removesuffix(HAT).removesuffix("_dot") for name in before.regressors}
+    whole = [part.dropna(subset=[name for name in names if name in part]) for _, part in windows]
     thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
     about = [plan["at"][name] for name in before.regressors] if plan["curvature"] else None
     noise = noise.loc[list(before.coefficients)]
     gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
-    weights = _weights(plan)
-    found = {"found": errors_of(before + gained, weights), "model": errors_of(model, weights)}
-    errors = _errors(plan).rename(columns={"after": "expected"})
-    planned = pd.Series([one["name"] for one in plan["manoeuvres"]]).value_counts()
+    errors, weights = _errors(plan).rename(columns={"after": "expected"}), _weights(plan)
+    for name, information in (("found", before + gained), ("model", model)):
+        errors[name] = errors_of(information, weights)[list(errors.index)]
     flown = pd.DataFrame([row for row, _ in windows])
-    missed = (planned - flown["name"].value_counts().reindex(planned.index, fill_value=0)).clip(lower=0)
-    return FlownPlan(
-        errors.assign(**{name: values[list(errors.index)] for name, values in found.items()}),
-        flown,
-        {str(name): int(n) for name, n in missed.items() if n},
-    )
+    missed = Counter(one["name"] for one in plan["manoeuvres"]) - Counter(flown["name"])
+    return FlownPlan(errors, flown, dict(missed))
 
 
-def _check_aircraft(planned: Mapping[str, Any], aircraft: Aircraft) -> None:
-    for name in SIZE:
-        if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
-            raise ValueError(
-                f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of {planned[name]:g}, but the model "
-                f"is of {aircraft.name!r} with {getattr(aircraft, name):g}: give the plan of this aircraft."
-            )
-
-
-def _recognised(plan: Mapping[str, Any], flights: pd.DataFrame, axes: list[str]) -> list[Match]:
-    """Return segment, start, row of the plan, likeness and size of each manoeuvre that is recognised."""
+def _recognised(plan: Mapping[str, Any], segments: list[pd.DataFrame], axes: list[str]) -> list[Match]:
+    """Return the manoeuvres of the plan that are recognised, in the order of flight."""
     step = _step(plan)
     ends = round(ENDS / step)
-    kinds = {one["name"]: k for k, one in reversed([*enumerate(plan["manoeuvres"])])}
+    kinds = {one["name"]: one for one in reversed(plan["manoeuvres"])}
     found: list[Match] = []
     nearest: list[Match] = []
-    for number, part in _segments(flights):
+    for part in segments:
         time = part["time"].to_numpy(float)
         starts = np.arange(time[0], time[-1], step)
         grid = time[0] + step * np.arange(-ends, len(starts) + ends)
         moved = np.stack([_resampled(grid, time, part[axis].to_numpy(float)) for axis in axes])
         candidates: list[Match] = []
-        for k in kinds.values():
-            likeness, size = _likeness(moved, _template(plan["manoeuvres"][k]["inputs"], axes, ends))
+        for one in kinds.values():
+            likeness, size = _likeness(moved, _template(one["inputs"], axes, ends))
             fits = np.flatnonzero((likeness >= LIKE) & (size >= SIZES[0]) & (size <= SIZES[1]))
             best = np.abs(likeness).argsort()[-1:]
             for rows, into in ((fits, candidates), (best, nearest)):
-                into += [(number, float(starts[n]), k, float(likeness[n]), float(size[n])) for n in rows]
-        taken: list[tuple[float, float]] = []
-        for one in sorted(candidates, key=lambda one: -one[3]):
-            start, end = one[1], one[1] + plan["manoeuvres"][one[2]]["duration"]
-            if all(end <= low or start >= high for low, high in taken):
-                taken.append((start, end))
-                found.append(one)
+                into += [Match(part, float(starts[n]), one, float(likeness[n]), float(size[n])) for n in rows]
+        flown: list[Match] = []
+        for match in sorted(candidates, key=lambda match: -match.likeness):  # the best of those that overlap
+            if all(match.end <= other.start or match.start >= other.end for other in flown):
+                flown.append(match)
+        found += sorted(flown, key=lambda match: match.start)
     if not found:
-        raise ValueError(f"Got flights without a manoeuvre of the plan: {_why_none(plan, flights, nearest)}")
+        raise ValueError(f"Got flights without a manoeuvre of the plan: {_why_none(nearest)}")
     return found
 
 
-def _why_none(plan: Mapping[str, Any], flights: pd.DataFrame, nearest: list[Match]) -> str:
+def _why_none(nearest: list[Match]) -> str:
     """Return why no manoeuvre is recognised, and what to do."""
     if not nearest:
         return "all are shorter than any of its manoeuvres. Give the flights that flew this plan."
-    number, start, k, like, size = max(nearest, key=lambda one: abs(one[3]))
+    best = max(nearest, key=lambda match: abs(match.likeness))
     remedy = "Give the flights that flew this plan."
-    if like <= -LIKE:
+    if best.likeness <= -LIKE:
         remedy = "It has the opposite sign: check the signs of the deflections."
-    elif like >= LIKE:
+    elif best.likeness >= LIKE:
         remedy = "Check the units of the deflections (rad), or fly it at its planned size."
     return (
-        f"nearest is {plan['manoeuvres'][k]['name']!r} at {start:.2f} s of flight "
-        f"{dict(_segments(flights))[number]['flight'].iloc[0]!r}, with a correlation of {like:.2f} and {abs(size):.2g} "
-        f"times its size, but expected at least {LIKE} and {SIZES[0]:g} to {SIZES[1]:g} times. {remedy}"
+        f"nearest is {best.planned['name']!r} at {best.start:.2f} s of flight {best.part['flight'].iloc[0]!r}, with a "
+        f"correlation of {best.likeness:.2f} and {abs(best.size):.2g} times its size, but expected at least {LIKE} and "
+        f"{SIZES[0]:g} to {SIZES[1]:g} times. {remedy}"
     )
-
-
-def _segments(flights: pd.DataFrame) -> Iterator[tuple[int, pd.DataFrame]]:
-    """Yield number and rows of each gap-free part of the flights."""
-    number = 0
-    for _, table in flights.groupby("flight", sort=False, observed=True):
-        for rows in flight_segments(table["time"].to_numpy(float)):
-            if len(table.iloc[rows]) > 1:
-                yield number, table.iloc[rows]
-            number += 1
 
 
 def _resampled(grid: Array, time: Array, values: Array) -> Array:
@@ -355,24 +336,22 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
     return product / np.sqrt(power * np.maximum(squares, 1e-12 * power)), product / power
 
 
-def _window(
-    plan: Mapping[str, Any], flights: pd.DataFrame, number: int, start: float, k: int, like: float, size: float
-) -> tuple[dict[str, Any], pd.DataFrame]:
+def _window(limits: Mapping[str, Any], match: Match) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the facts of a manoeuvre that was flown, and its rows and those of the response after it."""
-    one = plan["manoeuvres"][k]
-    part = dict(_segments(flights))[number]
-    part = part[part["time"].between(start, start + one["duration"] + min(one["pause"], RESPONSE))]
+    planned, part = match.planned, match.part
+    part = part[part["time"].between(match.start, match.end + min(planned["pause"], RESPONSE))]
     values = quantities(part)
-    facts: dict[str, Any] = {
-        "flight": part["flight"].iloc[0], "start": start, "name": one["name"], "likeness": like, "size": size
+    facts = {
+        "flight": part["flight"].iloc[0], "start": match.start, "name": planned["name"], "likeness": match.likeness,
+        "size": match.size,
     }  # fmt: skip
     for name in QUANTITIES:
         facts |= {f"{name}_low": values[name].min(), f"{name}_high": values[name].max()}
-        facts |= {f"{name}_expected_{end}": one["expected"][name][end] for end in ("low", "high")}
+        facts |= {f"{name}_expected_{end}": planned["expected"][name][end] for end in ("low", "high")}
     left = []
-    for name, limit in plan["limits"].items():
+    for name, limit in limits.items():
         column = name.removeprefix(GROWTH)
-        flown = values[column] if column in values else part[column] if column in part else pd.Series(dtype=float)
+        flown = values[column] if column in values else part.get(column, pd.Series(dtype=float))
         low, high = (np.nan if limit[end] is None else limit[end] for end in ("low", "high"))
         if (flown < low).any() or (flown > high).any():
             left.append(name)

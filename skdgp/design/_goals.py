@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.frames import euler_per_rotation
-from skdgp.design._information import Information
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim
 from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
 from skdgp.dynamics._equations.motion import Motion
@@ -20,9 +19,9 @@ FUNCTION, FREE_FLIGHT = "function", "free-flight"
 WHOLE = (FUNCTION, FREE_FLIGHT)
 """Goals that are errors of the whole model rather than of one derivative."""
 HORIZON = 2.0
-"""Of free flight [s]."""
+"""Duration of free flight [s]."""
 ROWS = 500
-"""Drawn from the flown range of the regressors."""
+"""Number of rows drawn from the flown range of the regressors."""
 
 
 def _derivatives(model: Aerodynamics, coefficients: Sequence[str]) -> dict[str, tuple[int, int]]:
@@ -42,15 +41,13 @@ def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Se
             f"regressors {list(model.regressors)}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} or derivatives such as "
             f"{next(iter(known))!r}, or learn a model with that regressor."
         )
+    still = np.zeros(len(model.regressors), bool) if model.limits is None else np.ptp(model.limits, axis=0) == 0
     for name in goal or ():
-        if name in WHOLE or model.limits is None:
-            continue
-        k = known[name][1]
-        if np.ptp(model.limits[:, k]) == 0:
+        if name in known and still[known[name][1]]:
             raise ValueError(
-                f"Got the goal {name!r}, but {model.regressors[k]} did not move in the flights that the model was "
-                "learned from, so it knows nothing of its effect: learn from a flight in which it moves, or ask for "
-                "another goal."
+                f"Got the goal {name!r}, but {model.regressors[known[name][1]]} did not move in the flights that the "
+                "model was learned from, so it knows nothing of its effect: learn from a flight in which it moves, or "
+                "ask for another goal."
             )
     return names
 
@@ -72,34 +69,27 @@ def goal_weights(
     stay as they are, through the linear model at the trims.
     """
     derivatives, found = _derivatives(model, coefficients), {}
+    chosen = [COEFFICIENTS.index(one) for one in coefficients]
     for name in names:
-        if name in WHOLE:
-            found[name] = _whole(name, model, aircraft, trims, coefficients, thrust)
-        else:
+        if name in derivatives:
             i, k = derivatives[name]
             found[name] = np.zeros((len(coefficients), *[1 + len(model.regressors)] * 2))
             found[name][i, 1 + k, 1 + k] = 1.0
+            continue
+        if model.limits is None:
+            raise ValueError(
+                f"Got the goal {name!r}, but the model does not say what was flown: give an Aerodynamics with limits."
+            )
+        low, high = model.limits
+        rows = low + (high - low) * np.random.default_rng(0).uniform(size=(ROWS, len(low)))
+        x = np.column_stack([np.ones(ROWS), rows])
+        if name == FUNCTION:
+            spread = model(rows)[:, chosen].var(axis=0)
+            share = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0) / len(chosen)
+        else:
+            share = np.mean([_growth(model, aircraft, point, thrust)[chosen] for point in trims], axis=0)
+        found[name] = share[:, None, None] * (x.T @ x) / ROWS
     return found
-
-
-def _whole(
-    name: str, model: Aerodynamics, aircraft: Aircraft, trims: Sequence[Trim], coefficients: Sequence[str], thrust: Any
-) -> Array:
-    """Return the weights of the function or of free flight."""
-    if model.limits is None:
-        raise ValueError(
-            f"Got the goal {name!r}, but the model does not say what was flown: give an Aerodynamics with limits."
-        )
-    low, high = model.limits
-    rows = low + (high - low) * np.random.default_rng(0).uniform(size=(ROWS, len(low)))
-    x = np.column_stack([np.ones(ROWS), rows])
-    chosen = [COEFFICIENTS.index(one) for one in coefficients]
-    if name == FUNCTION:
-        spread = model(rows)[:, chosen].var(axis=0)
-        share = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0) / len(chosen)
-    else:
-        share = np.mean([_growth(model, aircraft, point, thrust)[chosen] for point in trims], axis=0)
-    return share[:, None, None] * (x.T @ x) / ROWS
 
 
 def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -> Array:
@@ -111,9 +101,3 @@ def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -
     euler = euler_per_rotation(point.phi, point.theta) @ moved[TURN]
     angles = np.concatenate([found.outputs_state[ANGLES] @ moved, euler[:2]])
     return (angles**2).mean(axis=0)
-
-
-def weighted_error(information: Information, weights: Array) -> float:
-    """Return the error of a goal, inf where the information does not determine it."""
-    covariance = np.where(weights == 0, 0.0, information.whole_covariance)
-    return float(np.sqrt(np.sum(weights * covariance)))

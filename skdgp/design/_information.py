@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -23,23 +23,16 @@ UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
 NO_SHARE = 1e-6
 """Share of a regressor in such a combination below which it does not matter."""
-STEP = 0.02
-"""Part of the range of a regressor over which a posterior's slope is taken to either side; absolute without a range."""
-SMALL = 0.05
+SLOPE_STEP, ABSOLUTE_STEP = 0.02, 0.05
+"""Half the interval of a posterior's slope: part of the range of a regressor, and absolute where it has no range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    r"""Fisher information about the derivatives of coefficients, :math:`F_i = X^T V_i^{-1} X`.
+    r"""Fisher information about the derivatives of P named coefficients by d named regressors.
 
-    The information of several flights is their sum: ``first + second``.
-
-    Parameters
-    ----------
-    fisher : ndarray of shape (P, m, m)
-        Of the constant and the d derivatives of each coefficient, and of its curvature if that is estimated too.
-    coefficients, regressors : tuple of str
-        Names of the P coefficients and d regressors.
+    ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of each coefficient, and
+    of its curvature if that is estimated too. The information of several flights is their sum: ``first + second``.
     """
 
     fisher: Array
@@ -53,8 +46,7 @@ class Information:
                 f"{self.coefficients} by {self.regressors}: give both flights the same regressors and noise."
             )
         m = max(self.fisher.shape[1], other.fisher.shape[1])
-        parts = [np.pad(f, [(0, 0), *[(0, m - f.shape[1])] * 2]) for f in (self.fisher, other.fisher)]
-        return Information(parts[0] + parts[1], self.coefficients, self.regressors)
+        return replace(self, fisher=padded(self.fisher, m) + padded(other.fisher, m))
 
     @property
     def covariance(self) -> Array:
@@ -85,21 +77,13 @@ class Information:
     def confounded(self, least: float = 0.7) -> pd.DataFrame:
         """Return the pairs of regressors that the flight does not tell apart.
 
-        Parameters
-        ----------
-        least : float, default=0.7
-            Least correlation, positive or negative, between the errors of their derivatives.
-
-        Returns
-        -------
-        DataFrame
-            ``coefficient``, ``first``, ``second``, ``correlation``, the strongest first. Derivatives that are not
-            determined at all have an infinite `std`; they are in no pair.
+        They are the rows ``coefficient``, ``first``, ``second``, ``correlation`` of a table, the strongest first:
+        ``least`` is the least correlation, positive or negative, between the errors of their derivatives. Derivatives
+        that are not determined at all have an infinite `std`; they are in no pair.
         """
-        rows = []
-        for name in self.coefficients:
-            table = self.correlation(name)
-            rows += [(name, a, b, table.loc[a, b]) for a, b in combinations(self.regressors, 2)]
+        tables = {name: self.correlation(name) for name in self.coefficients}
+        pairs = [*combinations(self.regressors, 2)]
+        rows = [(name, a, b, table.loc[a, b]) for name, table in tables.items() for a, b in pairs]
         found = pd.DataFrame(rows, columns=["coefficient", "first", "second", "correlation"])
         found = found[found["correlation"].abs() >= least]
         return found.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
@@ -156,7 +140,7 @@ def expected_information(
     >>> import numpy as np
     >>> import pandas as pd
     >>> from skdgp.design import expected_information
-    >>> from skdgp.dynamics import Aircraft, as_aerodynamics
+    >>> from skdgp.dynamics import Aircraft
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
     >>> time = np.arange(0, 10, 0.02)
     >>> flight = pd.DataFrame({"time": time, "alpha": 0.05 * np.sin(3 * time), "elevator": 0.05 * np.cos(3 * time)})
@@ -167,8 +151,7 @@ def expected_information(
     """
     noise = noise_table(noise)
     check_columns(noise, ("white", "drift", "memory"), what="noise")
-    table = check_table(flight)
-    check_columns(table, ["time"])
+    check_columns(table := check_table(flight), ["time"])
     white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
     if not (len(noise) and len(regressors)):
         raise ValueError(
@@ -198,22 +181,10 @@ def expected_information(
 def coefficient_noise(model: Any) -> pd.DataFrame:
     """Return the noise of coefficients that a fitted model has found: ``white``, ``drift`` and ``memory`` [s] of each.
 
-    Parameters
-    ----------
-    model : DependentGPRegressor or Pipeline that ends with it
-        Fitted; with ``time`` it knows the drift, else all noise is white. A pipeline of
-        :func:`skdgp.identification.identify` has that of its flights at the frequencies of their motion, see
-        :func:`skdgp.identification.flight_noise`.
-
-    Returns
-    -------
-    DataFrame
-        Standard deviations, for `expected_information`.
-
-    Raises
-    ------
-    ValueError
-        If the model has no noise, or is not fitted.
+    The model is a `DependentGPRegressor` or a pipeline that ends with it; fitted with ``time`` it knows the drift, else
+    all noise is white. A pipeline of :func:`skdgp.identification.identify` has the noise of its flights at the
+    frequencies of their motion, see :func:`skdgp.identification.flight_noise`. The first two are standard deviations.
+    Raises ValueError if the model has no noise, or is not fitted.
 
     Examples
     --------
@@ -257,19 +228,18 @@ def noise_table(noise: Mapping[str, float] | pd.DataFrame) -> pd.DataFrame:
 
 def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
     """Return the regressors (n, d) of one flight."""
-    time, columns = flight["time"].to_numpy(float), []
+    columns = []
     for name in names:
-        channel = name.removesuffix(HAT) if name not in flight else name
-        source = channel.removesuffix("_dot") if channel in ("alpha_dot", "beta_dot") else channel
-        source = channel if channel in flight else source
-        check_columns(flight, [source])
+        channel = name if name in flight else name.removesuffix(HAT)
+        is_slope = channel in ("alpha_dot", "beta_dot") and channel not in flight
+        source = channel.removesuffix("_dot") if is_slope else channel
+        length = LENGTHS.get(channel) if channel != name else None
+        check_columns(flight, [source] if length is None else [source, "airspeed"])
         values = flight[source].to_numpy(float)
-        if source != channel:
-            values = np.gradient(values, time)
-        if channel != name and channel in LENGTHS:
-            check_columns(flight, ["airspeed"])
-            length = getattr(aircraft, LENGTHS[channel])
-            values = values * rate_factor(channel, length, flight["airspeed"].to_numpy(float))
+        if is_slope:
+            values = np.gradient(values, flight["time"].to_numpy(float))
+        if length is not None:
+            values = values * rate_factor(channel, getattr(aircraft, length), flight["airspeed"].to_numpy(float))
         columns.append(values)
     return np.stack(columns, axis=-1)
 
@@ -290,11 +260,22 @@ def _whitened(X: Matrix, time: Array, white: Array, drift: Array, memory: Array)
     return found
 
 
+def padded(fisher: Array, m: int) -> Array:
+    """Return information (P, m, m) that knows nothing of the last rows and columns."""
+    return np.pad(fisher, [(0, 0), *[(0, m - fisher.shape[1])] * 2])
+
+
+def scaled_inverse(matrices: Array, jitter: float = 0.0) -> Array:
+    """Return the inverses of matrices (P, m, m), computed with a diagonal of ones, to which ``jitter`` is added."""
+    scale = np.sqrt(np.maximum(np.einsum("pdd->pd", matrices), np.finfo(float).tiny))
+    outer = scale[:, :, None] * scale[:, None]
+    return np.linalg.inv(matrices / outer + jitter * np.eye(scale.shape[1])) / outer
+
+
 def _inverse(fisher: Matrix) -> Matrix:
     """Return the inverse, with infinite variance of what is not determined."""
-    scale = np.sqrt(np.diag(fisher))
-    seen = scale > 0
-    scale = np.where(seen, scale, 1.0)
+    seen = np.diag(fisher) > 0
+    scale = np.sqrt(np.where(seen, np.diag(fisher), 1.0))
     values, vectors = np.linalg.eigh(fisher / np.outer(scale, scale))
     known = values > UNKNOWN * values[-1]
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T / np.outer(scale, scale)
@@ -306,26 +287,10 @@ def _inverse(fisher: Matrix) -> Matrix:
 def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
     r"""Return what a model knows of its derivatives: the inverse of the covariance of their errors.
 
-    They are those of :func:`skdgp.dynamics.stability_derivatives` without what is merged: of the posterior, and of a
-    model learned from flights also ``std_random`` and ``std_method``. Its standard errors are ``std_unmerged`` there.
-
-    Parameters
-    ----------
-    model : Pipeline, estimator or Aerodynamics
-        With a posterior.
-    at : array-like of shape (d,)
-        Regressors.
-    coefficients : sequence of str
-        By default all six.
-
-    Returns
-    -------
-    Information
-
-    Raises
-    ------
-    ValueError
-        If the model has no posterior covariance.
+    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). The errors are those of
+    :func:`skdgp.dynamics.stability_derivatives` without what is merged: of the posterior, and of a model learned from
+    flights also ``std_random`` and ``std_method``. Its standard errors are ``std_unmerged`` there. Raises ValueError if
+    the model has no posterior covariance.
 
     Examples
     --------
@@ -341,8 +306,8 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
     """
     aerodynamics = as_aerodynamics(model)
     at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
-    size = np.full(d, SMALL) if aerodynamics.limits is None else STEP * np.ptp(aerodynamics.limits, axis=0)
-    size = np.where(size > 0, size, SMALL)
+    size = np.zeros(d) if aerodynamics.limits is None else SLOPE_STEP * np.ptp(aerodynamics.limits, axis=0)
+    size = np.where(size > 0, size, ABSOLUTE_STEP)
     points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
     slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
     linear = np.concatenate([np.eye(1, 1 + 2 * d), slopes])
@@ -355,7 +320,4 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
         of_slopes = np.concatenate([errors.random[0], errors.method[0]], axis=-1)[rows]  # (P, d, k)
         both = np.concatenate([-(at @ of_slopes)[:, None], of_slopes], axis=1)
         found += both @ both.swapaxes(1, 2)
-    scale = np.sqrt(np.maximum(np.einsum("pdd->pd", found), np.finfo(float).tiny))
-    scaled = found / scale[:, :, None] / scale[:, None] + 1e-9 * np.eye(1 + d)
-    fisher = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None]
-    return Information(fisher, tuple(coefficients), aerodynamics.regressors)
+    return Information(scaled_inverse(found, 1e-9), tuple(coefficients), aerodynamics.regressors)

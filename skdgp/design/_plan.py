@@ -10,17 +10,16 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
-from skdgp._excitation.signals import Limits, Signal
+from skdgp._excitation.signals import UNLIMITED, Signal
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
-from skdgp.design._envelope import GROWTH, QUANTITIES, SOURCES, quantities
-from skdgp.design._goals import weighted_error
+from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import Information
 from skdgp.design._rehearsal import STEP
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20
-"""Of the inputs that are stored, in the shortest period: a flight beside it is late by a fortieth at most."""
+"""Stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,25 +115,23 @@ class Plan:
     def expected(self, rows: Sequence[int]) -> pd.DataFrame:
         """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
         flight = self.flight[self.flight["flight"].isin(list(rows))]
-        values = quantities(flight)
-        ends = [
-            (flight.get(f"{name}_low", values[name]).min(), flight.get(f"{name}_high", values[name]).max())
-            for name in QUANTITIES
-        ]
-        return pd.DataFrame(ends, index=list(QUANTITIES), columns=["low", "high"])
+        low, high = (
+            {name: flight.get(f"{name}_{end}", mean) for name, mean in quantities(flight).items()}
+            for end in ("low", "high")
+        )
+        return pd.DataFrame({"low": pd.DataFrame(low).min(), "high": pd.DataFrame(high).max()})
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-        periods = [signal.period for train in self.trains for _, _, signal in train.events()]
-        step = min(STEP, *(period / SAMPLES for period in periods))
+        step = min(STEP, *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
             limits = self.trains[int(row["train"])].limits
             lag = max((limit.lag for limit in limits.values()), default=0.0)
             time = np.arange(0.0, row["duration"] + 3 * lag + step, step)
             inputs = {
-                axis: limits.get(axis, Limits(np.inf)).followed(signal(time), step).round(6).tolist()
+                axis: limits.get(axis, UNLIMITED).followed(signal(time), step).round(6).tolist()
                 for axis, signal in self.inputs(k).items()
             }
             rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
@@ -161,7 +158,8 @@ class Plan:
         found = both.loc[list(QUANTITIES)]
         found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
         finite, names = found.where(np.isfinite(found)), found.index
-        same = {word: finite.eq(self.limits.reindex(start + names).set_axis(names)) for word, start in SOURCES.items()}
+        sources = {"asked": "", "flown": GROWTH}
+        same = {word: finite.eq(self.limits.reindex(start + names).set_axis(names)) for word, start in sources.items()}
         found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
         return found[found["source"] != ""]
 
@@ -174,8 +172,9 @@ class Plan:
 
 
 def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
-    """Return standard errors by the names of derivatives, and of goals by their weights."""
-    errors = information.std
-    names = [f"{i}_{name.removesuffix(HAT)}" for i in errors.index for name in errors.columns]
-    others = {name: weighted_error(information, value) for name, value in (weights or {}).items()}
-    return pd.concat([pd.Series(errors.to_numpy(float).ravel(), index=names), pd.Series(others, dtype=float)])
+    """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
+    errors, covariance = information.std, information.whole_covariance
+    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
+    for name, weight in (weights or {}).items():
+        found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
+    return pd.Series(found, dtype=float)

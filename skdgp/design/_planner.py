@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -15,12 +16,11 @@ from sklearn.utils import check_random_state
 from skdgp._compute.progress import notify
 from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
-from skdgp._excitation.signals import Limits
+from skdgp._excitation.signals import Limits, as_limits
 from skdgp._excitation.wavetrain import wavetrain
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
-from skdgp.design._bands import input_bands
 from skdgp.design._envelope import OPTIONS, WHOLE_RANGE, Envelope, flown_quantities, with_band
 from skdgp.design._goals import WHOLE, check_goal, goal_weights
 from skdgp.design._information import (
@@ -28,10 +28,12 @@ from skdgp.design._information import (
     coefficient_noise,
     expected_information,
     noise_table,
+    padded,
     posterior_information,
     regressors_of,
+    scaled_inverse,
 )
-from skdgp.design._library import TICK, Inputs, duration_of, library, moves, scaled
+from skdgp.design._library import TICK, Inputs, duration_of, input_bands, library, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
 from skdgp.dynamics import (
@@ -198,8 +200,7 @@ def plan(
     Warns
     -----
     UserWarning
-        If the model does not know the turbulence of its flights, and none is given; or if it does not know the range
-        of a quantity that the envelope does not limit.
+        If the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
 
     Examples
     --------
@@ -246,29 +247,27 @@ def _check_options(
             f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
     pause, detents, n_paths = pilot.pause, pilot.detents, envelope.n_paths
-    auto = isinstance(pause, str) and pause == "auto"
-    for name, value, least, several in (
-        ("airspeeds", airspeeds, 0.0, True), ("banks", banks, -np.inf, True), ("seconds", seconds, 0.0, False),
-        ("pause", 1.0 if auto else pause, 0.0, False),
+    is_auto = isinstance(pause, str) and pause == "auto"
+    for name, value, least, expected in (
+        ("airspeeds", airspeeds, 0.0, "numbers > 0"), ("banks", banks, -np.inf, "numbers"),
+        ("seconds", seconds, 0.0, "a number > 0"), ("pause", 1.0 if is_auto else pause, 0.0, "a number > 0"),
     ):  # fmt: skip
         try:
             values = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
             values = np.array(np.nan)
-        if not (values.size and np.isfinite(values).all() and (values > least).all() and (several or not values.ndim)):
-            raise ValueError(
-                f"Got {name}={value!r}, but expected {'numbers' if several else 'a number'}"
-                f"{' > 0' if least == 0 else ''}."
-            )
+        is_shaped = values.size and (expected.startswith("numbers") or not values.ndim)
+        if not (is_shaped and np.isfinite(values).all() and (values > least).all()):
+            raise ValueError(f"Got {name}={value!r}, but expected {expected}.")
     if not (isinstance(n_paths, int | np.integer) and 0 <= n_paths <= MOST_PATHS):
         raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 to {MOST_PATHS}.")
     if seconds > MOST_SECONDS:
         raise ValueError(
             f"Got seconds={seconds:g}, but expected at most {MOST_SECONDS:g}: plan a shorter flight, and fly it again."
         )
-    for name, given in (("limits", limits), ("detents", detents)):
-        check_names(given or (), axes, "axes to move")
-        for axis, limit in (given or {}).items():
+    for name, given in (("limits", limits or {}), ("detents", detents or {})):
+        check_names(given, axes, "axes to move")
+        for axis, limit in given.items():
             size = limit.amplitude if isinstance(limit, Limits) else limit
             most = np.inf if axis in UNBOUNDED else MOST
             if not (isinstance(size, int | float | np.number) and 0 < size < most):
@@ -315,28 +314,21 @@ class Planner:
         envelope, known, pilot = envelope or Envelope(), known or Known(), pilot or Pilot()
         _check_options(airspeeds, seconds, axes, limits, envelope, banks, known, pilot)
         self.model, self.aircraft, self.thrust, self.seed = model, aircraft, thrust, seed
-        self.aerodynamics = as_aerodynamics(model)
-        self.envelope, self.detents, self.seconds = envelope, pilot.detents or {}, float(seconds)
-        if envelope.gusts == "auto" and self.aerodynamics.is_uncertain and self.aerodynamics.turbulence is None:
-            warnings.warn(
-                "The model does not know the turbulence of its flights, so risks are those without gusts. Give "
-                "Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
-                stacklevel=3,
-            )
-        self._check_ranges()
-        self._check_paths(envelope.n_paths)
+        self.aerodynamics, self.envelope = as_aerodynamics(model), envelope
+        self.detents, self.seconds = pilot.detents or {}, float(seconds)
+        if self.aerodynamics.is_uncertain:
+            self._check_uncertain()
         self.noise = noise_table(coefficient_noise(model) if known.noise is None else known.noise)
-        self.coefficients = list(map(str, self.noise.index))
+        self.coefficients = tuple(map(str, self.noise.index))
         check_names(self.coefficients, COEFFICIENTS, "coefficients")
         check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
         self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, np.atleast_1d(banks))
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
-        self.limits = self._checked_limits(list(axes), limits)
-        self.pauses = [
-            pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause) for point in self.trims
-        ]
+        self.limits = self._checked_limits(axes, limits or {})
+        pause = pilot.pause
+        self.pauses = [pause_of(point.airspeed) if pause == "auto" else float(pause) for point in self.trims]
         if self.detents:  # a pilot counts
             self.pauses = [TICK * np.ceil(wait / TICK) for wait in self.pauses]
         self.rehearsals = [
@@ -347,7 +339,11 @@ class Planner:
         ]  # fmt: skip
         names = self.aerodynamics.regressors
         self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
-        self.before = self._known(known.information, self.at)
+        self.before = Information(np.zeros((len(self.noise), 1 + len(names), 1 + len(names))), self.coefficients, names)
+        if known.information is not None:
+            self.before += known.information  # which checks names
+        elif self.aerodynamics.is_uncertain:
+            self.before = posterior_information(model, self.at, self.coefficients)
         self.about = self.at if known.curvature else None
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)}
         if not self.library:
@@ -356,21 +352,27 @@ class Planner:
                 "can be flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
-        self.vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
-        self.vague += (self._nothing(self.vague) + self.before).fisher  # the sum has the shape with curvature
+        vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
+        self.known = vague + padded(self.before.fisher, peak.shape[1])
 
     def search(self, goal: Sequence[str] | None) -> Plan:
         """Return the plan for a goal; checked manoeuvres stay in the library, for another goal."""
-        self.goal_names = check_goal(goal, self.aerodynamics, self.coefficients)
-        weights = goal_weights(
-            self.goal_names, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust
+        self.goal = check_goal(goal, self.aerodynamics, self.coefficients)
+        self.weights = goal_weights(
+            self.goal, self.aerodynamics, self.aircraft, self.trims, self.coefficients, self.thrust
         )
-        self.goal = np.stack([value.ravel() for value in weights.values()])
-        self.weights = {name: value for name, value in weights.items() if name in WHOLE}
+        self.errors = np.stack([weight.ravel() for weight in self.weights.values()])
         return self._plan_of(self._searched())
 
-    def _check_ranges(self) -> None:
-        if (free := self.envelope.unlimited(self.aerodynamics)) and self.aerodynamics.is_uncertain:
+    def _check_uncertain(self) -> None:
+        """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
+        if self.envelope.gusts == "auto" and self.aerodynamics.turbulence is None:
+            warnings.warn(
+                "The model does not know the turbulence of its flights, so risks are those without gusts. Give "
+                "Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
+                stacklevel=4,
+            )
+        if free := self.envelope.unlimited(self.aerodynamics):
             options = ", ".join(OPTIONS[name] for name in free)
             warnings.warn(
                 f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre "
@@ -378,97 +380,73 @@ class Planner:
                 UserWarning,
                 stacklevel=4,
             )
-
-    def _check_paths(self, n_paths: int) -> None:
-        if self.aerodynamics.is_uncertain and 1 / (n_paths + 2) > self.envelope.risk:
+        n_paths = self.envelope.n_paths
+        if 1 / (n_paths + 2) > self.envelope.risk:
             raise ValueError(
                 f"Got n_paths={n_paths}, too few to show a risk of {self.envelope.risk:g}, but expected at least "
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
 
     def _trims(self, airspeeds: Array, altitude: float | None, banks: Array) -> list[Trim]:
-        if altitude is None:
-            altitude = flown_quantities(self.aerodynamics).get("altitude", (0.0, 100.0))[1]
-        level = {"altitude": altitude, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
+        """Return the trims, by default at the highest altitude that was flown."""
+        flown = flown_quantities(self.aerodynamics)
+        level = {
+            "altitude": flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude,
+            "climb": None if self.thrust is None else 0.0,
+            "thrust": self.thrust,
+        }
+        pairs = product(airspeeds, banks)
         try:
-            return [
-                cast(Trim, trim(self.model, self.aircraft, speed, bank=bank or None, **level))
-                for speed in airspeeds
-                for bank in banks
-            ]
+            return [cast(Trim, trim(self.model, self.aircraft, v, bank=bank or None, **level)) for v, bank in pairs]
         except ValueError as error:
-            low, high = flown_quantities(self.aerodynamics).get("airspeed", (0.0, np.inf))
+            low, high = flown.get("airspeed", (0.0, np.inf))
             if (low <= airspeeds).all() and (airspeeds <= high).all():
                 raise
             raise ValueError(f"{error} Flown were {low:.3g} to {high:.3g} m/s.") from None
 
-    def _nothing(self, fisher: Array) -> Information:
-        """Return no information, in the shape of some."""
-        return Information(np.zeros(fisher.shape), tuple(self.coefficients), tuple(self.aerodynamics.regressors))
-
-    def _checked_limits(self, axes: list[str], limits: Mapping[str, Limits | float] | None) -> dict[str, Limits]:
+    def _checked_limits(self, axes: Sequence[str], limits: Mapping[str, Limits | float]) -> dict[str, Limits]:
         """Return the limits of the axes, by default what the model was learned from; the throttle ends at 0 and 1."""
-        given = {axis: one if isinstance(one, Limits) else Limits(one) for axis, one in (limits or {}).items()}
+        given = {axis: as_limits(one) for axis, one in limits.items()}
         if self.detents:  # a pilot's ramps are his own
             check_names(axes, self.detents, "axes with detents")
             given = {axis: replace(one, rate=np.inf, rms=np.inf) for axis, one in given.items()}
         found = {axis: given[axis] if axis in given else Limits(self._flown(axis)) for axis in axes}
         for axis in {*found} & {*WHOLE_RANGE}:
-            low, high = WHOLE_RANGE[axis]
-            values = [one.controls[axis] for one in self.trims]
-            room = min(min(value - low, high - value) for value in values)
-            if not room > 0:
-                raise ValueError(
-                    f"Got trims with the {axis} at {values}, which has no room between {low:g} and {high:g}: leave it "
-                    "out of the axes, or choose other airspeeds."
-                )
+            room = self._room(axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes")
             found[axis] = replace(found[axis], amplitude=min(found[axis].amplitude, room))
         return found
 
     def _flown(self, axis: str) -> float:
         """Return the largest deviation from the trims that was flown to both sides."""
-        flown = self.aerodynamics.limits
-        if flown is None or axis not in self.aerodynamics.regressors:
+        names, flown = self.aerodynamics.regressors, self.aerodynamics.limits
+        if flown is None or axis not in names:
             raise ValueError(
                 f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}}."
             )
-        low, high = flown[:, self.aerodynamics.regressors.index(axis)]
+        return self._room(axis, flown[:, names.index(axis)], "flown was", f"give limits={{{axis!r}: ...}}")
+
+    def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
+        """Return the largest deviation of an axis from the trims, to both sides, in its range."""
+        low, high = ends
         values = [point.controls[axis] for point in self.trims]
         room = min(min(value - low, high - value) for value in values)
         if not room > 0:
             raise ValueError(
-                f"Got trims with the {axis} at {values[0]:.3g}, outside what the model was learned from ({low:.3g} to "
-                f"{high:.3g}): choose another airspeed, or give limits={{{axis!r}: ...}}."
+                f"Got trims with the {axis} at {', '.join(f'{value:.3g}' for value in values)}, but {what} {low:.3g} "
+                f"to {high:.3g}, which leaves it no room: {remedy}, or choose other airspeeds."
             )
         return float(room)
-
-    def _known(self, known: Information | None, at: Array) -> Information:
-        """Return the information before the flight."""
-        n = 1 + len(self.aerodynamics.regressors)
-        nothing = self._nothing(np.zeros((len(self.coefficients), n, n)))
-        if known is not None:
-            return nothing + known  # which checks names
-        if not self.aerodynamics.is_uncertain:
-            return nothing
-        return posterior_information(self.model, at, self.coefficients)
 
     def _information(self, flight: pd.DataFrame) -> Information:
         """Return what a simulated flight will tell."""
         return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
 
-    def _entered_information(self, one: Manoeuvre) -> Information:
-        """Return what a manoeuvre teaches on average over aircraft and entries that are drawn, in still air."""
+    def _entered(self, one: Manoeuvre) -> Manoeuvre:
+        """Return a manoeuvre with what it teaches on average over aircraft and entries that are drawn, in still air."""
         n = ENTRIES if self.aerodynamics.is_uncertain else 1
         flown = self.rehearsals[one.at].drawn(one.inputs, n)
         found = self._information(flown[flown["ended"] == ""])
-        return replace(found, fisher=found.fisher / n)
-
-    def _bands(self, at: int, bands: pd.DataFrame | None) -> pd.DataFrame:
-        """Return widths and frequencies of the inputs of a trim."""
-        axes = list(self.limits)
-        if bands is None:
-            bands = input_bands(linearize(self.model, self.aircraft, self.trims[at], inputs=axes, thrust=self.thrust))
-        return bands.loc[axes]
+        return replace(one, information=replace(found, fisher=found.fisher / n))
 
     def _label(self, at: int) -> str:
         """Return what tells a trim from the others."""
@@ -482,7 +460,10 @@ class Planner:
     def _library(self, at: int, bands: pd.DataFrame | None) -> list[Manoeuvre]:
         """Return the manoeuvres that fit into the time and can be flown by the mean."""
         notify(f"planning: {self._label(at)}library", 0, 0.0)
-        return self.made(at, dict(library(self._bands(at, bands), self.limits, self.detents, self.seed)))
+        if bands is None:
+            axes = list(self.limits)
+            bands = input_bands(linearize(self.model, self.aircraft, self.trims[at], inputs=axes, thrust=self.thrust))
+        return self.made(at, dict(library(bands, self.limits, self.detents, self.seed)))
 
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
@@ -491,18 +472,18 @@ class Planner:
         named = {name: one for name, one in named.items() if duration_of(one) <= most}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
-            rest = {name: self._scaled(inputs, factor) for name, inputs in named.items() if name not in scales}
+            rest = {name: scaled(one, factor, self.detents) for name, one in named.items() if name not in scales}
             for name, flight in self._flights(at, rest).items():
                 scales[name] = float(np.clip(factor * self.rehearsals[at].room(flight), LEAST, 1.0))
-        found = []
-        inputs = {name: self._scaled(named[name], scale) for name, scale in scales.items()}
-        for name, flight in self._flights(at, {name: one for name, one in inputs.items() if moves(one)}).items():
-            facts = inputs[name], pause, self._information(flight), flight, scales[name]
-            found.append(Manoeuvre(self._label(at) + name, at, named[name], *facts))
-        return found
-
-    def _scaled(self, inputs: Inputs, factor: float) -> Inputs:
-        return scaled(inputs, factor, self.detents)
+        inputs = {name: scaled(named[name], scale, self.detents) for name, scale in scales.items()}
+        inputs = {name: one for name, one in inputs.items() if any(signal.peak for signal in one.values())}  # detents
+        return [
+            Manoeuvre(
+                self._label(at) + name, at, named[name], inputs[name], pause, self._information(flight), flight,
+                scales[name],
+            )
+            for name, flight in self._flights(at, inputs).items()
+        ]  # fmt: skip
 
     def _flights(self, at: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of those manoeuvres that the mean flies to their end."""
@@ -513,14 +494,9 @@ class Planner:
 
     def _gain(self, chosen: Sequence[Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
-        fisher = self.vague
-        for one in chosen:
-            fisher = fisher + one.information.fisher
-        scale = np.sqrt(np.einsum("pdd->pd", fisher))
-        n = 1 + len(self.aerodynamics.regressors)
-        covariance = np.linalg.inv(fisher / scale[:, :, None] / scale[:, None])[:, :n, :n]
-        covariance = covariance / scale[:, :n, None] / scale[:, None, :n]
-        return float(-0.5 * np.mean(np.log(self.goal @ covariance.ravel())))
+        fisher, n = sum((one.information.fisher for one in chosen), self.known), self.before.fisher.shape[1]
+        covariance = scaled_inverse(fisher)[:, :n, :n]
+        return float(-0.5 * np.mean(np.log(self.errors @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[Manoeuvre]) -> bool:
         last = sum(min(self.pauses[at], RESPONSE) for at in {one.at for one in chosen})
@@ -539,11 +515,9 @@ class Planner:
         best = self._filled(max(starts, key=self._gain), library)
         while True:
             swaps = [
-                self._filled([*best[:k], one, *best[k + 1 :]], [])
-                for k in range(len(best))
-                for one in library
-                if one is not best[k] and self._fits([*best[:k], one, *best[k + 1 :]])
+                [*best[:k], one, *best[k + 1 :]] for k, old in enumerate(best) for one in library if one is not old
             ]
+            swaps = [each for each in swaps if self._fits(each)]
             better = self._filled(max(swaps, key=self._gain), library) if swaps else best
             if self._gain(better) <= self._gain(best) + 1e-6:
                 return best
@@ -554,7 +528,13 @@ class Planner:
         library, causes = self.library, ""
         try:
             while chosen := self._sequence([*library.values()]):
-                self._check_gain(chosen)
+                gain = self._gain(chosen) - self._gain([])
+                if gain < WORTH and self.about is None:  # the mean's flight does not show what others tell of curvature
+                    raise ValueError(
+                        f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of {list(self.limits)} "
+                        f"within their limits lower its errors by {gain:.2%}: move other axes, raise their limits, or "
+                        "ask for another goal."
+                    )
                 n_checked = sum(one.risk is not None for one in library.values())
                 notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
                 unchecked = next((one for one in chosen if one.risk is None), None)
@@ -576,23 +556,12 @@ class Planner:
             )
         return chosen
 
-    def _check_gain(self, chosen: Sequence[Manoeuvre]) -> None:
-        """Raise ValueError if manoeuvres teach nothing of the goal."""
-        if self.about is not None:
-            return  # products that the mean's flight leaves at zero are small in others
-        if (gain := self._gain(chosen) - self._gain([])) < WORTH:
-            raise ValueError(
-                f"Got the goal {list(self.goal_names)}, but {self.seconds:g} s of manoeuvres of {list(self.limits)} "
-                f"within their limits lower its errors by {gain:.2%}: move other axes, raise their limits, or ask for "
-                "another goal."
-            )
-
     def safe(self, one: Manoeuvre) -> tuple[Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
         scale, safe, unsafe, causes = one.scale, 0.0, np.inf, "steps smaller than a detent"
         best: tuple[Inputs, Checked] | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
-            inputs = self._scaled(one.full, scale)
+            inputs = scaled(one.full, scale, self.detents)
             size = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())  # of whole detents
             if size <= safe:
                 break
@@ -619,18 +588,18 @@ class Planner:
     def _plan_of(self, chosen: list[Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""
         if self.about is not None:  # products that the mean's flight leaves at zero are small in others
-            taught = {one.name: self._entered_information(one) for one in chosen}
-            chosen = [replace(one, information=taught[one.name]) for one in chosen]
+            taught = {one.name: self._entered(one) for one in {one.name: one for one in chosen}.values()}
+            chosen = [taught[one.name] for one in chosen]
         chosen = sorted(chosen, key=lambda one: one.at)
-        trains, rows, gained = [], [], self._gain([])
-        flights: list[pd.DataFrame] = []
-        for at in sorted({one.at for one in chosen}):
+        flown = sorted({one.at for one in chosen})
+        trains, gained = [], self._gain([])
+        rows: list[dict[str, Any]] = []
+        for at in flown:
             here = [one for one in chosen if one.at == at]
             start, pauses = self.pauses[at], [self.pauses[at]] * (len(here) - 1) + [min(self.pauses[at], RESPONSE)]
             trains.append(wavetrain([one.inputs for one in here], pause=start, limits=self.limits))
             for one, pause in zip(here, pauses, strict=True):
-                flights.append(one.flight.assign(flight=len(flights)))
-                gain = self._gain(chosen[: len(flights)]) - gained
+                gain = self._gain(chosen[: len(rows) + 1]) - gained
                 gained += gain
                 rows.append({
                     "train": len(trains) - 1, "airspeed": self.trims[at].airspeed, "start": start, "name": one.name,
@@ -644,20 +613,26 @@ class Planner:
             for one in self.library.values()
         ]  # fmt: skip
         parts = tuple(one.information for one in chosen)
-        return Plan(
-            tuple(trains), tuple(self.trims[at] for at in sorted({one.at for one in chosen})), self.goal_names,
-            self.before, sum(parts, self.before), pd.DataFrame(rows), pd.DataFrame(alone),
-            pd.concat(flights, ignore_index=True), parts,
-            pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T, self.aircraft,
-            dict(zip(self.before.regressors, self.at.tolist(), strict=True)), self.weights, self._merged(),
-            self._gusts(),
-        )  # fmt: skip
-
-    def _gusts(self) -> tuple[float, ...] | None:
-        """Return the standard deviations of the gusts that were checked."""
         gusts = self.envelope.gusts
-        found = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
-        return None if found is None or not self.aerodynamics.is_uncertain else tuple(map(float, found.intensity))
+        gusts = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
+        is_still = gusts is None or not self.aerodynamics.is_uncertain
+        return Plan(
+            trains=tuple(trains),
+            trims=tuple(self.trims[at] for at in flown),
+            goal=self.goal,
+            before=self.before,
+            after=sum(parts, self.before),
+            manoeuvres=pd.DataFrame(rows),
+            alone=pd.DataFrame(alone),
+            flight=pd.concat([one.flight.assign(flight=k) for k, one in enumerate(chosen)], ignore_index=True),
+            parts=parts,
+            limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
+            aircraft=self.aircraft,
+            at=dict(zip(self.before.regressors, self.at.tolist(), strict=True)),
+            weights={name: weight for name, weight in self.weights.items() if name in WHOLE},
+            merged=self._merged(),
+            gusts=None if is_still else tuple(map(float, gusts.intensity)),
+        )
 
     def _merged(self) -> dict[str, float]:
         """Return the deviations of derivatives by what is merged, none of a model without such errors."""

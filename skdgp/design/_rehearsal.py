@@ -15,14 +15,14 @@ from skdgp._excitation.signals import ROUNDING, Limits, Steps
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
-from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
+from skdgp.dynamics import Aircraft, Trim, as_aerodynamics, simulate
 
 STEP = 0.04
-"""Of simulations, and between the rows that count as independent measurements [s]."""
+"""Time between rows of a simulation, which count as independent measurements [s]."""
 ENTRY = {"phi": 0.035, "theta": 0.035}
 """Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
-"""The same of the airspeed, relative to it, and of the controls that are held, relative to their limits."""
+"""Standard deviations of the airspeed, relative to it, and of held controls, relative to their limits."""
 LEAST = 0.2
 """Part of the limits below which a manoeuvre is left out."""
 RESPONSE, REACTION = 3.0, 1.0
@@ -37,8 +37,8 @@ class Hold(NamedTuple):
     drawn: Array
     """The same by each aircraft, (paths, n, c)."""
     low: Vector
-    high: Vector
     """Of the envelope, (c,)."""
+    high: Vector
     margin: Vector
     """Part of the response by which it may be larger, (c,)."""
     allowed: int
@@ -69,7 +69,7 @@ class Checked(NamedTuple):
     flight: pd.DataFrame
     """By the mean."""
     paths: pd.DataFrame
-    """By aircraft that are drawn."""
+    """By aircraft that are drawn, or by the mean without a posterior."""
     factor: float
     """By which it may be larger, if responses grow with it."""
 
@@ -85,27 +85,24 @@ class Rehearsal:
     envelope: Envelope
     rate: float
     response: float
-    """That is flown after each manoeuvre [s]."""
+    """Time after each manoeuvre that is flown too [s]."""
     thrust: Any
     seed: int
 
-    @cached_property
-    def aerodynamics(self) -> Aerodynamics:
-        return as_aerodynamics(self.model)
+    def __post_init__(self) -> None:
+        self.aerodynamics = as_aerodynamics(self.model)
+        self._nothing: Inputs = {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
 
     @cached_property
     def still(self) -> pd.DataFrame:
         """Trimmed flight of the mean, as long as the longest multisine."""
-        return self.flown([self._still])[0]
-
-    @cached_property
-    def _still(self) -> Inputs:
-        return {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
+        return self.flown([self._nothing])[0]
 
     def flown(self, several: Sequence[Inputs]) -> list[pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it, by the mean."""
         trains, tables = self._tables(several)
-        flown = self._simulated([self.point] * len(tables), tables, tables)
+        shortest = min(table["time"].iloc[-1] for table in tables)
+        flown = self._simulated([self.point] * len(tables), tables, shortest)
         parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
         return [self._cut(part, train) for part, train in zip(parts, trains, strict=True)]
 
@@ -114,39 +111,35 @@ class Rehearsal:
         if not (n_paths and self.aerodynamics.is_uncertain):
             return self.flown([inputs])[0]
         (train,), tables = self._tables([inputs])
-        rng, time = np.random.default_rng(self.seed), tables[0]["time"].to_numpy()
-        beside: dict[str, Any] = {
+        rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
+        beside = {
             axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((n_paths, 1))
             for axis, limit in self.limits.items()
         }
-        columns = {str(name): values.to_numpy() for name, values in tables[0].items() if name != "time"}
+        columns = {str(name): values.to_numpy() for name, values in tables[0].items()}
 
         def controls(t: float, state: Any) -> dict[str, Any]:
             return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
 
         start = ENTRY | {"u": ENTRY_SPEED * self.point.airspeed}
         options = {"n_paths": n_paths, "random_state": self.seed, "initial_std": start, "gusts": gusts}
-        return self._cut(self._simulated([self.point], controls, tables, **options), train)
+        return self._cut(self._simulated([self.point], controls, time[-1], **options), train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
+        """Return manoeuvres, and what their surfaces do: they follow the autopilot with the lags of their servos."""
         trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
         longest = max(train.duration for train in trains) + self.response
         trimmed = self.point.controls
         tables = [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
-        return trains, [self._followed(table) for table in tables]
+        for table in tables:
+            for axis, limit in self.limits.items():
+                moved = limit.followed(table[axis].to_numpy() - trimmed[axis], 1.0 / self.rate)
+                table[axis] = trimmed[axis] + moved
+        return trains, tables
 
-    def _followed(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return what the surfaces do: they follow what the autopilot sets with the lags of their servos."""
-        for axis, limit in self.limits.items():
-            trimmed = self.point.controls[axis]
-            table[axis] = trimmed + limit.followed(table[axis].to_numpy() - trimmed, 1.0 / self.rate)
-        return table
-
-    def _simulated(self, starts: list, controls: Any, tables: list[pd.DataFrame], **options: Any) -> pd.DataFrame:
-        duration = STEP * np.floor(min(table["time"].iloc[-1] for table in tables) / STEP + 1e-6)
-        return simulate(
-            self.model, self.aircraft, starts, controls, STEP, duration=duration, thrust=self.thrust, **options
-        )
+    def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:
+        options |= {"duration": STEP * np.floor(until / STEP + 1e-6), "thrust": self.thrust}
+        return simulate(self.model, self.aircraft, starts, controls, STEP, **options)
 
     def _cut(self, flight: pd.DataFrame, train: Wavetrain) -> pd.DataFrame:
         return flight[flight["time"] <= train.duration + self.response + 1e-6].reset_index(drop=True)
@@ -154,7 +147,7 @@ class Rehearsal:
     @cached_property
     def hold(self) -> Hold:
         """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
-        paths = self.drawn(self._still, self.envelope.n_paths, self.envelope.gusts)
+        paths = self.drawn(self._nothing, self.envelope.n_paths, self.envelope.gusts)
         begun = paths[paths["time"] <= self.response + 1e-6]
         risk, causes = self.risk(begun)
         if risk > self.envelope.risk:
@@ -168,8 +161,10 @@ class Rehearsal:
         is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
         margin = np.where(is_set, 0.0, self.envelope.margin)
         low, high = np.array([*limits.values()]).T
-        centre = self.channels(self.still)
-        return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, self._allowed)
+        centre, allowed = self.channels(self.still), 0
+        if self.aerodynamics.is_uncertain:
+            allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
+        return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, allowed)
 
     def _possible(self, paths: pd.DataFrame) -> str:
         """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
@@ -180,13 +175,6 @@ class Rehearsal:
         if not np.isfinite(high - low) or low <= self.point.airspeed <= high:
             return ""
         return f"fly at {low:.3g} to {high:.3g} m/s, " if low < high else "no airspeed stays in its range, "
-
-    @property
-    def _allowed(self) -> int:
-        """Number of aircraft drawn that may leave the envelope."""
-        if not self.aerodynamics.is_uncertain:
-            return 0
-        return int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
 
     def room(self, flight: pd.DataFrame) -> float:
         """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
@@ -200,7 +188,7 @@ class Rehearsal:
     def _by_path(self, paths: pd.DataFrame, n: int) -> Array:
         """Return what the envelope limits along flights of n rows, (paths, n, c)."""
         values = self.channels(paths)
-        return values.reshape(-1, n, values.shape[1])
+        return values.reshape(len(values) // n, n, -1)
 
     def channels(self, flight: pd.DataFrame) -> Matrix:
         """Return what the envelope limits along one flight, (n, c)."""
@@ -209,9 +197,8 @@ class Rehearsal:
     def checked(self, inputs: Inputs) -> Checked:
         """Return the risk of a manoeuvre and its flights, and how much larger it may be."""
         flight = self.flown([inputs])[0]
-        paths = (
-            self.drawn(inputs, self.envelope.n_paths, self.envelope.gusts) if self.aerodynamics.is_uncertain else flight
-        )
+        n_paths, gusts = self.envelope.n_paths, self.envelope.gusts
+        paths = self.drawn(inputs, n_paths, gusts) if self.aerodynamics.is_uncertain else flight
         more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
         flown = self._by_path(counted, len(more))
@@ -223,9 +210,8 @@ class Rehearsal:
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
-        shares = shares[shares > 0]
-        options = {name: option_of(str(name), self.aerodynamics) for name in shares.index}
-        named = [f"{name} ({share:.0%}, {options[name]})" for name, share in shares.items()]
+        named = [f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})"
+                 for name, share in shares[shares > 0].items()]  # fmt: skip
         causes = ", ".join(named).replace(GROWTH, "flown ")
         n_left = int(by_path.any(axis=1).sum())
         if not self.aerodynamics.is_uncertain:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,10 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import write_atomically
+from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.tables import csv_writer
 from skdgp._excitation.multisines import Multisine
-from skdgp._excitation.signals import ROUNDING, Chirp, Limits, Signal, Steps
+from skdgp._excitation.signals import ROUNDING, UNLIMITED, Chirp, Signal, Steps
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.checks import check_names
 
@@ -31,9 +32,8 @@ MIXES = {
     "vtail_left": {"elevator": 1.0, "rudder": 1.0}, "vtail_right": {"elevator": 1.0, "rudder": -1.0},
 }  # fmt: skip
 """Surfaces that several axes move."""
-SCALES = {"throttle": 100.0}
-"""Of ArduPilot's scaled commands [%]; of surfaces: centidegrees of a range of 45."""
-SURFACE_SCALE = 4500.0
+THROTTLE_SCALE, SURFACE_SCALE = 100.0, 4500.0
+"""ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45."""
 NO_LIMIT = 1e30
 FASTEST = 1000.0
 """Rate of a script [Hz]: ArduPilot counts milliseconds."""
@@ -44,21 +44,20 @@ SWITCHES = range(300, 308)
 def write_csv(
     path: str | os.PathLike[str], train: Wavetrain, rate: float, *, trim: Mapping[str, float] | None = None
 ) -> pd.DataFrame:
-    """Write the inputs as CSV at the rate of an autopilot, and return the table.
+    """Write `Wavetrain.table` as CSV, and return it: ``time`` [s] and the axes [rad, or 1 of the throttle].
 
     Parameters
     ----------
     path : path-like
     train : Wavetrain
     rate : float
-        [Hz].
+        Of the autopilot [Hz].
     trim : mapping of str to float, optional
-        Controls of trimmed flight, to which the inputs are added; see `Wavetrain.table`.
+        Controls of trimmed flight, to which the inputs are added.
 
     Returns
     -------
     DataFrame
-        ``time`` [s] and the axes [rad, or 1 of the throttle], in this package's signs.
 
     Raises
     ------
@@ -75,19 +74,20 @@ def write_csv(
     >>> path.read_text().splitlines()[:2]
     ['time,elevator', '0.0,0.0']
     """
-    return _written(path, train.table(rate, trim=trim))
+    table = train.table(rate, trim=trim)
+    write_atomically(path, csv_writer(table))
+    return table
 
 
 def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float]) -> pd.DataFrame:
     """Write the inputs in the columns, units and signs of PX4's topic vehicle_torque_setpoint, and return the table.
 
-    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the file are
-    to be added to the setpoints of the controllers.
+    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the CSV file
+    are to be added to the setpoints of the controllers.
 
     Parameters
     ----------
     path : path-like
-        A CSV file.
     train : Wavetrain
         Of elevator, aileron and rudder.
     rate : float
@@ -103,7 +103,7 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     Raises
     ------
     ValueError
-        If an axis is none of these, a full deflection lacks, is no number > 0 or smaller than an input, or as of
+        If an axis is none of these, a full deflection lacks, is not > 0 or smaller than an input, or as of
         `Wavetrain.table`.
 
     Examples
@@ -120,12 +120,13 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     Name: 10, dtype: float64
     """
     check_names(train.axes, PX4, "axes of PX4's torque setpoint")
-    table = train.table(rate)
-    _check_room(table, _moved(train.axes, {axis: {axis: 1.0} for axis in full}, full), full)
-    columns = {"timestamp": (1e6 * table["time"]).round().astype(np.int64)}
+    moved = train.table(rate)
+    _check_room(moved, _moved(train.axes, {axis: {axis: 1.0} for axis in full}, full), full)
+    table = pd.DataFrame({"timestamp": (1e6 * moved["time"]).round().astype(np.int64)})
     for axis, (name, sign) in PX4.items():
-        columns[name] = sign * table[axis] / full[axis] if axis in table else 0.0 * table["time"]
-    return _written(path, pd.DataFrame(columns))
+        table[name] = sign * moved[axis] / full[axis] if axis in moved else 0.0
+    write_atomically(path, csv_writer(table))
+    return table
 
 
 def write_ardupilot_lua(
@@ -169,6 +170,11 @@ def write_ardupilot_lua(
     >>> "SRV_Channels" in path.read_text()
     True
     """
+    write_atomically(path, text_writer(ardupilot_script(train, rate, full, switch)))
+
+
+def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300) -> str:
+    """Return the text of the script; parameters and errors are as of `write_ardupilot_lua`."""
     if not (rate <= FASTEST and switch in SWITCHES):
         raise ValueError(
             f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an RCn_OPTION of "
@@ -179,31 +185,26 @@ def write_ardupilot_lua(
     _check_room(train.table(rate), mixes, full)
     axes = []
     for axis in train.axes:
-        limit = train.limits.get(axis, Limits(np.inf))
+        limit = train.limits.get(axis, UNLIMITED)
         signals = [_parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()]
         axes.append({"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals})
     surfaces = []
     for name, mix in mixes.items():
-        servo, sign = ARDUPILOT[name]
-        surface = {"name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle"}
-        parts = [mix.get(axis, 0.0) for axis in train.axes]
-        surfaces.append(surface | {"scale": SCALES.get(name, SURFACE_SCALE), "parts": parts})
+        (servo, sign), scale = ARDUPILOT[name], THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE
+        surfaces.append({
+            "name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle", "scale": scale,
+            "parts": [mix.get(axis, 0.0) for axis in train.axes],
+        })  # fmt: skip
     plan = {
         "switch": switch, "period": int(1000.0 / rate), "duration": train.duration,
         "labels": ",".join(["t", *train.axes]), "format": "f" * (1 + len(axes)), "axes": axes,
         "surfaces": surfaces,
     }  # fmt: skip
-    text = SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _written(path: str | os.PathLike[str], table: pd.DataFrame) -> pd.DataFrame:
-    write_atomically(path, csv_writer(table))
-    return table
+    return SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
 
 
 def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Return the gains of the axes that move each surface of ArduPilot; errors as of `write_ardupilot_lua`."""
+    """Return the gains of the axes that move each surface of ArduPilot; raise ValueError as `write_ardupilot_lua`."""
     check_names(full, ARDUPILOT, "servo functions of ArduPilot")
     return _moved(axes, {name: {name: 1.0} | MIXES.get(name, {}) for name in full}, full)
 
@@ -256,8 +257,4 @@ def _lua(value: Any) -> str:
         return "{" + ", ".join(f"{name} = {_lua(part)}" for name, part in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "{" + ", ".join(map(_lua, value)) + "}"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
-    return str(value) if isinstance(value, int) else repr(min(float(value), NO_LIMIT))
+    return json.dumps(min(value, NO_LIMIT) if isinstance(value, float) else value)

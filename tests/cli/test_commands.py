@@ -430,6 +430,6 @@ class TestPlan:
         refused(message, "plan", *self.WORDS, "--full", *words.split())
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
-        refused("--axes with some of these", "plan", *self.WORDS, "--axes", "elevon_left")
+        refused("controls of the trim lack 'elevon_left'.*elevator", "plan", *self.WORDS, "--axes", "elevon_left")
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")
         refused("add --limits", "plan", *self.WORDS, "--rates", "rudder=1")

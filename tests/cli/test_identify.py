@@ -272,7 +272,7 @@ class TestBadInput:
         table = pd.read_csv(folder / "latlon.csv")
         gone = [name for name in table if name.startswith(("thrust", "propeller", "throttle"))]
         table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
-        refused("thrust .* is unknown.*On the command line: --thrust none", train=[str(tmp_path / "glider.csv")])
+        refused("thrust .* is unknown.*or say thrust=None", train=[str(tmp_path / "glider.csv")])
 
     def test_regressors_that_are_not_there(self, refused):
         refused("lacks the columns 'flaps'", "--regressors", "alpha,flaps")

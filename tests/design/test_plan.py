@@ -293,7 +293,7 @@ def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(
     variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
     expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))
     known = posterior_information(model, np.zeros(8))
-    assert _goals.weighted_error(known, weights) == pytest.approx(expected, rel=0.05)
+    assert errors_of(known, {"function": weights})["function"] == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.parametrize("k", range(6))

@@ -341,8 +341,6 @@ class ScaledPaths(Sequence):
         return self._scaled(X, self.paths.gradient(X), self.regressor.predict_gradient, scale)
 
     def _scaled(self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any) -> Array:
-        if np.ndim(X) == 3:
-            mean = predict(X.reshape(-1, X.shape[-1])).reshape(values.shape)
-        else:
-            mean = predict(X)  # a table has names
+        # A table of points for all paths has names, which predict expects.
+        mean = predict(X.reshape(-1, X.shape[-1])).reshape(values.shape) if np.ndim(X) == 3 else predict(X)
         return mean + scale * (values - mean)

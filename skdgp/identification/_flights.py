@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -42,7 +43,7 @@ AIRSPEED_ERROR = "relative error of airspeed"
 """Attribute of tables whose airspeed is that of their turns: its standard deviation, root mean square."""
 
 
-def named_flights(flights, *, default: str = "flight", needed: Sequence[str] = (), **reading) -> Flights:
+def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any) -> Flights:
     """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
 
     A column ``flight`` separates several flights in a table. Raises the errors of the readers, and ValueError if two

@@ -110,7 +110,7 @@ def minus_log_likelihood(records: list[Record], log_k: np.ndarray) -> float:
     return float(degrees * np.log(misfit) + sum(fit.log_determinant for fit in fits) + differences * np.sum(log_k))
 
 
-class Fit(NamedTuple):
+class PoseFit(NamedTuple):
     """Coefficients of a record (K, 3), their misfit over s^2, and the log determinant of their precision times s^2."""
 
     coefficients: np.ndarray
@@ -149,7 +149,7 @@ class Record:
             return [self]
         return [Record(self.time[rows], self.x[rows], self.axes[rows], self.gravity) for rows in cuts]
 
-    def fit(self, log_k: np.ndarray) -> Fit:
+    def fit(self, log_k: np.ndarray) -> PoseFit:
         """Return the coefficients of the least misfit |x - B c|^2 + sum_i |D_i c - d_i|^2 / k_i."""
         weights = [1.0, *np.exp(-np.asarray(log_k))]
         precision = sum(weight * bands for weight, bands in zip(weights, self._bands, strict=True))
@@ -160,7 +160,7 @@ class Record:
             found = found + linalg.cho_solve_banded((factor, True), target, check_finite=False)
             left = self._values - self._rows @ found
         misfit = float(of_row @ left**2)
-        return Fit(found.reshape(-1, 3) + self.x[0], misfit, float(2 * np.sum(np.log(factor[0]))))
+        return PoseFit(found.reshape(-1, 3) + self.x[0], misfit, float(2 * np.sum(np.log(factor[0]))))
 
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, v and f at the samples."""

@@ -41,7 +41,7 @@ from skdgp.dynamics._simulation.trajectory import channels
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
-STEP = 0.025
+LOG_STEP = 0.025
 """Between autopilot commands, integration steps and log rows [s]."""
 SETTLING = 8.0
 """Flown before the log begins, so that it does not open with the transients of a guessed trim [s]."""
@@ -217,16 +217,18 @@ def fly_plans(
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it. ``controls_of`` makes the
     controls from the plans, the times and the step.
     """
-    time: np.ndarray = np.arange(round((SETTLING + duration) / STEP)) * STEP - SETTLING
+    time: np.ndarray = np.arange(round((SETTLING + duration) / LOG_STEP)) * LOG_STEP - SETTLING
     heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
     scales = [low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)]
     lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))
-    gusts = dryden_gusts(2 * len(time) + 1, 0.5 * STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng)
+    gusts = dryden_gusts(
+        2 * len(time) + 1, 0.5 * LOG_STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng
+    )
     wind = np.array([plan.wind for plan in plans])
     air = GustyAir(lambda stage, state: Air(wind), gusts)
-    motion, controls = brumby_motion(), controls_of(plans, time, STEP)
-    record = fly_record(motion, controls, air, Clock(STEP, len(time) - 1), _initial_states(controls, wind))
-    log = slice(round(SETTLING / STEP), None)
+    motion, controls = brumby_motion(), controls_of(plans, time, LOG_STEP)
+    record = fly_record(motion, controls, air, Clock(LOG_STEP, len(time) - 1), _initial_states(controls, wind))
+    log = slice(round(SETTLING / LOG_STEP), None)
     record = record.rows(log)
     at = air(slice(2 * log.start, 2 * len(time), 2), record.states)
     implicit = None

@@ -23,7 +23,7 @@ from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._html import flown_section
 from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
 from skdgp.design._plan import Plan, errors_of
-from skdgp.design._rehearsal import RESPONSE, STEP
+from skdgp.design._rehearsal import RESPONSE, ROW_STEP
 from skdgp.dynamics import Aircraft, as_aerodynamics
 
 LIKE = 0.85
@@ -247,7 +247,7 @@ def compare_with_plan(
     windows = [_window(plan["limits"], match) for match in _recognised(plan, segments, axes)]
     names = {name.removesuffix(HAT).removesuffix("_dot") for name in before.regressors}
     whole = [part.dropna(subset=[name for name in names if name in part]) for _, part in windows]
-    thin = [part[np.diff(part["time"] // STEP, prepend=-1.0) > 0] for part in whole]
+    thin = [part[np.diff(part["time"] // ROW_STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
     about = [plan["at"][name] for name in before.regressors] if plan["curvature"] else None
     noise = noise.loc[list(before.coefficients)]

@@ -15,7 +15,7 @@ from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import Information
-from skdgp.design._rehearsal import STEP
+from skdgp.design._rehearsal import ROW_STEP
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20
@@ -124,7 +124,7 @@ class Plan:
     def to_dict(self) -> dict[str, Any]:
         """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-        step = min(STEP, *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()))
+        step = min(ROW_STEP, *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()))
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
             limits = self.trains[int(row["train"])].limits

@@ -17,7 +17,7 @@ from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
 from skdgp.dynamics import Aircraft, Trim, as_aerodynamics, simulate
 
-STEP = 0.04
+ROW_STEP = 0.04
 """Time between rows of a simulation, which count as independent measurements [s]."""
 ENTRY = {"phi": 0.035, "theta": 0.035}
 """Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
@@ -138,8 +138,8 @@ class Rehearsal:
         return trains, tables
 
     def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:
-        options |= {"duration": STEP * np.floor(until / STEP + 1e-6), "thrust": self.thrust}
-        return simulate(self.model, self.aircraft, starts, controls, STEP, **options)
+        options |= {"duration": ROW_STEP * np.floor(until / ROW_STEP + 1e-6), "thrust": self.thrust}
+        return simulate(self.model, self.aircraft, starts, controls, ROW_STEP, **options)
 
     def _cut(self, flight: pd.DataFrame, train: Wavetrain) -> pd.DataFrame:
         return flight[flight["time"] <= train.duration + self.response + 1e-6].reset_index(drop=True)

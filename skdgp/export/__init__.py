@@ -10,14 +10,14 @@ from skdgp.export._formats import FORMATS, export_model
 from skdgp.export._graphs import casadi_function, onnx_model
 from skdgp.export._gymnasium import gymnasium_env
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
+from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 from skdgp.export._pipeline import portable_model
 
 __all__ = [
     "FORMATS",
     "Block",
     "BuildUp",
-    "Envelope",
+    "LearnedRange",
     "PortableFileError",
     "PortableModel",
     "Readout",

@@ -14,7 +14,7 @@ import numpy as np
 
 from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomically
 from skdgp.dynamics import Aircraft
-from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
+from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 
 FORMAT, VERSION = "skdgp portable model", 2
 HEAD = "model.json"
@@ -180,7 +180,7 @@ def _assembled(head, arrays) -> PortableModel:
         blocks=_blocks(arrays, sizes),
         readouts=tuple(Readout(arrays[f"weights_{k}"], arrays[f"root_{k}"]) for k in range(n)),
         trend_roots=tuple(arrays[f"trend_root_{j}"] for j in range(J)),
-        envelope=Envelope(**{name: arrays[f"envelope_{name}"] for name in Envelope.__dataclass_fields__}),
+        envelope=LearnedRange(**{name: arrays[f"envelope_{name}"] for name in LearnedRange.__dataclass_fields__}),
         provenance=dict(head["provenance"]),
     )
     if model.content_hash != head["content_hash"]:

@@ -148,7 +148,7 @@ class Readout:
 
 
 @dataclass(frozen=True, eq=False)
-class Envelope:
+class LearnedRange:
     """Regressors that the model was learned from, in their own units.
 
     Parameters
@@ -225,7 +225,7 @@ class PortableModel:
         Of the errors along a flight, ``tau^2 exp(-|t - t'| / T)``; zero where there is none.
     input_covariance : ndarray (d, d)
         Covariance S of the noise of the regressors of the flights.
-    envelope : Envelope
+    envelope : LearnedRange
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
 
@@ -256,7 +256,7 @@ class PortableModel:
     drift_variance: Vector
     drift_memory: Vector
     input_covariance: Matrix
-    envelope: Envelope
+    envelope: LearnedRange
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -309,7 +309,7 @@ class PortableModel:
             **{f"trend_root_{i}": root for i, root in enumerate(self.trend_roots)},
             **{f"weights_{k}": readout.weights for k, readout in enumerate(self.readouts)},
             **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
-            **{f"envelope_{name}": getattr(self.envelope, name) for name in Envelope.__dataclass_fields__},
+            **{f"envelope_{name}": getattr(self.envelope, name) for name in LearnedRange.__dataclass_fields__},
         }
 
     def terms(self, j: int) -> Iterator[tuple[Block, Vector, Matrix]]:

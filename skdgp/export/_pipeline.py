@@ -17,7 +17,7 @@ from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LEN
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
 from skdgp.dynamics._equations.aerodynamics import SCALERS, standard_scaling
-from skdgp.export._model import Block, Envelope, PortableModel, Readout, Regressor
+from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -128,7 +128,7 @@ def _regressor(name, rates, controls, units) -> Regressor:
     return Regressor(name, unit, (name,))
 
 
-def _envelope(posterior, shift, scale, limits) -> Envelope:
+def _envelope(posterior, shift, scale, limits) -> LearnedRange:
     if posterior.samples() is None:
         X, quantiles = np.empty((0, len(shift))), np.empty((0, len(shift)))
     else:
@@ -141,7 +141,7 @@ def _envelope(posterior, shift, scale, limits) -> Envelope:
         limits = np.tile([[-np.inf], [np.inf]], len(shift))
     rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int)) if len(X) else np.empty(0, dtype=int)
     levels = np.array(LEVELS if len(X) else ())
-    return Envelope(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
+    return LearnedRange(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
 
 
 # -- posteriors --------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ N_PATHS = 100
 """Functions that give the standard deviations: these have a relative error of 1 / sqrt(2 n), 7 %."""
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)
 """States of a simulation that depend neither on the wind nor on the heading."""
-STEP = 0.05
+FLIGHT_STEP = 0.05
 """Of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s."""
 START = 0.25
 """Time over which measured states are averaged to start from [s], so that a sample's noise is not flown."""
@@ -137,7 +137,7 @@ def simulation_errors(
             aircraft,
             starts,
             [part.drop(columns=[*STATES, "flight"], errors="ignore") for part in parts],
-            dt=STEP,
+            dt=FLIGHT_STEP,
             duration=duration,
             thrust=None if settings["thrust"] in (None, "none") else "auto",
             density=density,
@@ -177,7 +177,7 @@ def _windows(tables: Sequence[pd.DataFrame], horizon: float) -> tuple[pd.DataFra
                 first = part["time"].iloc[0]
                 start = run.loc[np.abs(time - first) <= START / 2, list(STATES)].mean()
                 found.append((start, part.assign(time=part["time"] - first).reset_index(drop=True)))
-    if not found or not horizon > 2 * STEP:
+    if not found or not horizon > 2 * FLIGHT_STEP:
         raise ValueError(f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known")
     chosen = np.unique(np.linspace(0, len(found) - 1, min(MOST_STARTS, len(found))).round().astype(int))
     starts, parts = zip(*(found[k] for k in chosen), strict=True)

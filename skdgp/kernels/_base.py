@@ -21,7 +21,7 @@ from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._prior_paths import KernelPaths, PathBundle
 
 DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
-STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
+DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 
 
 @dataclass(frozen=True)
@@ -565,8 +565,8 @@ class Zero(MultiOutputKernel):
 
 def _difference(function, unit):
     """Return the derivative along a unit vector at zero, by central differences of fourth order."""
-    near, far = (function(k * STEP * unit) - function(-k * STEP * unit) for k in (1, 2))
-    return (8 * near - far) / (12 * STEP)
+    near, far = (function(k * DERIVATIVE_STEP * unit) - function(-k * DERIVATIVE_STEP * unit) for k in (1, 2))
+    return (8 * near - far) / (12 * DERIVATIVE_STEP)
 
 
 def _equal(a, b) -> bool:

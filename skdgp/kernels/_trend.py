@@ -16,7 +16,7 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._features import TrendFeatures
 from skdgp.kernels._prior_paths import PathBundle, TrendPaths
 
-STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
+BASIS_STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 
 
 def check_transformer(transformer: Any) -> None:
@@ -46,7 +46,7 @@ class FittedBasis:
         check_transformer(transformer)
         fitted = clone(transformer).fit(X)
         columns = as_columns(fitted.transform(X), len(X), fitted)
-        return cls(fitted, STEP * column_scale(X), columns.shape[1])
+        return cls(fitted, BASIS_STEP * column_scale(X), columns.shape[1])
 
     def __sklearn_clone__(self):
         return self

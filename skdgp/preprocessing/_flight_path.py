@@ -26,8 +26,8 @@ from skdgp.preprocessing._path_equations import (
     MEAN_WIND,
     NEEDED,
     SENSORS,
+    FlightPath,
     Log,
-    Path,
     air_data_rates,
     first_guess,
     flight_logs,
@@ -304,7 +304,7 @@ def _of_missing(missing: list[str]) -> tuple[bool, str]:
     return not missing, f"the flights lack {', '.join(missing)}" if missing else "asked for, without a check"
 
 
-def _channels(path: Path, log: Log, rates: str) -> dict[str, Vector]:
+def _channels(path: FlightPath, log: Log, rates: str) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
@@ -313,7 +313,7 @@ def _channels(path: Path, log: Log, rates: str) -> dict[str, Vector]:
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
-def _derivatives(air: Matrix, path: Path, log: Log) -> Matrix:
+def _derivatives(air: Matrix, path: FlightPath, log: Log) -> Matrix:
     """Return derivatives of the splines through air data (n, 3), by segment; of single samples in steady air."""
     rates = air_data_rates(path, log)
     for segment in np.unique(log.segment):

@@ -91,7 +91,7 @@ class Log(NamedTuple):
         return self.segment[1:] == self.segment[:-1]
 
 
-class Path(NamedTuple):
+class FlightPath(NamedTuple):
     """The states of a flight, one for every sample, and its constants."""
 
     velocity: Matrix  # (n, 3) over the ground, NED [m/s]
@@ -99,15 +99,15 @@ class Path(NamedTuple):
     gust: Matrix  # (n, 3) the air's velocity minus the mean wind, NED [m/s]
     constants: Vector  # (c,) in the order of CONSTANTS
 
-    def part(self, first: int, last: int) -> Path:
+    def part(self, first: int, last: int) -> FlightPath:
         """Return the states from first to before last."""
-        return Path(self.velocity[first:last], self.attitude[first:last], self.gust[first:last], self.constants)
+        return FlightPath(self.velocity[first:last], self.attitude[first:last], self.gust[first:last], self.constants)
 
-    def moved(self, states: Matrix, constants: Any) -> Path:
+    def moved(self, states: Matrix, constants: Any) -> FlightPath:
         """Return the path with errors (n, 9), (c,) added."""
         turned = self.attitude * Rotation.from_rotvec(states[:, ATTITUDE])
         velocity, gust = self.velocity + states[:, VELOCITY], self.gust + states[:, GUST]
-        return Path(velocity, turned, gust, self.constants + constants)
+        return FlightPath(velocity, turned, gust, self.constants + constants)
 
     def constant(self, *names: str) -> Vector:
         """Return constants by name."""
@@ -157,10 +157,10 @@ def _empty_channels(table: pd.DataFrame, absent: Collection[str] = ()) -> list[s
     return [name for name in NEEDED if name not in absent and not has_values(table, name)]
 
 
-def first_guess(log: Log, constants: Vector) -> Path:
+def first_guess(log: Log, constants: Vector) -> FlightPath:
     """Return the path of GPS and attitude alone, in air at rest."""
     velocity = interpolate_missing(log.time, log.velocity)
-    return Path(velocity, log.attitude, np.zeros_like(velocity), constants)
+    return FlightPath(velocity, log.attitude, np.zeros_like(velocity), constants)
 
 
 def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) -> Log:
@@ -181,7 +181,7 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
     return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled, gravity)
 
 
-def air_data_rates(path: Path, log: Log) -> Matrix:
+def air_data_rates(path: FlightPath, log: Log) -> Matrix:
     """Return the rates of change of airspeed, alpha, beta (n, 3) in air of constant velocity.
 
     With v the velocity through the air in body axes, v' = f - omega x v + R^T g.
@@ -191,7 +191,7 @@ def air_data_rates(path: Path, log: Log) -> Matrix:
     return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
 
 
-def air_data_equations(path: Path) -> Equations:
+def air_data_equations(path: FlightPath) -> Equations:
     """Return airspeed, alpha, beta as residuals, with their derivatives by path and mean wind."""
     velocity, R = path.air_velocity(), path.attitude.as_matrix()
     gradient = air_data_slopes(velocity, MIN_AIRSPEED)
@@ -202,7 +202,7 @@ def air_data_equations(path: Path) -> Equations:
     return Equations(np.column_stack(air_data(velocity)), d_state, None, d_constants)
 
 
-def process_equations(path: Path, log: Log, correlation: Vector) -> Equations:
+def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equations:
     """Return predicted - measured specific force and angular rate between samples, and the change of the gust."""
     n, c = len(log.time) - 1, len(CONSTANTS)
     residual, d_constants = np.zeros((n, 9)), np.zeros((n, 9, c))
@@ -237,7 +237,7 @@ def process_equations(path: Path, log: Log, correlation: Vector) -> Equations:
     return _without(Equations(residual, d_state, d_next, d_constants), np.repeat(~log.joined[:, None], 9, axis=1))
 
 
-def measurement_equations(path: Path, log: Log) -> Equations:
+def measurement_equations(path: FlightPath, log: Log) -> Equations:
     """Return predicted - measured airspeed, alpha, beta, GPS velocity, and attitude (rotation about NED axes).
 
     A sensor with a lag is compared with its value m samples later. Over the rest of the lag, less than a step, the
@@ -280,7 +280,7 @@ def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
     return inside, np.where((inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan)
 
 
-def _measurement_rates(path: Path, log: Log, scale: Vector) -> Matrix:
+def _measurement_rates(path: FlightPath, log: Log, scale: Vector) -> Matrix:
     """Return the rates of change of the nine measurements, (n, 9)."""
     R = path.attitude
     velocity = R.apply(path.force(log)) + _gravity(log)

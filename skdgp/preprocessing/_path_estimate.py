@@ -15,8 +15,8 @@ from skdgp.preprocessing._path_equations import (
     LAGS,
     PLACE,
     Equations,
+    FlightPath,
     Log,
-    Path,
     air_data_equations,
     measurement_equations,
     process_equations,
@@ -77,7 +77,7 @@ class Posterior(NamedTuple):
 class Estimate(NamedTuple):
     """The path, its uncertainty, and the noise."""
 
-    path: Path
+    path: FlightPath
     noise: dict[str, float]
     covariance: Matrix  # of the free constants, (f, f)
     air_std: Vector  # (3,) root mean square of the standard deviations of airspeed, alpha, beta
@@ -85,7 +85,13 @@ class Estimate(NamedTuple):
 
 
 def estimate(
-    log: Log, start: Path, noise: dict[str, float], *, learn: Collection[str], free: Sequence[str], gust_time: float
+    log: Log,
+    start: FlightPath,
+    noise: dict[str, float],
+    *,
+    learn: Collection[str],
+    free: Sequence[str],
+    gust_time: float,
 ) -> Estimate:
     """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
 
@@ -212,7 +218,9 @@ def _process_names(log: Log) -> tuple[str, ...]:
 class _Windows:
     """Process and measurement equations in units of their noise, by windows; a single window is computed once."""
 
-    def __init__(self, path: Path, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float) -> None:
+    def __init__(
+        self, path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+    ) -> None:
         self.path, self.log, self.noise, self.places, self.gust_time = path, log, noise, places, gust_time
         self.single: tuple[int, Equations, Equations] | None = None
 
@@ -244,7 +252,13 @@ class _Windows:
 
 
 def _prior(
-    path: Path, log: Log, noise: Mapping[str, float], places: list[int], offset: Vector, pull: Vector, gust_time: float
+    path: FlightPath,
+    log: Log,
+    noise: Mapping[str, float],
+    places: list[int],
+    offset: Vector,
+    pull: Vector,
+    gust_time: float,
 ) -> Prior:
     """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
     first = np.concatenate([[True], ~log.joined])[:, None]
@@ -304,7 +318,7 @@ def _variance_components(
     return new
 
 
-def _scale_gradient(path: Path, sums: Mapping[str, Sums]) -> Vector:
+def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
     """Return the gradient by the scale factors that the joint maximum of path and scales lacks.
 
     A larger scale lets smaller gusts explain the same air data, so the joint maximum overestimates it. The marginal
@@ -323,7 +337,7 @@ def _is_small(posterior: Posterior) -> bool:
     return bool(np.all(step < TOLERANCE * np.sqrt(np.mean(posterior.state_draws**2, axis=(0, 2)))))
 
 
-def _air_std(path: Path, posterior: Posterior, places: list[int]) -> Vector:
+def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:
     squares = np.zeros(3)
     for first in range(0, len(path.gust), WINDOW):
         rows = air_data_equations(path.part(first, first + WINDOW))

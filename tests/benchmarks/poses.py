@@ -21,7 +21,7 @@ NAMES = ["u", "v", "w", "p", "q", "r", "ax", "ay", "az", "p_dot", "q_dot", "r_do
 
 def flown():
     """Return the truth of 60 s at 100 Hz."""
-    _example_flights.STEP = 1 / RATE
+    _example_flights.LOG_STEP = 1 / RATE
     flights, _ = _example_flights._flights.__wrapped__(0, 1.0, 1.0, LENGTH)
     flight = flights[flights.flight == "latlon"].reset_index(drop=True)
     truth = flight.filter(like="_true").rename(columns=lambda name: name.removesuffix("_true"))

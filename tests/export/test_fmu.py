@@ -15,7 +15,7 @@ from skdgp._cli import main
 from skdgp._flight.channels import CHANNELS
 from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, ThrustLine, simulate
 from skdgp.dynamics._equations.aerodynamics import Mixing
-from skdgp.export import Block, Envelope, PortableModel, Readout, Regressor, save_portable, write_fmu
+from skdgp.export import Block, LearnedRange, PortableModel, Readout, Regressor, save_portable, write_fmu
 from skdgp.export._fmu import BASE_UNITS, COMPILERS
 
 fmpy = pytest.importorskip("fmpy", reason="flies FMUs in FMPy: pip install fmpy")
@@ -75,7 +75,7 @@ def model_of(regressors, **parts):
         trend_roots=(np.zeros((d + 1, 3)),) * 6, prior_variance=np.ones(6), mixture=np.ones((1, 6)),
         noise_variance=np.zeros(6), drift_variance=np.zeros(6), drift_memory=np.zeros(6),
         input_covariance=np.zeros((d, d)),
-        envelope=Envelope(np.full(d, -0.3), np.full(d, 0.3), np.empty(0), np.empty((0, d)), np.empty((0, d))),
+        envelope=LearnedRange(np.full(d, -0.3), np.full(d, 0.3), np.empty(0), np.empty((0, d)), np.empty((0, d))),
     )  # fmt: skip
 
 

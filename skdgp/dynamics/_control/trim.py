@@ -37,7 +37,7 @@ TOLERANCE = 1e-6
 """Largest acceleration of a trim [m/s^2, rad/s^2]."""
 DEMAND = 100.0
 """Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given."""
-STEP = 1e-5
+JACOBIAN_STEP = 1e-5
 """Of differences of the residual, by an unknown or a fraction of it."""
 STARTS = (0.5, 0.25, 0.75, 0.05)
 """Where between its limits alpha starts."""
@@ -359,7 +359,7 @@ class SteadyFlight:
 
     def _slopes(self, x: Array, airspeed: float) -> Array:
         """Return d residual / d unknowns by central differences, all points at once."""
-        steps = STEP * np.maximum(1.0, np.abs(x))
+        steps = JACOBIAN_STEP * np.maximum(1.0, np.abs(x))
         more, less = self.residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
         return (more - less).T / (2.0 * steps)
 

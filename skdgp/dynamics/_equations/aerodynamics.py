@@ -22,7 +22,7 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
-STEP = 1e-4
+DIFFERENCE = 1e-4
 """Of central differences, where a model has no slopes: a fraction of the range of a regressor, or absolute."""
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 """Names that a regressor gives to outputs without names."""
@@ -264,7 +264,7 @@ class Aerodynamics:
         slopes = []
         for k in range(X.shape[-1]):
             step = np.zeros(X.shape[-1])
-            step[k] = STEP * (size[k] or 1.0)
+            step[k] = DIFFERENCE * (size[k] or 1.0)
             near, far = (self(X + m * step) - self(X - m * step) for m in (1, 2))
             slopes.append((8.0 * near - far) / (12.0 * step[k]))
         return np.stack(slopes, axis=-1)

@@ -44,7 +44,7 @@ SURE = 1e-6
 N_DRIFTS, KEPT = 150, 0.9
 """Drifts from which the covariance of the states is estimated, and the share of it that is kept off the diagonal."""
 MOST_STEPS = 6
-STEP = 0.3
+SLOPE_STEP = 0.3
 """Of finite differences, in prior standard deviations."""
 N_TIMES = 5
 """Times of a segment at which states are compared, evenly spaced, the last at the end of the shortest."""
@@ -348,9 +348,9 @@ class _Problem:
 
     def linear(self, z: Vector) -> tuple[Any, Any]:
         """Return residuals (s, m) and slopes of the states by z (s, m, r), white."""
-        theta = (self.root @ np.column_stack([z, z[:, None] + STEP * np.eye(len(z))])).T
+        theta = (self.root @ np.column_stack([z, z[:, None] + SLOPE_STEP * np.eye(len(z))])).T
         states = self._flown(theta.reshape(-1, *self.shape))
-        slopes = self.white(self._off(states[1:], states[:1])) / STEP
+        slopes = self.white(self._off(states[1:], states[:1])) / SLOPE_STEP
         return self.white(self._off(self.recorded, states[0])), np.moveaxis(np.nan_to_num(slopes), 0, -1)
 
 

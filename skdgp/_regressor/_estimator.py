@@ -39,8 +39,8 @@ EXACT_LIMIT = 1000
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
-    "Use inference='sparse' or fewer values: skdgp.model_selection.thin_targets(Y, 755) keeps 755 samples spread over "
-    "the log."
+    "Use inference='sparse' (--inference sparse) or fewer values: skdgp.model_selection.thin_targets(Y, 755) "
+    "(--samples 755) keeps 755 samples spread over the log."
 )
 UPDATE_REMEDY = (
     "Compact the model first with model.compact(), whose memory does not grow with further samples, or fit with "

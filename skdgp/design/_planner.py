@@ -421,9 +421,10 @@ class Planner:
         names, flown = self.aerodynamics.regressors, self.aerodynamics.limits
         if flown is None or axis not in names:
             raise ValueError(
-                f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}}."
+                f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}} "
+                "(--limits)."
             )
-        return self._room(axis, flown[:, names.index(axis)], "flown was", f"give limits={{{axis!r}: ...}}")
+        return self._room(axis, flown[:, names.index(axis)], "flown was", f"give limits={{{axis!r}: ...}} (--limits)")
 
     def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
         """Return the largest deviation of an axis from the trims, to both sides, in its range."""

@@ -81,7 +81,7 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
     if size > MAX_BYTES:
         raise ValueError(
             f"Got a model that takes {size / 1e6:.0f} MB in C, but expected at most {MAX_BYTES / 1e6:.0f} MB: "
-            "give max_kb=256, or another size."
+            "give max_kb=256 (--max-kb 256), or another size."
         )
     if len(model.regressors) > MAX_REGRESSORS:
         raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name fewer.")

@@ -96,7 +96,7 @@ def check_terms(model: PortableModel) -> None:
     if 8 * sum(sizes) > MAX_TERMS:
         raise ValueError(
             f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most {MAX_TERMS / 1e6:.0f} MB: "
-            "give max_kb=256, or another size."
+            "give max_kb=256 (--max-kb 256), or another size."
         )
 
 

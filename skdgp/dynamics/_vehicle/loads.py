@@ -116,8 +116,8 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         raise ValueError(
             f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
             "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a bench table) and "
-            "propeller_speed to the flight; or say thrust=None if it flew without an engine, or to leave an unknown "
-            "thrust in the coefficients (regressors with throttle and airspeed explain it)."
+            "propeller_speed to the flight; or say thrust=None (--thrust none) if it flew without an engine, or to "
+            "leave an unknown thrust in the coefficients (regressors with throttle and airspeed explain it)."
         )
     check_columns(flight, ["airspeed", "density"])
     airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
@@ -163,8 +163,8 @@ def propulsion_loads(
     raise ValueError(
         f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
         "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="
-        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None for a glider, or "
-        "if the coefficients of the model include the thrust."
+        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None (--thrust none) "
+        "for a glider, or if the coefficients of the model include the thrust."
     )
 
 

@@ -117,7 +117,8 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
         why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
-            "the air: airborne=False reads all of it, airborne=6.0 takes another airspeed [m/s] for flight."
+            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) takes another "
+            "airspeed [m/s] for flight."
         )
     names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
     return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)

@@ -23,6 +23,7 @@ from skdgp.datasets import load_example_flights
 from skdgp.design import Envelope, doublet, plan, posterior_information, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
+    FlightComputer,
     aerodynamic_coefficients,
     as_aerodynamics,
     dryden_wind,
@@ -51,7 +52,7 @@ def fly(truth, aircraft, train, seconds, seed):
         return {name: value + held.get(name, 0.0) + train(name, time) for name, value in steady.controls.items()}
 
     wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
-    flight = simulate(truth, aircraft, steady, controls, 0.025, duration=seconds, wind=wind, hold=True)
+    flight = simulate(truth, aircraft, steady, FlightComputer(controls), 0.025, duration=seconds, air=wind)
     rng = np.random.default_rng(seed)
     noisy = {name: flight[name] + std * rng.standard_normal(len(flight)) for name, std in NOISE.items()}
     speed = aircraft.propeller.speed_at(flight["throttle"])

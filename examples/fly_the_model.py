@@ -44,7 +44,7 @@ def main(arguments=None):
     flown = part.assign(**{name: part[f"{name}_true"] for name in names})
     wind = flown[["time", "wind_north", "wind_east", "wind_down"]]
 
-    paths = simulate(model, aircraft, flown.iloc[0], flown, wind=wind, n_paths=options.paths)
+    paths = simulate(model, aircraft, flown.iloc[0], flown, air=wind, n_paths=options.paths)
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     columns = ["airspeed", "altitude", "phi", "theta", "p", "q"]
     TrajectoryDisplay.from_trajectories(paths, truth=flown, columns=columns, ax=figure)

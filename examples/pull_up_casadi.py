@@ -39,6 +39,7 @@ from matplotlib.figure import Figure
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
+    Air,
     ThrustLine,
     aerodynamic_coefficients,
     as_aerodynamics,
@@ -215,7 +216,7 @@ def thrust_fit(aircraft, steady, density):
 def flown(pipeline, aircraft, steady, plan, density, paths, random_state=0):
     """Return alpha and load factor of aircraft drawn from the posterior, (paths, n, 2), and their altitudes."""
     table = simulate(
-        pipeline, aircraft, steady, plan.controls, density=density, n_paths=paths, gusts=None, drift=False,
+        pipeline, aircraft, steady, plan.controls, n_paths=paths, air=Air(gusts=None, drift=False, density=density),
         random_state=random_state,
     )  # fmt: skip
     columns = table["alpha"], -table["az"] / GRAVITY, table["altitude"], table["time"]
@@ -279,7 +280,7 @@ def main(arguments=None):
         saved = load_model(options.model)
         pipeline, aircraft = saved.pipeline, saved.aircraft
     density = float(standard_density(options.altitude))
-    steady = trim(pipeline, aircraft, options.airspeed, altitude=options.altitude, density=density)
+    steady = trim(pipeline, aircraft, options.airspeed, altitude=options.altitude, air=Air(density=density))
     model = portable_model(pipeline, aircraft)
     envelope = zip(model.regressor_names, model.envelope.low, model.envelope.high, strict=True)
     flown_range = {name: (low, high) for name, low, high in envelope}

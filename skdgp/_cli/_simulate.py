@@ -18,7 +18,7 @@ from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp.design import doublet
-from skdgp.dynamics import SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
+from skdgp.dynamics import Air, SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.dynamics._simulation.trajectory import REASONS
 from skdgp.identification import named_flights
@@ -82,15 +82,15 @@ def simulate(run: Run) -> None:
     start = _start(options, model, thrust)
     run.console.stage("simulating")
     initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)
-    conditions: dict[str, Any] = {"duration": start.duration, "wind": start.wind, "thrust": thrust}
+    conditions: dict[str, Any] = {"duration": start.duration, "air": Air(start.wind), "thrust": thrust}
     trajectory, sampled = simulate_flight(*initial, **conditions), None
     files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
     if options.paths:
         run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # the summary says which share of them
-            conditions |= {"n_paths": options.paths, "random_state": options.seed}
-            sampled = simulate_flight(*initial, **conditions, gusts=opt.none_of(options.gusts))
+            conditions["air"] = Air(start.wind, gusts=opt.none_of(options.gusts))
+            sampled = simulate_flight(*initial, **conditions, n_paths=options.paths, random_state=options.seed)
         files[f"bands{suffix}"] = table_writer(trajectory_bands(sampled).drop(columns="start"), suffix)
     numbers = _numbers(options, start, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)

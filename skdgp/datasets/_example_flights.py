@@ -31,10 +31,10 @@ from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_controls import ALPHA, FlightControls
 from skdgp.datasets._flight_plans import FLIGHT_PLANS, FlightPlan
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
-from skdgp.dynamics._equations.motion import Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
-from skdgp.dynamics._equations.rigid_body import RATES as SPIN
-from skdgp.dynamics._simulation.gusts import GustyAir, dryden_gusts, low_altitude_turbulence
+from skdgp.dynamics._air.air import GustyAir, LocalAir
+from skdgp.dynamics._air.dryden import dryden_gusts, low_altitude_turbulence
+from skdgp.dynamics._equations import rigid_body
+from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._simulation.inputs import Clock
 from skdgp.dynamics._simulation.simulate import Record, fly_record
 from skdgp.dynamics._simulation.trajectory import channels
@@ -178,7 +178,7 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
         (known, THRUST_FORCES, thrust[0]),
         (known, THRUST_MOMENTS, thrust[1]),
         (true, ("alpha_dot", "beta_dot"), truth.implicit),
-        (true, [f"{name}_dot" for name in RATES], truth.derivative[..., SPIN]),
+        (true, [f"{name}_dot" for name in RATES], truth.derivative[..., rigid_body.RATES]),
         (true, SPECIFIC_FORCE, truth.force / BRUMBY.mass),
         (true, WIND, record.wind),
         (true, COEFFICIENTS, truth.coefficients),
@@ -225,7 +225,7 @@ def fly_plans(
         2 * len(time) + 1, 0.5 * LOG_STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng
     )
     wind = np.array([plan.wind for plan in plans])
-    air = GustyAir(lambda stage, state: Air(wind), gusts)
+    air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
     motion, controls = brumby_motion(), controls_of(plans, time, LOG_STEP)
     record = fly_record(motion, controls, air, Clock(LOG_STEP, len(time) - 1), _initial_states(controls, wind))
     log = slice(round(SETTLING / LOG_STEP), None)
@@ -244,8 +244,8 @@ def _initial_states(controls: FlightControls, wind: Array) -> Array:
     state = np.zeros((len(orbit), 13))
     state[:, :2], state[:, 2] = orbit[:, :2], -controls.altitude[0]
     state[:, 0] += np.abs(orbit[:, 2])
-    state[:, ATTITUDE] = euler_to_quaternion(0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2]))
-    state[:, VELOCITY] = ned_to_body(state[:, ATTITUDE], wind)
+    state[:, rigid_body.ATTITUDE] = euler_to_quaternion(0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2]))
+    state[:, rigid_body.VELOCITY] = ned_to_body(state[:, rigid_body.ATTITUDE], wind)
     state[:, 3] += airspeed * np.cos(ALPHA)
     state[:, 5] += airspeed * np.sin(ALPHA)
     return state

@@ -15,7 +15,7 @@ from skdgp._excitation.signals import ROUNDING, Limits, Steps
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
-from skdgp.dynamics import Aircraft, Trim, as_aerodynamics, simulate
+from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
 
 ROW_STEP = 0.04
 """Time between rows of a simulation, which count as independent measurements [s]."""
@@ -122,7 +122,7 @@ class Rehearsal:
             return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
 
         start = ENTRY | {"u": ENTRY_SPEED * self.point.airspeed}
-        options = {"n_paths": n_paths, "random_state": self.seed, "initial_std": start, "gusts": gusts}
+        options = {"n_paths": n_paths, "random_state": self.seed, "initial_std": start, "air": Air(gusts=gusts)}
         return self._cut(self._simulated([self.point], controls, time[-1], **options), train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:

@@ -10,8 +10,8 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_names
 from skdgp.dynamics import Aircraft, Simulator, Trim, as_aerodynamics, dryden_wind
+from skdgp.dynamics._air.dryden import CEILING
 from skdgp.dynamics._control.trim import DEFLECTION
-from skdgp.dynamics._simulation.gusts import CEILING
 from skdgp.dynamics._vehicle.loads import Thrust
 from skdgp.export._text import extra
 
@@ -55,8 +55,8 @@ def gymnasium_env(
     start : Trim
         From :func:`skdgp.dynamics.trim`; every episode begins there, and the default reward asks to stay.
     posterior : bool, default=True
-        Whether each reset draws another aircraft: a function of the posterior, as ``simulate(n_paths=1, gusts=None,
-        drift=False)`` does. False: the mean of the model.
+        Whether each reset draws another aircraft: a function of the posterior, as ``simulate(n_paths=1,
+        air=Air(gusts=None, drift=False))`` does. False: the mean of the model.
     duration, dt : float
         Of an episode and of a step [s].
     wind_at_6m : float, default=0.0
@@ -172,7 +172,7 @@ class _Episodes:
         off = rng.standard_normal(len(OBSERVED)) * [self.initial_std.get(name, 0.0) for name in OBSERVED]
         begin = self._clipped(np.add(list(self.trim.values()), off))
         wind = self._gusts(gusts) if self.wind_at_6m else None
-        self.simulator = Simulator(self.model, self.aircraft, self.dt, wind=wind, thrust=self.thrust)
+        self.simulator = Simulator(self.model, self.aircraft, self.dt, air=wind, thrust=self.thrust)
         named = dict(zip(OBSERVED, begin.tolist(), strict=True))
         observation, info = self._seen(self.simulator.reset(named, random_state=random_state) | {"beyond": ""})
         return observation, info | {"random_state": random_state}

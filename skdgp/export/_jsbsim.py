@@ -82,10 +82,10 @@ def write_jsbsim(
 
     With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials, and further aircraft are
     functions drawn from the posterior, as sums of exponentials and cosines: those that ``sample_paths`` and
-    ``simulate(n_paths=n_draws, gusts=None, drift=False)`` draw with the same ``random_state``. A model with exact
-    inference is compacted first (``DependentGPRegressor.compact``), and its draws are those of the compact model. With
-    ``form="tables"`` the coefficients are those of :func:`build_up`, faster to evaluate and easier to read, where they
-    lose at most ``max_loss``, and so are the draws.
+    ``simulate(n_paths=n_draws, air=Air(gusts=None, drift=False))`` draw with the same ``random_state``. A model with
+    exact inference is compacted first (``DependentGPRegressor.compact``), and its draws are those of the compact model.
+    With ``form="tables"`` the coefficients are those of :func:`build_up`, faster to evaluate and easier to read, where
+    they lose at most ``max_loss``, and so are the draws.
 
     The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
     The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at

@@ -15,6 +15,7 @@ from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Aircraft,
     SimulationWarning,
     as_aerodynamics,
@@ -53,7 +54,7 @@ def flight_mechanics(
     """
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust: Any = None if settings["thrust"] in (None, "none") else "auto"
-    conditions: dict[str, Any] = {"thrust": thrust, "density": float(flown["density"])}
+    conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
     drawn: dict[str, Any] = {"n_paths": n_paths, "random_state": 0, **conditions}
     found: dict[str, Any] = {}
@@ -140,7 +141,7 @@ def simulation_errors(
             dt=FLIGHT_STEP,
             duration=duration,
             thrust=None if settings["thrust"] in (None, "none") else "auto",
-            density=density,
+            air=Air(density=density),
         )
     each = [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
     elapsed = each[0]["time"].to_numpy()

@@ -37,6 +37,7 @@ from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
+    Air,
     Aircraft,
     SimulationWarning,
     Turbulence,
@@ -89,14 +90,15 @@ def windows(truth, step=STEP):
     return [truth.iloc[k : k + rows + 1].reset_index(drop=True).assign(time=clock) for k in first]
 
 
-def flown_free(model, aircraft, stretches, **options):
+def flown_free(model, aircraft, stretches, air=None, **options):
     """Return what the model makes of the stretches, from their first rows on."""
-    unknown = ["airspeed"] if "wind" not in options else ["airspeed", "alpha", "beta", "u", "v", "w"]  # hold a gust
+    unknown = ["airspeed"] if "wind" not in (air or {}) else ["airspeed", "alpha", "beta", "u", "v", "w"]  # hold a gust
     starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=unknown, errors="ignore")
     gravity = float(np.mean([stretch["gravity"].mean() for stretch in stretches]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
-        return simulate(model, aircraft, starts, stretches, dt=STEP, gravity=gravity, **{"wind": stretches} | options)
+        air = Air(**{"wind": stretches, "gravity": gravity} | (air or {}))
+        return simulate(model, aircraft, starts, stretches, dt=STEP, air=air, **options)
 
 
 def errors_of(flights, stretches):
@@ -158,7 +160,7 @@ def free(name, models, aircraft, flight, n_paths):
     rows = []
     for method in LEARNED:
         for air, options in airs(aircraft, flight).items():
-            found = [flown_free(model, aircraft, stretches, n_paths=n_paths, **options) for model in models[method]]
+            found = [flown_free(model, aircraft, stretches, options, n_paths=n_paths) for model in models[method]]
             first = {"flight": name, "method": method, "wind and gusts": air}
             rows += [first | row for row in coverage_of(found, stretches)]
     return errors, rows
@@ -175,7 +177,7 @@ def bands_table(rows):
 
 
 def airs(aircraft, flight):
-    """Return the options of `simulate` for what is known of the air."""
+    """Return the options of `Air` for what is known of it."""
     turbulence = Turbulence.from_flight(flight, aircraft.span)
     mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
     return {
@@ -211,7 +213,7 @@ def _corrected(model, aircraft, log, flight):
     parts = segments(model, log)
     gravity = float(flight["gravity_true"].mean())
     wind = [part[["time", *WIND]] for part in parts]
-    found = fit_output_error(model, aircraft, parts, NOISE, dt=2 * STEP, wind=wind, gravity=gravity)
+    found = fit_output_error(model, aircraft, parts, NOISE, dt=2 * STEP, air=Air(wind, gravity=gravity))
     stretches = windows(truth_of(flight))
     before, after = (
         pd.DataFrame(errors_of(_parts(flown_free(each, aircraft, stretches)), stretches)).set_index("horizon")

@@ -11,7 +11,7 @@ two standard deviations, of those that are not zero (_study_flights.py says whic
 and that over the one of least squares on the same regressors and coefficients.
 
 Free flight: from 20 points of the flights, under the logged controls and thrust, from the true state (velocity over
-the ground, attitude, rates), the nine states v_north ... r. "wind" is ``wind=`` the true wind, a table over time;
+the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` the true wind, a table over time;
 "nothing" says nothing of the air, where that is as it was in training.
 
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
@@ -113,7 +113,7 @@ def flown_row(name, model, aircraft, flown, n_paths):
     for air, flight in flown.items():
         stretches = windows(truth_of(flight.iloc[::2]), STEP)
         starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=UNKNOWN, errors="ignore")
-        told = {"wind": {"wind": stretches}} | ({"nothing": {}} if air == TRAINING[1] else {})
+        told = {"wind": {"air": stretches}} | ({"nothing": {}} if air == TRAINING[1] else {})
         for said, options in told.items():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)

@@ -42,6 +42,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Aircraft,
     SimulationWarning,
     aerodynamic_coefficients,
@@ -237,16 +238,16 @@ def learned(method, aircraft, records):
         pipeline.set_params(**seeds).fit(X, Y)
         if not method.output_error:
             return pipeline
-        return fit_output_error(pipeline, aircraft, records.tables, NOISE, thrust=None, density=DENSITY).model
+        return fit_output_error(pipeline, aircraft, records.tables, NOISE, thrust=None, air=Air(density=DENSITY)).model
 
 
-def flown(model, aircraft, records, **options):
+def flown(model, aircraft, records, drift=True, **options):
     """Return what the model makes of the records, from their first rows on, by start."""
-    starts = pd.concat(records.starts, ignore_index=True)
+    starts, air = pd.concat(records.starts, ignore_index=True), Air(drift=drift, density=DENSITY)
     controls = [table[["time", *SURFACES, "throttle"]].reset_index(drop=True) for table in records.tables]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
-        found = simulate(model, aircraft, starts, controls, dt=STEP, thrust=None, density=DENSITY, **options)
+        found = simulate(model, aircraft, starts, controls, dt=STEP, thrust=None, air=air, **options)
     return found if "start" in found else found.assign(start=0)
 
 

@@ -19,7 +19,7 @@ from _common import finish, parser_of
 from scipy.interpolate import CubicSpline
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics import as_aerodynamics, simulate, trim
+from skdgp.dynamics import Air, as_aerodynamics, simulate, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._build_up import Posterior
 from skdgp.export._jsbsim import FOOT, POUND_FORCE, SOURCES, SURFACES
@@ -140,11 +140,11 @@ class Travelled:
         return [loaded(path.parents[2], path.stem, self.rate) for path in self.paths[form, n_draws]]
 
     def trim(self, airspeed):
-        air = {"altitude": ALTITUDE, "density": float(self.density(ALTITUDE))}
-        return trim(self.model, self.aircraft, airspeed, fixed=self.fixed, **air)
+        air = Air(density=float(self.density(ALTITUDE)))
+        return trim(self.model, self.aircraft, airspeed, fixed=self.fixed, altitude=ALTITUDE, air=air)
 
-    def simulated(self, **options):
-        options |= {"dt": 1.0 / self.rate, "density": self.density}
+    def simulated(self, air=None, **options):
+        options |= {"dt": 1.0 / self.rate, "air": Air(density=self.density, **air or {})}
         return simulate(self.model, self.aircraft, self.trimmed, self.controls, **options)
 
     def flown(self, fdm):
@@ -201,7 +201,7 @@ def measure_bands(case, n_draws):
     made = process_time()
     theirs = [case.flown(fdm) for fdm in fdms]
     print(f"{n_draws} aircraft: {made - started:.0f} s to write and load, {process_time() - made:.0f} s to fly")
-    ours, fresh = (case.simulated(n_paths=n_draws, random_state=k, gusts=None, drift=False) for k in (0, 1))
+    ours, fresh = (case.simulated(n_paths=n_draws, random_state=k, air={"gusts": None, "drift": False}) for k in (0, 1))
     rows = []
     for name in COMPARED:
         one, two, new = np.stack(theirs)[:, :, COMPARED.index(name)], _by_path(ours, name), _by_path(fresh, name)

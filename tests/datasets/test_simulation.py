@@ -5,8 +5,8 @@ import pytest
 
 from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body
-from skdgp.dynamics._equations.motion import Air
-from skdgp.dynamics._simulation.gusts import Gusts, GustyAir
+from skdgp.dynamics._air.air import GustyAir, LocalAir
+from skdgp.dynamics._air.dryden import Gusts
 
 STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15]
 CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
@@ -20,7 +20,7 @@ def at(state, wind=WIND, gust=GUST, slopes=(0.0, 0.0)):
     """One pass of the fixed point, from a guess of alpha_dot and beta_dot."""
     implicit = np.zeros((*state.shape[:-1], 8))
     implicit[..., :2] = slopes
-    air = GustyAir(lambda stage, state: Air(wind), Gusts(*(part[None] for part in gust)))
+    air = GustyAir(lambda stage, state: LocalAir(wind), Gusts(*(part[None] for part in gust)))
     return MOTION.at(state, CONTROLS, air(0, state), implicit)
 
 

@@ -179,7 +179,7 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
         table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 1.0)]
         paths = simulate(
             model, uav, found.trims[0], table, 0.04, n_paths=200, random_state=7,
-            gusts=Turbulence.low_altitude(100.0, 1.5),
+            air=Turbulence.low_altitude(100.0, 1.5),
         )  # fmt: skip
         left = Envelope(alpha=(-0.03, 0.055)).left(paths, uav, model).groupby(paths["flight"], observed=True).any()
         assert left.any(axis=1).mean() <= 0.05 + 0.03

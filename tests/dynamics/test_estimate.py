@@ -10,6 +10,7 @@ from skdgp._flight.channels import RATE_LENGTHS
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Aircraft,
     air_velocity,
     euler_to_quaternion,
@@ -178,7 +179,7 @@ class TestWhatErrorsDo:
         inertia = diagonal * moments
         inertia[[0, 2], [2, 0]] = -1e-5 * factor.powers.get("Ixz", 0.0) * np.sqrt(inertia[0, 0] * inertia[2, 2])
         other = Aircraft.from_dict(sizes | grown | {"inertia": inertia})
-        at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "density": 1.1}
+        at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "air": Air(density=1.1)}
         table = stability_derivatives(self.learned(known), known, **at)
         change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]
         np.testing.assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
@@ -192,7 +193,7 @@ class TestWhatErrorsDo:
         found = []
         for aircraft in (known, wrong):
             model = self.learned(aircraft)
-            point = trim(model, aircraft, 36.0, climb=None, density=1.1, thrust=None)
-            modes = linearize(model, aircraft, point, density=1.1, thrust=None).modes()
+            point = trim(model, aircraft, 36.0, climb=None, air=Air(density=1.1), thrust=None)
+            modes = linearize(model, aircraft, point, air=Air(density=1.1), thrust=None).modes()
             found.append(np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])])
         np.testing.assert_allclose(found[1], found[0], rtol=1e-5)

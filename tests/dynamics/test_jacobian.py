@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body, quaternion_rate
+from skdgp.dynamics._air.air import LocalAir
 from skdgp.dynamics._control.linearize import ERRORS, OUTPUTS, jacobian
-from skdgp.dynamics._equations.motion import Air, Motion
+from skdgp.dynamics._equations.motion import Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
-AIR = Air(WIND, WIND_RATE)
+AIR = LocalAir(WIND, WIND_RATE)
 QUASI_STEADY = ["alpha", "beta", "p_hat", "q", "r_hat", "airspeed", "phi", "elevator", "thrust"]
 IMPLICIT = [*QUASI_STEADY, "alpha_dot_hat", "beta_dot", "q_dot_hat", "ax", "az"]
 CONTROLS = {"elevator": -0.05, "thrust": 22.0}
@@ -113,10 +114,10 @@ def test_an_error_of_attitude_turns_as_rotations_do(aircraft):
 def test_many_states_at_once_are_each_alone(aircraft):
     motion, state = Motion(curved(IMPLICIT), aircraft), states((2, 3))
     controls = {"elevator": np.linspace(-0.1, 0.1, 6).reshape(2, 3), "thrust": 22.0}
-    many = jacobian(motion, state, controls, inputs=["elevator"], air=Air(WIND))
+    many = jacobian(motion, state, controls, inputs=["elevator"], air=LocalAir(WIND))
     assert many.state.shape == (2, 3, len(ERRORS), len(ERRORS))
     alone = {"elevator": controls["elevator"][1, 2], "thrust": 22.0}
-    one = jacobian(motion, state[1, 2], alone, inputs=["elevator"], air=Air(WIND))
+    one = jacobian(motion, state[1, 2], alone, inputs=["elevator"], air=LocalAir(WIND))
     for name in ("state", "controls", "coefficients", "outputs_state", "outputs_controls"):
         assert getattr(many, name)[1, 2] == pytest.approx(getattr(one, name), rel=1e-7, abs=1e-7)
 

@@ -7,6 +7,7 @@ from scipy.signal import lsim
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Aircraft,
     euler_to_quaternion,
     linearize,
@@ -29,7 +30,7 @@ SLOPES[Z, [ALPHA, Q, ELEVATOR]] = -4.5, -3.0, -0.4
 SLOPES[L, [BETA, P, R, AILERON, RUDDER]] = -0.05, -0.4, 0.1, 0.1, 0.01
 SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
 SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
-AIR = {"density": 1.1, "gravity": 9.79}
+AIR = Air(density=1.1, gravity=9.79)
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
 
@@ -52,19 +53,19 @@ def glider():
 
 @pytest.fixture(scope="module")
 def level(glider):
-    return trim(MODEL, glider, 20.0, **AIR)
+    return trim(MODEL, glider, 20.0, air=AIR)
 
 
 @pytest.fixture(scope="module")
 def linear(glider, level):
-    return linearize(MODEL, glider, level, **AIR)
+    return linearize(MODEL, glider, level, air=AIR)
 
 
 def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider):
     """Stevens, Lewis & Johnson 2016, section 4.2; Etkin & Reid 1996, section 4.9: in body axes, wings level."""
     V, u, w, theta = 20.0, level.state[3], level.state[5], level.theta
     mass, S, b, c = glider.mass, glider.wing_area, glider.span, glider.chord
-    qS = 0.5 * AIR["density"] * V**2 * S
+    qS = 0.5 * AIR.density * V**2 * S
     CX, _, CZ, *_ = level.coefficients
     (Ix, _, nIxz), (_, Iy, _), (_, _, Iz) = glider.inertia
     A, B = linear.A, linear.B
@@ -73,18 +74,18 @@ def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider
         ("u", "u"): qS / mass * (SLOPES[X, ALPHA] * alpha_u + CX * pressure_u),
         ("u", "w"): qS / mass * (SLOPES[X, ALPHA] * alpha_w + CX * pressure_w),
         ("u", "q"): -w,
-        ("u", "theta"): -AIR["gravity"] * np.cos(theta),
+        ("u", "theta"): -AIR.gravity * np.cos(theta),
         ("w", "u"): qS / mass * (SLOPES[Z, ALPHA] * alpha_u + CZ * pressure_u),
         ("w", "w"): qS / mass * (SLOPES[Z, ALPHA] * alpha_w + CZ * pressure_w),
         ("w", "q"): u + qS / mass * SLOPES[Z, Q] * c / (2 * V),
-        ("w", "theta"): -AIR["gravity"] * np.sin(theta),
+        ("w", "theta"): -AIR.gravity * np.sin(theta),
         ("q", "w"): qS * c / Iy * SLOPES[M, ALPHA] * alpha_w,
         ("q", "q"): qS * c / Iy * SLOPES[M, Q] * c / (2 * V),
         ("theta", "q"): 1.0,
         ("v", "v"): qS / mass * SLOPES[Y, BETA] / V,
         ("v", "p"): w + qS / mass * SLOPES[Y, P] * b / (2 * V),
         ("v", "r"): -u + qS / mass * SLOPES[Y, R] * b / (2 * V),
-        ("v", "phi"): AIR["gravity"] * np.cos(theta),
+        ("v", "phi"): AIR.gravity * np.cos(theta),
         ("phi", "r"): np.tan(theta),
     }
     Ixz, both = -nIxz, Ix * Iz - nIxz**2
@@ -145,7 +146,7 @@ def test_small_doublets_are_flown_alike_to_second_order():
     at = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
     linear = linearize(BRUMBYS, BRUMBY, at, inputs=["elevator", "aileron"])
     density = float(Motion(BRUMBYS, BRUMBY).at(at.state, at.controls).density)
-    system, motion = linear.to_scipy(), Motion(BRUMBYS, BRUMBY, density=density)
+    system, motion = linear.to_scipy(), Motion(BRUMBYS, BRUMBY, air=Air(density=density))
     shape = np.repeat([1.0, -1.0, 0.0], 50)
 
     def whole(size):
@@ -175,7 +176,7 @@ def test_small_doublets_are_flown_alike_to_second_order():
 
 class TestSpread:
     def test_is_that_of_the_slopes(self, linear, level, glider):
-        many = linearize(MODEL, glider, level, n_paths=2000, random_state=1, **AIR)
+        many = linearize(MODEL, glider, level, n_paths=2000, random_state=1, air=AIR)
         assert many.A.to_numpy() == pytest.approx(linear.A.to_numpy())
         for entry in (("q", "q"), ("q", "w"), ("v", "v")):
             assert many.std.A.loc[entry] == pytest.approx(0.1 * abs(linear.A.loc[entry]), rel=0.1)
@@ -183,16 +184,16 @@ class TestSpread:
         assert many.std.A.loc["u", "theta"] == pytest.approx(0.0, abs=1e-9)
 
     def test_each_path_is_the_linear_aircraft_of_its_own_function(self, level, glider):
-        many = linearize(MODEL, glider, level, n_paths=3, random_state=2, **AIR)
+        many = linearize(MODEL, glider, level, n_paths=3, random_state=2, air=AIR)
         values, _ = sampler(3, 2)
         for k in range(3):
             alone = Aerodynamics(lambda X, k=k: values(np.broadcast_to(X, (3, *X.shape)))[k], NAMES)
-            one = linearize(alone, glider, level, **AIR)
+            one = linearize(alone, glider, level, air=AIR)
             for path, table in zip(many.paths, (one.A, one.B, one.C, one.D), strict=True):
                 assert path[k] == pytest.approx(table.to_numpy(), rel=1e-6, abs=1e-6)
 
     def test_a_part_keeps_the_paths_of_its_own(self, level, glider):
-        many = linearize(MODEL, glider, level, n_paths=4, **AIR)
+        many = linearize(MODEL, glider, level, n_paths=4, air=AIR)
         part = many.lateral()
         assert part.std.A.loc["p", "v"] == pytest.approx(many.std.A.loc["p", "v"])
         assert part.std.B.shape == (4, 2)
@@ -202,7 +203,7 @@ class TestSpread:
             _ = linear.std
         sure = Aerodynamics(MODEL.function, NAMES)
         with pytest.raises(ValueError, match="without posterior samples"):
-            linearize(sure, glider, level, n_paths=5, **AIR)
+            linearize(sure, glider, level, n_paths=5, air=AIR)
 
 
 class TestParts:
@@ -233,7 +234,7 @@ class TestParts:
         )
 
     def test_height_changes_the_density(self, glider, level):
-        high = linearize(MODEL, glider, level, states=["u", "w", "q", "theta", "down"], gravity=9.79)
+        high = linearize(MODEL, glider, level, states=["u", "w", "q", "theta", "down"], air=Air(gravity=9.79))
         assert high.A.loc["w", "down"] < 0
         assert high.A.loc["down", "theta"] == pytest.approx(-20.0)
 
@@ -241,32 +242,32 @@ class TestParts:
 class TestBadInput:
     def test_a_single_path(self, glider, level):
         with pytest.raises(ValueError, match="n_paths=1, but expected 0 or at least 2"):
-            linearize(MODEL, glider, level, n_paths=1, **AIR)
+            linearize(MODEL, glider, level, n_paths=1, air=AIR)
 
     def test_names(self, glider, level):
         with pytest.raises(ValueError, match="states lack 'tetha'"):
-            linearize(MODEL, glider, level, states=["u", "tetha"], **AIR)
+            linearize(MODEL, glider, level, states=["u", "tetha"], air=AIR)
         with pytest.raises(ValueError, match="'flap'"):
-            linearize(MODEL, glider, level, inputs=["flap"], **AIR)
+            linearize(MODEL, glider, level, inputs=["flap"], air=AIR)
         with pytest.raises(ValueError, match="'mach'"):
-            linearize(MODEL, glider, level, outputs=["mach"], **AIR)
+            linearize(MODEL, glider, level, outputs=["mach"], air=AIR)
 
     def test_points(self, glider, level):
         with pytest.raises(ValueError, match="expected a Trim or a state of 13"):
-            linearize(MODEL, glider, level.state[:12], level.controls, **AIR)
+            linearize(MODEL, glider, level.state[:12], level.controls, air=AIR)
         with pytest.raises(TypeError, match="Got 2 trims, but expected one"):
-            linearize(MODEL, glider, [level, level], **AIR)
+            linearize(MODEL, glider, [level, level], air=AIR)
         with pytest.raises(ValueError, match="state without controls"):
-            linearize(MODEL, glider, level.state, **AIR)
+            linearize(MODEL, glider, level.state, air=AIR)
         with pytest.raises(ValueError, match="at rest"):
-            linearize(MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, **AIR)
+            linearize(MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, air=AIR)
         with pytest.raises(ValueError, match="'aileron'"):
-            linearize(MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, **AIR)
+            linearize(MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, air=AIR)
 
     def test_a_model_that_is_not_defined_there(self, glider, level):
         nowhere = Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES)
         with pytest.raises(ValueError, match="not finite"):
-            linearize(nowhere, glider, level, **AIR)
+            linearize(nowhere, glider, level, air=AIR)
 
     def test_a_motion_that_is_not_determined(self, glider, level):
         """Pulled up where it is pushed down, and down where up: no az fits."""
@@ -274,4 +275,4 @@ class TestBadInput:
             lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2], [*NAMES, "az"]
         )
         with pytest.raises(ValueError, match="not determined"):
-            linearize(loop, glider, level, **AIR)
+            linearize(loop, glider, level, air=AIR)

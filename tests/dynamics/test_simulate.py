@@ -13,7 +13,9 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Aircraft,
+    FlightComputer,
     Propeller,
     SimulationWarning,
     Simulator,
@@ -72,7 +74,7 @@ def table_of(duration, step=0.001):
 
 @pytest.fixture(scope="module")
 def flown(aircraft):
-    return simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, wind=[3.0, -2.0, 0.7])
+    return simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7])
 
 
 class TestEquations:
@@ -172,7 +174,7 @@ class TestRegressors:
             {"elevator": -0.02, "thrust": 14.0},
             dt=0.005,
             duration=1.0,
-            wind=gust,
+            air=gust,
         )
         step = 0.005
         for name in ("alpha", "beta"):
@@ -219,7 +221,7 @@ class TestControls:
             seen.append((t, state["phi"]))
             return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
 
-        flown = simulate(linear(), aircraft, START, law, dt=0.05, duration=1.0, hold=True)
+        flown = simulate(linear(), aircraft, START, FlightComputer(law), dt=0.05, duration=1.0)
         np.testing.assert_allclose([t for t, _ in seen], flown["time"])
         np.testing.assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
 
@@ -248,13 +250,12 @@ class TestControls:
         ({"elevator": 0.0}, {}, "Got no duration"),
         ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
         (table_of(1.0), {"dt": 0.0}, "expected a time step"),
-        (table_of(1.0), {"wind": [1.0, 2.0]}, r"wind of shape \(2,\)"),
-        (table_of(1.0), {"wind": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
+        (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
+        (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
         (table_of(1.0), {"return_std": True, "initial_std": {"phi": -0.1}}, "initial_std of phi -0.1"),
-        (table_of(1.0), {"density": np.nan}, "Got density=nan"),
-        (table_of(1.0), {"wind": {"north": 5.0}}, "lack 'north'"),
-        (table_of(1.0), {"wind": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
+        (table_of(1.0), {"air": {"north": 5.0}}, "lack 'north'"),
+        (table_of(1.0), {"air": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0).assign(rudder="left"), {}, "controls rudder that is no number"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
         ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
@@ -279,9 +280,9 @@ class TestControls:
         with pytest.warns(UserWarning, match="begin at time 0 s, but start 0 is of time 2 s"):
             simulate(linear(), aircraft, START | {"time": 2.0}, log, duration=0.1)
         with pytest.warns(UserWarning, match="begin at time 2 s, but the wind begins at time 0 s"):
-            simulate(linear(), aircraft, START, log[log["time"] >= 2.0], wind=air, duration=0.1)
-        simulate(linear(), aircraft, START | {"time": 2.0}, log[log["time"] >= 2.0], wind=air[100:], duration=0.1)
-        simulate(linear(), aircraft, START, log.assign(time=log["time"] + 60.0), wind=air, duration=0.1)
+            simulate(linear(), aircraft, START, log[log["time"] >= 2.0], air=air, duration=0.1)
+        simulate(linear(), aircraft, START | {"time": 2.0}, log[log["time"] >= 2.0], air=air[100:], duration=0.1)
+        simulate(linear(), aircraft, START, log.assign(time=log["time"] + 60.0), air=air, duration=0.1)
 
 
 class TestStarts:
@@ -295,9 +296,9 @@ class TestStarts:
     def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
         row = flown.iloc[100]
         controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
-        by_row = simulate(linear(), aircraft, row, controls, duration=0.5, wind=[3.0, -2.0, 0.7])
+        by_row = simulate(linear(), aircraft, row, controls, duration=0.5, air=[3.0, -2.0, 0.7])
         names = ["airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "north", "east", "altitude"]
-        by_names = simulate(linear(), aircraft, dict(row[names]), controls, duration=0.5, wind=[3.0, -2.0, 0.7])
+        by_names = simulate(linear(), aircraft, dict(row[names]), controls, duration=0.5, air=[3.0, -2.0, 0.7])
         np.testing.assert_allclose(by_row[STATES], by_names[STATES], atol=1e-9)
 
     def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, aircraft):
@@ -458,7 +459,7 @@ class TestEnsembles:
         """With CX alone and no gravity, u_dot = rho V^2 S CX / 2m, and the integral of CX has a known variance."""
         T, tau, V, rho = 0.5, 1e-3, 20.0, 1.2
         drift = Drift(np.array([tau**2, 0, 0, 0, 0, 0]), np.full(6, T))
-        options = {"dt": 0.02, "duration": 3.0, "gravity": 0.0, "density": rho, "thrust": None}
+        options = {"dt": 0.02, "duration": 3.0, "air": Air(density=rho, gravity=0.0), "thrust": None}
         fly = partial(simulate, still(drift), aircraft, {"airspeed": V}, REST, **options)
         t, first = fly(return_std=True)[["time", "u_std"]].to_numpy().T
         paths = fly(n_paths=1000).pivot(index="time", columns="path", values="u")
@@ -473,7 +474,7 @@ class TestEnsembles:
         drifting, steady = uncertain(0.01, drift=drift), uncertain(0.01)
         for options in ({"n_paths": 3}, {"return_std": True}):
             fly = partial(simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5, **options)
-            pd.testing.assert_frame_equal(fly(drifting, drift=False), fly(steady))
+            pd.testing.assert_frame_equal(fly(drifting, air=Air(drift=False)), fly(steady))
             pd.testing.assert_frame_equal(fly(drifting), fly(drifting))
             assert not fly(drifting).equals(fly(steady))
         mean = partial(simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5)
@@ -498,8 +499,8 @@ class TestSimulator:
         def law(t, state):
             return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
 
-        at_once = simulate(linear(), aircraft, START, law, dt=0.02, duration=1.0, hold=True, wind=[1.0, 2.0, 0.0])
-        simulator = Simulator(linear(), aircraft, dt=0.02, wind=[1.0, 2.0, 0.0])
+        at_once = simulate(linear(), aircraft, START, FlightComputer(law), dt=0.02, duration=1.0, air=[1.0, 2.0, 0.0])
+        simulator = Simulator(linear(), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
         seen = simulator.reset(START)
         for _, row in at_once.iterrows():
             assert seen["time"] == pytest.approx(row["time"])
@@ -528,7 +529,7 @@ class TestSimulator:
         simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
         with pytest.warns(SimulationWarning):
             flown = simulate(
-                linear(limits=limits), aircraft, START, lambda t, s: commands(0.0), duration=1.0, hold=True
+                linear(limits=limits), aircraft, START, FlightComputer(lambda t, s: commands(0.0)), duration=1.0
             )
         simulator.reset(START)
         told = [simulator.beyond]

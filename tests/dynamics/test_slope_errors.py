@@ -5,7 +5,7 @@ import pytest
 
 from skdgp._flight.frames import air_data_slopes
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion
+from skdgp.dynamics import Aerodynamics, Air, air_velocity, euler_to_quaternion
 from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._control.slope_errors import SHARES, Lag, lag_of
 from skdgp.dynamics._equations.motion import Motion
@@ -30,7 +30,7 @@ def state_of(alpha=0.08, beta=0.03, rates=(0.2, 0.1, 0.15)):
 
 def test_relation_is_of_the_motion_that_loads_cause():
     """Central differences of alpha_dot and beta_dot of the loads alone, by the regressors that are not angles."""
-    motion = Motion(LINEAR, BRUMBY, thrust=None, gravity=0.0)
+    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
 
     def angle_rates(**changes):
         state = state_of(rates=changes.get("rates", (0.2, 0.1, 0.15)))

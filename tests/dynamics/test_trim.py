@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, trim
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, trim
 from skdgp.dynamics._equations.motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -34,7 +34,7 @@ def linear(X):
 
 TEXTBOOK = Aerodynamics(linear, NAMES)
 BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
-AIR = {"density": DENSITY, "gravity": GRAVITY}
+AIR = {"air": Air(density=DENSITY, gravity=GRAVITY)}
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._flight.channels import WIND
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, dryden_wind, simulate
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Simulator, Turbulence, as_aerodynamics, dryden_wind, simulate
+from skdgp.dynamics._air.dryden import dryden_gusts, dryden_system
+from skdgp.dynamics._air.turbulence import _spectrum
 from skdgp.dynamics._equations.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
-from skdgp.dynamics._simulation.gusts import dryden_gusts, dryden_system
-from skdgp.dynamics._simulation.simulate import _drift_in
-from skdgp.dynamics._simulation.turbulence import _spectrum
+from skdgp.dynamics._simulation.wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
@@ -168,15 +168,15 @@ class TestDrift:
         memory = np.full(6, 0.4)
         unit = 2 * memory**2 * (1 / memory + np.expm1(-1 / memory))  # of the integral of a drift with tau = 1
         drift = Drift(np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit[3:]), memory)
-        left = TRUE.without_rotation(drift, self.slopes, SPEED, SPAN)
-        np.testing.assert_allclose(left.variance[:3], 1.0)
-        np.testing.assert_allclose(left.variance[3:] / drift.variance[3:], 0.5, atol=0.06)
+        left = without_rotation(drift, TRUE, self.slopes, SPEED, SPAN)
+        np.testing.assert_allclose(left[:3], 1.0)
+        np.testing.assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
 
     def test_the_airspeed_is_that_of_the_flights(self, model):
         """The drift is a property of the flights that the model was learned from, wherever it flies later."""
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
         known = learned_in(TRUE, model, drift)
-        fast, slow = (_drift_in(TRUE, known, speed, drawn=True).variance for speed in (50.0, 12.0))
+        fast, slow = (drift_in(TRUE, known, speed, drawn=True).variance for speed in (50.0, 12.0))
         np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-10)
         assert (fast[3:] < drift.variance[3:]).all()
 
@@ -185,19 +185,19 @@ class TestDrift:
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
         known = learned_in(TRUE, model, drift)
-        left = [_drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors]
+        left = [drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors]
         np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert left == pytest.approx([0.1, 0.33, 1.0, 1.0], abs=0.03)
         calm = learned_in(TRUE.scaled(0.0), model, drift)
         for air in (TRUE.scaled(0.0), TRUE, None):  # learned in calm air, all of it is errors of the function
-            np.testing.assert_allclose(_drift_in(air, calm, SPEED, drawn=True).variance, drift.variance)
+            np.testing.assert_allclose(drift_in(air, calm, SPEED, drawn=True).variance, drift.variance)
 
     def test_what_is_not_drawn_is_in_the_drift(self, model):
         """Deviations of the mean's flight contain the rates of gusts, in proportion to their variance."""
         drift = Drift(np.full(6, 1e-2), np.full(6, 0.4))
         known = learned_in(TRUE, model, drift)
-        np.testing.assert_allclose(_drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance)
-        more, drawn = (_drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance for drawn in (False, True))
+        np.testing.assert_allclose(drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance)
+        more, drawn = (drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance for drawn in (False, True))
         explained = drift.variance - drawn
         np.testing.assert_allclose((more - drawn)[3:] / explained[3:], 9.0, rtol=0.1)
 
@@ -251,7 +251,7 @@ def flown(model, **options):
 
 class TestSimulate:
     def test_still_air_is_no_gust(self, model):
-        calm, gusty = flown(model), flown(model, gusts=TRUE.scaled(0.0))
+        calm, gusty = flown(model), flown(model, air=TRUE.scaled(0.0))
         shared = [name for name in calm.select_dtypes("number") if name in gusty]
         np.testing.assert_allclose(gusty[shared], calm[shared], atol=1e-12)
 
@@ -259,7 +259,7 @@ class TestSimulate:
         """Then the air's velocity is that of the table, and only its rates are drawn."""
         time = np.linspace(0, 1, 21)
         wind = pd.DataFrame({"time": time, "wind_north": 0.1 * time, "wind_east": 0.0, "wind_down": 0.2 * time})
-        paths = flown(model, wind=wind, gusts=TRUE)
+        paths = flown(model, air=Air(wind, TRUE))
         expected = np.tile(wind["wind_down"], OPTIONS["n_paths"])
         np.testing.assert_allclose(paths["wind_down"], expected, atol=1e-12)
         assert paths.query("time == 1.0")["p"].std() > 1e-4
@@ -268,27 +268,26 @@ class TestSimulate:
         """By itself a table or a function decides the intensity, whatever the model was learned in; it is said."""
         known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE.scaled(9.0))
         wind = dryden_wind(20.0, 12.0, 100.0, wind_at_6m=4.0, span=SPAN, random_state=0)
-        by_table = flown(known, wind=wind)
-        asked = flown(known, wind=wind, gusts=Turbulence.from_wind([wind], 12.0, SPAN))
+        by_table = flown(known, air=wind)
+        asked = flown(known, air=Air(wind, Turbulence.from_wind([wind], 12.0, SPAN)))
         np.testing.assert_allclose(by_table["p"], asked["p"], rtol=0.2, atol=0.05)
         assert "those of the wind" in by_table.attrs["air"]
 
         def field(t, position):
             return np.array([np.interp(t, wind["time"], wind[name]) for name in WIND])
 
-        spread = [flown(known, wind=air, duration=5.0).query("time > 2")["p"].std() for air in (wind, field)]
+        spread = [flown(known, air=air, duration=5.0).query("time > 2")["p"].std() for air in (wind, field)]
         assert spread[1] == pytest.approx(spread[0], rel=0.6)
-        held = flown(known, wind=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
+        held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
     def test_what_is_not_said_is_as_in_the_training_flights(self, model):
         known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE)
-        for options in ({}, {"wind": [0.0, 0.0, 0.0]}, {"wind": WIND_OF_A_SECOND}):
-            paths = flown(known, **options)
-            drawn = flown(known, gusts=TRUE, **options)
+        for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):
+            paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TRUE))
             np.testing.assert_allclose(paths["p"], drawn["p"], atol=1e-12)
             assert "as in the training flights, 0.5, 0.5, 0.35 m/s" in paths.attrs["air"]
-        calm, unknown = flown(known, gusts=None), flown(model)
+        calm, unknown = flown(known, air="calm"), flown(model)
         np.testing.assert_allclose(calm["p"], unknown["p"], atol=1e-12)
         assert "without gusts" in calm.attrs["air"]
         assert "is not known" in unknown.attrs["air"]
@@ -306,29 +305,31 @@ class TestSimulate:
         """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
         drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
         known = Aerodynamics(coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE)
-        with_drift, without = (flown(known, drift=drift)["p"] for drift in (True, False))
+        with_drift, without = (flown(known, air=Air(drift=drift))["p"] for drift in (True, False))
         np.testing.assert_allclose(with_drift, without, atol=1e-12)
-
-    def test_a_number_is_the_intensity_of_vertical_gusts(self, model):
-        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE)
-        by_number, scaled = (flown(known, gusts=gusts)["q"] for gusts in (3 * TRUE.intensity[2], TRUE.scaled(3)))
-        np.testing.assert_allclose(by_number, scaled, atol=1e-9)
 
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"gusts": TRUE, "n_paths": None}, "gusts without n_paths"),
             ({"gusts": "as flown"}, "expected 'auto'"),
-            ({"gusts": 3.0}, "does not know the turbulence"),
-            ({"gusts": -3.0}, "expected 'auto', a Turbulence"),
-            ({"gusts": True}, "expected 'auto', a Turbulence"),
+            ({"gusts": 3.0}, "expected 'auto', a Turbulence"),
             ({"gusts": np.ones(3)}, "expected 'auto', a Turbulence"),
+            ({"density": np.nan}, "Got density=nan"),
+            ({"gravity": np.nan}, "Got gravity=nan"),
             ({"gusts": TRUE.scaled(np.nan)}, "three intensities >= 0"),
             ({"gusts": TRUE.scaled(-1.0)}, "three intensities >= 0"),
             ({"gusts": TRUE._replace(length=np.zeros(3))}, "lengths > 0"),
             ({"gusts": Turbulence(1.0, 100.0)}, "three intensities"),
         ],
     )
-    def test_what_cannot_be_flown_is_said(self, model, options, message):
+    def test_what_is_no_air_is_said(self, options, message):
         with pytest.raises(ValueError, match=message):
-            flown(model, **options)
+            Air(**options)
+
+    def test_what_cannot_be_flown_is_said(self, model):
+        with pytest.raises(ValueError, match="gusts without n_paths"):
+            flown(model, air=TRUE, n_paths=None)
+        with pytest.raises(ValueError, match="Got air='still', but expected 'calm'"):
+            flown(model, air="still")
+        with pytest.raises(ValueError, match="a Simulator draws no gusts"):
+            Simulator(model, AIRCRAFT, air=TRUE)

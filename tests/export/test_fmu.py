@@ -13,7 +13,7 @@ import pytest
 
 from skdgp._cli import main
 from skdgp._flight.channels import CHANNELS
-from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, ThrustLine, simulate
+from skdgp.dynamics import Aerodynamics, Aircraft, FlightComputer, Propeller, ThrustLine, simulate
 from skdgp.dynamics._equations.aerodynamics import Mixing
 from skdgp.export import Block, LearnedRange, PortableModel, Readout, Regressor, save_portable, write_fmu
 from skdgp.export._fmu import BASE_UNITS, COMPILERS
@@ -213,7 +213,7 @@ def test_flight_is_that_of_simulate(name, fmi, every, instance):
     controls = controls.apply(lambda column: np.interp(row, row[::every], column[::every]))  # linear within a step
     rate = row if fmi == "2.0" or name == "explicit" else 0 * row  # FMI 3.0 has no rates of inputs
     wind = pd.DataFrame({"time": row, "wind_north": 3 + rate, "wind_east": -2 + 0.5 * rate, "wind_down": 0.3 * rate})
-    expected = flown(MODELS[name], controls=controls, wind=wind)
+    expected = flown(MODELS[name], controls=controls, air=wind)
     assert set(expected["ended"]) == {""}
     inputs = pd.concat([controls, wind.drop(columns="time")], axis=1).drop(columns="time")
     reads = [*SHOWN, *(f"{name}_std" for name in COEFFICIENTS), "beyond"]
@@ -250,8 +250,8 @@ def test_inputs_without_slopes_are_held(fmi, fmu):
     rows = controls.drop(columns="time").to_dict("records")
     wind = {"wind_north": 4.0, "wind_east": -3.0, "wind_down": 0.5}
     expected = flown(
-        MODELS["explicit"], controls=lambda t, state: rows[round(t / DT)], duration=STEPS * DT, hold=True,
-        wind=list(wind.values()),
+        MODELS["explicit"], controls=FlightComputer(lambda t, state: rows[round(t / DT)]), duration=STEPS * DT,
+        air=list(wind.values()),
     )  # fmt: skip
     inputs = controls.assign(**wind, thrust=0.0)
     found = fmpy.simulate_fmu(

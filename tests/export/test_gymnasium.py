@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from skdgp.dynamics import Aerodynamics, simulate, trim
+from skdgp.dynamics import Aerodynamics, Air, FlightComputer, simulate, trim
 from skdgp.export import gymnasium_env
 
 gymnasium = pytest.importorskip("gymnasium", reason='makes environments: pip install "skdgp[export]"')
@@ -52,7 +52,7 @@ def test_an_episode_is_a_flight_of_simulate(make, fitted, uav, start):
         return start.controls | dict(zip(names, actions[min(round(t / 0.02), 19)], strict=True))
 
     flown = simulate(
-        fitted("trend"), uav, start, law, duration=0.4, hold=True, n_paths=1, gusts=None, drift=False,
+        fitted("trend"), uav, start, FlightComputer(law), duration=0.4, n_paths=1, air=Air(gusts=None, drift=False),
         random_state=begun["random_state"],
     )  # fmt: skip
     channels = ["airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "altitude"]

@@ -9,7 +9,7 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft, Propeller, ThrustLine, trim
+from skdgp.dynamics import Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 from skdgp.export._gaussians import gaussian_sums
 from skdgp.export._jsbsim import SOURCES
@@ -156,7 +156,7 @@ def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
     fdm, largest = load("uav", planet=str(tmp_path / "flat.xml")), regressors.abs().max()
     placed(fdm, regressors.iloc[0] * 0.0, uav, largest)
     density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
-    expected = trim(fitted("trend"), uav, AIRSPEED, density=density)
+    expected = trim(fitted("trend"), uav, AIRSPEED, air=Air(density=density))
     fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1
     wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
@@ -176,7 +176,7 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
     fdm.run_ic()
     fdm["simulation/do_simple_trim"] = 1
     density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
-    expected = trim(fitted("trend"), aircraft, airspeed, density=density)
+    expected = trim(fitted("trend"), aircraft, airspeed, air=Air(density=density))
     wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
     assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
     assert fdm["forces/fbx-external-lbs"] * POUND_FORCE == pytest.approx(expected.thrust, rel=1e-3)

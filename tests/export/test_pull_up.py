@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, simulate, standard_density, trim
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, as_aerodynamics, simulate, standard_density, trim
 from skdgp.export import portable_model
 from skdgp.identification import make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian
@@ -71,7 +71,7 @@ def pipeline(aircraft):
 
 @pytest.fixture(scope="module")
 def steady(aircraft, pipeline):
-    return trim(pipeline, aircraft, 22.0, altitude=ALTITUDE, density=DENSITY)
+    return trim(pipeline, aircraft, 22.0, altitude=ALTITUDE, air=Air(density=DENSITY))
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_the_effects_are_those_of_errors_in_free_flight(
             return mean + std * error
 
         aerodynamics = Aerodynamics(coefficients, model.regressor_names)
-        table = simulate(aerodynamics, aircraft, steady, careful.controls, dt=0.025, density=DENSITY)
+        table = simulate(aerodynamics, aircraft, steady, careful.controls, dt=0.025, air=Air(density=DENSITY))
         return np.stack([table["alpha"], -table["az"] / example.GRAVITY], axis=-1)
 
     mean = flight(np.zeros(6))

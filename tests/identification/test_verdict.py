@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics import Aerodynamics, Aircraft, simulate, stability_derivatives, trim
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, simulate, stability_derivatives, trim
 from skdgp.identification import Evaluation
 from skdgp.identification._mechanics import flight_mechanics, simulation_errors
 from skdgp.identification._verdict import judge
@@ -201,10 +201,10 @@ class TestMechanics:
     def test_is_at_the_median_of_what_was_flown(self, flight):
         found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT)
         airspeed = flight["airspeed"].median()
-        point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, density=1.225)
+        point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, air=Air(density=1.225))
         assert found.trim.airspeed == pytest.approx(airspeed)
         assert found.trim.alpha == pytest.approx(point.alpha)
-        expected = stability_derivatives(glider(), AIRCRAFT, point, thrust=None, density=1.225)
+        expected = stability_derivatives(glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225))
         pd.testing.assert_frame_equal(found.derivatives, expected)
         assert {"short period", "Dutch roll"} <= set(found.modes.index)
         assert (found.simulation["lasts"] == found.simulation["horizon"]).all()

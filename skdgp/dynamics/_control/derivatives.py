@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
@@ -40,8 +39,7 @@ def stability_derivatives(
     n_paths: int = 200,
     random_state: Seed = 0,
     thrust: Thrust = "auto",
-    gravity: float = STANDARD_GRAVITY,
-    density: float | Callable | None = None,
+    air: Any = None,
 ) -> pd.DataFrame:
     r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
@@ -70,7 +68,7 @@ def stability_derivatives(
         1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
     random_state : int, RandomState instance or None
         Of the paths.
-    thrust, gravity, density
+    thrust, air
         As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the loads.
 
     Returns
@@ -124,7 +122,7 @@ def stability_derivatives(
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
     check_choice("axes", axes, ROWS)
-    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    motion = Motion(model, aircraft, thrust=thrust, air=air)
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -14,14 +14,14 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import cross_matrix, euler_per_rotation, quaternion_rate, quaternion_to_euler
+from skdgp.dynamics._air.air import LocalAir
 from skdgp.dynamics._control.slope_errors import Lag, draw_errors, lag_of
 from skdgp.dynamics._equations.error_covariance import ERRORS
-from skdgp.dynamics._equations.motion import Air, Instant, Motion
+from skdgp.dynamics._equations.motion import Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, thrust_control
@@ -66,7 +66,7 @@ def jacobian(
     controls: Mapping,
     *,
     inputs: Sequence[str] = (),
-    air: Air | None = None,
+    air: LocalAir | None = None,
     lag: Lag | None = None,
 ) -> Jacobian:
     r"""Return the derivatives of an aircraft's motion at states (..., 13).
@@ -113,13 +113,13 @@ def check_settled(instant: Instant) -> None:
 
 
 def _mechanics(
-    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: Air | None
+    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: LocalAir | None
 ) -> tuple[Array, Array, Array]:
     """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
     frozen: Any = copy.copy(motion)
     if air is not None:
         parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
-        air = Air(*parts)
+        air = LocalAir(*parts)
     n_inputs, shape = len(inputs), state.shape[:-1]
     controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
     steps = np.concatenate(
@@ -317,8 +317,7 @@ def linearize(
     n_paths: int = 0,
     random_state: Seed = 0,
     thrust: Thrust = "auto",
-    gravity: float = STANDARD_GRAVITY,
-    density: float | Callable | None = None,
+    air: Any = None,
 ) -> LinearModel:
     """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
@@ -346,8 +345,8 @@ def linearize(
         :func:`skdgp.dynamics.stability_derivatives` names.
     random_state : int, RandomState instance or None
         Of the paths.
-    thrust, gravity, density
-        As for :func:`skdgp.dynamics.simulate`.
+    thrust, air
+        As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
 
     Returns
     -------
@@ -380,7 +379,7 @@ def linearize(
     roll              19.51     1.00
     spiral             0.05    -1.00
     """
-    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    motion = Motion(model, aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     engine = thrust_control(aircraft, thrust)
     known = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS, THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
@@ -117,8 +116,7 @@ def trim(
     fixed: Mapping[str, float] | None = None,
     limits: Mapping[str, tuple[float, float]] | None = None,
     thrust: Thrust = "auto",
-    gravity: float = STANDARD_GRAVITY,
-    density: float | Callable | None = None,
+    air: Any = None,
 ) -> Trim | list[Trim]:
     r"""Return the steady flight of an aircraft at an airspeed.
 
@@ -157,8 +155,8 @@ def trim(
         Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model was learned from
         by the width of it on either side, at least 0.1 rad; surfaces reach 45 degrees where that is unknown;
         ``throttle`` is 0 to 1, ``thrust`` > 0.
-    thrust, gravity, density
-        As for :func:`skdgp.dynamics.simulate`.
+    thrust, air
+        As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
 
     Returns
     -------
@@ -182,7 +180,7 @@ def trim(
     >>> round(turning.turn_rate, 3), round(float(9.80665 * np.tan(0.5) / 20.0), 3)
     (0.264, 0.268)
     """
-    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    motion = Motion(model, aircraft, thrust=thrust, air=air)
     airspeeds = np.asarray(airspeed, dtype=float)
     if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
         raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
     ACCELERATION_LENGTHS,
     CHANNELS,
@@ -24,6 +24,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._air.air import LocalAir, as_air
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 from skdgp.dynamics._vehicle.aircraft import Aircraft
@@ -46,17 +47,6 @@ MEMORY = 4
 RIDGE, TINY = 1e-12, 1e-300
 TOLERANCE = 1e-10
 """Of the implicit regressors, each over 1 + its size."""
-
-
-class Air(NamedTuple):
-    """Motion of the air at the aircraft."""
-
-    wind: Array
-    """Velocity, north, east, down, (..., 3) [m/s]."""
-    wind_rate: Array | None = None
-    """Its rate of change along the flight, (..., 3) [m/s^2]."""
-    rotation: Array | None = None
-    """Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it."""
 
 
 class Instant(NamedTuple):
@@ -84,8 +74,8 @@ class Instant(NamedTuple):
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
-    ``model``, ``aircraft``, ``thrust``, ``gravity`` and ``density`` are those of `skdgp.dynamics.simulate`. With
-    ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed point.
+    The parameters are those of `skdgp.dynamics.simulate`; of the air, density and gravity count. With ``lagged`` the
+    implicit regressors are the guess passed to `at`, instead of the fixed point.
 
     Attributes
     ----------
@@ -101,18 +91,16 @@ class Motion:
         aircraft: Aircraft,
         *,
         thrust: Thrust = "auto",
-        gravity: float = STANDARD_GRAVITY,
-        density: float | Callable | None = None,
+        air: Any = None,
         lagged: bool = False,
     ):
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
         if not isinstance(aircraft, Aircraft):
             raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
-        self.aircraft, self.gravity, self.thrust = aircraft, gravity, thrust
-        if not (density is None or callable(density) or (np.isfinite(density) and density >= 0)):
-            raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
-        self._density = _density_of_air if density is None else density
+        air = as_air(air)
+        self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
+        self._density = _density_of_air if air.density is None else air.density
         self._check_lengths()
         self._plan = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
@@ -173,7 +161,7 @@ class Motion:
         self,
         state: Array,
         controls: Mapping,
-        air: Air | None = None,
+        air: LocalAir | None = None,
         implicit: Array | None = None,
         drift: Array | float = 0.0,
     ) -> Instant:

@@ -1,11 +1,11 @@
-"""Inputs of a simulation: initial states, controls, wind."""
+"""Inputs of a simulation: initial states and controls."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,13 +22,12 @@ from skdgp._flight.channels import (
     RATES,
     THRUST_FORCES,
     THRUST_MOMENTS,
-    WIND,
 )
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._air.air import LocalAir
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.error_covariance import checked_std
-from skdgp.dynamics._equations.motion import Air
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
@@ -64,7 +63,9 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     return states
 
 
-def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], Air | None] = lambda states: None) -> Array:
+def initial_states(
+    starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None] = lambda states: None
+) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
     By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative to the air); what
@@ -101,7 +102,7 @@ def _columns(table: pd.DataFrame, names: Sequence[str]) -> Array:
     return np.stack([table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], axis=-1)
 
 
-def _from_table(table: pd.DataFrame, air_at: Callable[[Array], Air | None]) -> Array:
+def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
     given = [names for names in (BODY_VELOCITY, EARTH_VELOCITY) if all(name in table for name in names)]
     states = table_states(table, given[0] if given else ())
@@ -143,7 +144,7 @@ def _warn_of_wind(table: pd.DataFrame, states: Array, wind: Any) -> None:
         worst = int(np.nanargmax(off))
         warnings.warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, but x0 says "
-            f"{table['airspeed'].iloc[worst]:.1f} m/s: give the wind of that flight (wind=...).",
+            f"{table['airspeed'].iloc[worst]:.1f} m/s: give the wind of that flight (air=wind).",
             stacklevel=5,
         )
 
@@ -172,10 +173,6 @@ def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, rand
 
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
-WIND_STEP = 1e-3
-"""Over which the wind of a function is differentiated [s]."""
-AirAt: TypeAlias = "Callable[[Any, Array], Air | None]"
-"""From a time or a stage, and states (..., 13), to the air there; None where it is at rest."""
 
 
 class Clock(NamedTuple):
@@ -228,16 +225,25 @@ def tables_of(*sources: Any) -> list[pd.DataFrame]:
     return found
 
 
-def control_schedule(
-    controls: Any, clock: Clock, wanted: Callable[[str], bool], n_starts: int, hold: bool = False
-) -> Callable:
+class FlightComputer(NamedTuple):
+    """A feedback law that is asked once a step, as in a flight computer: ``simulate(..., FlightComputer(law))``.
+
+    By itself a law is asked at every stage of a step, as if it acted without a delay.
+    """
+
+    law: Callable
+    """(t, state) to controls by name."""
+
+
+def control_schedule(controls: Any, clock: Clock, wanted: Callable[[str], bool], n_starts: int) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
-    ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a feedback law sees. With
-    ``hold`` the law is asked at the beginning of each step alone.
+    ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a feedback law sees.
     """
+    if isinstance(controls, FlightComputer):
+        return _held(controls.law, clock)
     if callable(controls):
-        return _Law(controls, clock, hold)
+        return lambda step, stage, observe: controls(clock.stages[stage], observe())
     if isinstance(controls, Mapping):
         constant = {name: _numbers(value, f"control {name}") for name, value in controls.items()}
         for name, value in constant.items():
@@ -247,76 +253,28 @@ def control_schedule(
                     "starts, but expected a finite number, or one for each start; what varies is a table with time."
                 )
         return lambda step, stage, observe: constant
-    tables = _tables(controls, "controls", n_starts)
+    tables = as_tables(controls, "controls", n_starts)
     names = [name for name in map(str, tables[0]) if name != "time" and wanted(name)]
     if not names:
         raise ValueError(f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft.")
-    values = _interpolated(tables, names, clock, "controls")
+    values = interpolated(tables, names, clock, "controls")
     return lambda step, stage, observe: {name: values[name][stage] for name in names}
 
 
-class _Law:
-    """Controls as a function of (t, state) that returns values by name."""
+def _held(law: Callable, clock: Clock) -> Callable:
+    """Return what a flight computer does: its controls of the beginning of a step, held to its end."""
+    held: dict[int, Mapping] = {}
 
-    def __init__(self, law: Callable, clock: Clock, hold: bool):
-        self.law, self.times, self.hold = law, clock.stages, hold
-        self.held: tuple[int, Mapping] = (-1, {})
+    def controls(step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
+        if step not in held:
+            held.clear()
+            held[step] = law(clock.stages[stage], observe())
+        return held[step]
 
-    def __call__(self, step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
-        if not self.hold:
-            return self.law(self.times[stage], observe())
-        if self.held[0] != step:
-            self.held = step, self.law(self.times[stage], observe())
-        return self.held[1]
+    return controls
 
 
-def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
-    """Return a function (t, state) to the air, of a wind that is constant, a function or None."""
-    if wind is None:
-        return lambda t, state: None
-    if callable(wind):
-
-        def field(t: float, state: Array) -> Air:
-            position = state[..., rigid_body.POSITION]
-            velocity = body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
-            ahead, behind = (
-                np.asarray(wind(t + step, position + step * velocity), dtype=float) for step in (WIND_STEP, -WIND_STEP)
-            )
-            if ahead.shape not in ((3,), position.shape):
-                raise ValueError(
-                    f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected a function of "
-                    "(t, position) to the velocity of the air, north, east, down: (3,), or as the positions."
-                )
-            return Air(0.5 * (ahead + behind), (ahead - behind) / (2 * WIND_STEP))
-
-        return field
-    if isinstance(wind, Mapping | pd.Series):
-        check_names(dict(wind), WIND, "names of a constant wind")
-        wind = [wind.get(name, 0.0) for name in WIND]
-    constant = np.asarray(wind, dtype=float)
-    if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
-        raise ValueError(
-            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the finite velocity of the "
-            "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a table with time."
-        )
-    return lambda t, state: Air(constant)
-
-
-def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
-    """Return a function (stage, state) to the air."""
-    if not tables_of(wind):
-        times, field = clock.stages, wind_field(wind, n_starts)
-        return lambda stage, state: field(times[stage], state)
-    tables = _tables(wind, "wind", n_starts)
-    for table in tables:
-        check_columns(table, WIND, what="wind")
-    columns = _interpolated(tables, WIND, clock, "wind")
-    velocity = np.stack([columns[name] for name in WIND], axis=-1)
-    rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
-    return lambda stage, state: Air(velocity[stage], rate[stage])
-
-
-def _tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
+def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     tables = _as_list(source)
     if not all(isinstance(table, pd.DataFrame) for table in tables):
         raise TypeError(
@@ -328,7 +286,7 @@ def _tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     return tables
 
 
-def _interpolated(tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str) -> dict[str, Array]:
+def interpolated(tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str) -> dict[str, Array]:
     """Return columns at every stage, linear between rows: (n_stages,), or (n_stages, n_starts) of several tables."""
     parts = []
     for table in tables:

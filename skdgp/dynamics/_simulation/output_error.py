@@ -18,6 +18,7 @@ from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
+from skdgp.dynamics._air.air import as_air
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.error_covariance import checked_std
 from skdgp.dynamics._equations.motion import Motion
@@ -27,11 +28,12 @@ from skdgp.dynamics._simulation.inputs import (
     control_schedule,
     initial_states,
     perturbed,
-    wind_schedule,
 )
 from skdgp.dynamics._simulation.simulate import fly_record, is_control
 from skdgp.dynamics._simulation.trajectory import channels
+from skdgp.dynamics._simulation.wind import wind_schedule
 from skdgp.dynamics._vehicle.aircraft import Aircraft
+from skdgp.dynamics._vehicle.loads import Thrust
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors of the prior covariance that are tried; the first is so small that it shows the direction alone."""
@@ -74,9 +76,9 @@ def fit_output_error(
     noise: Mapping[str, float],
     *,
     dt: float = 0.02,
-    wind: Any = None,
+    air: Any = None,
+    thrust: Thrust = "auto",
     random_state: Seed = 0,
-    **options: Any,
 ) -> OutputError:
     r"""Correct a model so that its free flight from recorded starts fits the recorded states.
 
@@ -110,12 +112,10 @@ def fit_output_error(
         v_down, phi, theta, psi, p, q, r, perhaps north, east, down.
     dt : float, default=0.02
         Time step [s].
-    wind : as of :func:`skdgp.dynamics.simulate`, optional
-        A list of tables has one for each segment.
+    air, thrust
+        As for :func:`skdgp.dynamics.simulate`; a list of winds has one for each segment, no gusts are drawn.
     random_state : int or RandomState, default=0
         Of the drifts.
-    **options
-        ``thrust``, ``density``, ``gravity`` of :func:`skdgp.dynamics.simulate`.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def fit_output_error(
         raise ValueError(f"Got a model without a posterior ({aerodynamics!r}), but expected one to be the prior.")
     if len(flights) < 2:
         raise ValueError(f"Got {len(flights)} segment, but expected at least two: cut the flight into seconds.")
-    problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, random_state, wind, options)
+    problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, random_state, air, thrust)
     z = np.zeros(problem.root.shape[1])
     residuals, slopes = problem.linear(z)
     left_out, before = _left_out(problem, residuals, slopes), float(np.mean(residuals**2))
@@ -253,7 +253,7 @@ class _Correction:
 class _Problem:
     """Recorded segments, the states that a correction gives, their slopes and their covariance."""
 
-    def __init__(self, aerodynamics, aircraft, flights, noise, dt, random_state, wind, options):
+    def __init__(self, aerodynamics, aircraft, flights, noise, dt, random_state, air, thrust):
         self.noise = {name: std for name, std in checked_std(noise).items() if std > 0}
         self.names, self.aerodynamics = list(self.noise), aerodynamics
         if not self.names:
@@ -264,10 +264,11 @@ class _Problem:
             check_columns(flight, ["time", *self.names], what="segment")
             if not np.isfinite(flight[self.names].to_numpy(float)).all():
                 raise ValueError(f"Got a segment with missing values in {self.names}, but expected numbers: fill them.")
-        self.motion = Motion(aerodynamics, aircraft, **options)
+        air = as_air(air)
+        self.motion = Motion(aerodynamics, aircraft, thrust=thrust, air=air)
         self.clock = Clock.of(dt, min(float(np.ptp(flight["time"])) for flight in flights), [])
         self.steps = np.linspace(0, self.clock.n_steps, N_TIMES + 1).round().astype(int)[1:]
-        self.air = wind_schedule(wind, self.clock, len(flights))
+        self.air = wind_schedule(air.wind, self.clock, len(flights))
         self.commands = control_schedule(flights, self.clock, is_control(self.motion), len(flights))
         starts = as_starts(pd.concat([flight.iloc[:1] for flight in flights], ignore_index=True))
         self.starts = initial_states(starts, lambda at: self.air(0, at))

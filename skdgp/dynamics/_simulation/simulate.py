@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from numbers import Real
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import semidefinite_root
-from skdgp._compute.typing import Array, Seed, Vector
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import AIR_DATA, CHANNELS, HAT, RATE_LENGTHS, SENSOR_GUST, TRUTH_SUFFIX, WIND, rate_factor
-from skdgp._flight.channels import RATES as BODY_RATES
-from skdgp._flight.frames import body_to_ned, ned_to_body
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
+from skdgp.dynamics._air.air import LocalAir, as_air
+from skdgp.dynamics._air.turbulence import Turbulence
 from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._equations.aerodynamics import Drift
 from skdgp.dynamics._equations.error_covariance import (
@@ -26,12 +23,10 @@ from skdgp.dynamics._equations.error_covariance import (
     start_errors,
     state_readouts,
 )
-from skdgp.dynamics._equations.motion import CONTROLS, Air, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
-from skdgp.dynamics._simulation.gusts import Gusts, GustyAir, dryden_gusts
+from skdgp.dynamics._equations.motion import CONTROLS, Instant, Motion
+from skdgp.dynamics._equations.rigid_body import RATES, VELOCITY, rk4_step
 from skdgp.dynamics._simulation.inputs import (
     PROPULSION,
-    AirAt,
     Clock,
     as_starts,
     control_schedule,
@@ -39,10 +34,9 @@ from skdgp.dynamics._simulation.inputs import (
     perturbed,
     tables_of,
     warn_of_clocks,
-    wind_schedule,
 )
 from skdgp.dynamics._simulation.trajectory import channels, trajectory_table, warn_of
-from skdgp.dynamics._simulation.turbulence import LENGTH, TooShort, Turbulence
+from skdgp.dynamics._simulation.wind import AirAt, airspeeds, drift_in, gusty_air, met_turbulence, wind_schedule
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust
 
@@ -51,7 +45,6 @@ SLOWEST = 1.0
 FASTEST, SPINNING = 1000.0, 60.0
 """Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
-STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
@@ -64,17 +57,12 @@ def simulate(
     dt: float = 0.02,
     *,
     duration: float | None = None,
-    wind: Any = None,
-    gusts: Turbulence | Literal["auto"] | float | None = "auto",
+    air: Any = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
-    drift: bool = True,
     return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
     thrust: Thrust = "auto",
-    density: float | Callable | None = None,
-    gravity: float = STANDARD_GRAVITY,
-    hold: bool = False,
 ) -> pd.DataFrame:
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
@@ -95,30 +83,21 @@ def simulate(
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what gives the thrust: a
         table with ``time`` [s], its first row the start (linear between rows; a list: one for each start); constants
         by name; or a feedback law, a function (t, state) to values by name, where ``state`` maps the names of
-        channels to arrays, ``state["phi"]``.
+        channels to arrays, ``state["phi"]``; or `FlightComputer` (law), which asks it once a step.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional
         [s]; by default as long as the tables.
-    wind : array-like (3,), DataFrame or callable, optional
-        Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
-        ``wind_down``; or a function (t, position (..., 3)).
-    gusts : "auto", Turbulence, float or None, default="auto"
-        Turbulence in which each path meets gusts of its own, with their rates p, q, r, besides the ``wind``. A table or
-        function as ``wind`` contains the velocity of the gusts: then only rates are drawn. "auto": that of this table
-        or function (`Turbulence.from_wind`), else that of the training flights, if the model knows it. A number: that
-        of the training flights, with vertical gusts of this standard deviation [m/s]. None: calm air.
+    air : Air, DataFrame, list of DataFrame, array-like (3,), callable, Turbulence or "calm", optional
+        A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with density and gravity. By
+        default paths meet the gusts of a wind that is a table or a function, else those of the training flights. "calm"
+        is without gusts.
     n_paths : int, optional
         Number of functions drawn to fly instead of the mean, each for a whole flight: from the posterior, with errors
         by noise that is correlated between samples, which it does not contain. Their spread is the uncertainty of the
         trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
-    drift : bool, default=True
-        Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
-        change slowly, as the residuals of the training flights did, besides what drawn gusts explain. In calmer air it
-        is smaller, in calm air the misfit of the function alone; where the model does not know the turbulence of its
-        flights, it is as large as theirs. False: the uncertainty of the aircraft alone.
     return_std : bool, default=False
         Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
         joint posterior of the coefficients along it, to first order, with the rates of gusts, but no velocity of gusts.
@@ -130,12 +109,6 @@ def simulate(
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
         propeller_speed [rad/s] or throttle. A function (controls, airspeed, density) to newtons along the thrust
         line. None: a glider, or a model whose coefficients include the thrust.
-    density : float or callable, optional
-        [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
-    gravity : float, default=9.80665
-        [m/s^2].
-    hold : bool, default=False
-        Whether a feedback law is asked once a step, as in a flight computer; else at every stage.
 
     Returns
     -------
@@ -150,8 +123,7 @@ def simulate(
     ------
     ValueError
         If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
-        rebuilt, the model lacks a coefficient or has no posterior to draw from, there is a Turbulence or a number as
-        ``gusts`` without paths, or a number and the model does not know the turbulence of its flights.
+        rebuilt, the model lacks a coefficient or has no posterior to draw from, or there is a Turbulence without paths.
 
     Warns
     -----
@@ -176,169 +148,40 @@ def simulate(
     >>> flown[["time", "airspeed", "altitude"]].iloc[-1].round(1).to_dict()
     {'time': 10.0, 'airspeed': 11.2, 'altitude': 90.8}
     """
-    motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
+    asked = as_air(air)
+    motion = Motion(model, aircraft, thrust=thrust, air=asked)
     starts = as_starts(x0)
-    clock = Clock.of(dt, duration, tables_of(controls, wind))
-    warn_of_clocks(starts, controls, wind, clock.dt)
-    air = wind_schedule(wind, clock, len(starts))
-    commands = control_schedule(controls, clock, is_control(motion), len(starts), hold=hold)
-    states = initial_states(starts, lambda at: air(0, at))
-    if n_paths is None and not (gusts is None or (isinstance(gusts, str) and gusts == "auto")):
+    clock = Clock.of(dt, duration, tables_of(controls, asked.wind))
+    warn_of_clocks(starts, controls, asked.wind, clock.dt)
+    local = wind_schedule(asked.wind, clock, len(starts))
+    commands = control_schedule(controls, clock, is_control(motion), len(starts))
+    states = initial_states(starts, lambda at: local(0, at))
+    if n_paths is None and isinstance(asked.gusts, Turbulence):
         raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
-    met, said = _turbulence(gusts, wind, air, motion, clock, states) if n_paths or return_std else (None, "")
-    drifting = None
-    if drift and (n_paths or return_std):
-        speed = float(_airspeed(states, air).mean())
-        drifting = _drift_in(met, motion, speed, drawn=n_paths is not None)
+    if n_paths is not None and return_std:
+        raise ValueError("Got n_paths and return_std=True, but expected one of them: paths spread by themselves.")
+    if initial_std is not None and n_paths is None and not return_std:
+        raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
+    drift, drifts, said = None, None, ""
+    if n_paths is not None or return_std:
+        met, said = met_turbulence(asked, local, motion, clock, states)
+        if asked.drift:
+            drift = drift_in(met, motion, float(airspeeds(states, local).mean()), drawn=n_paths is not None)
     if n_paths is not None:
         if met is not None and np.any(met.intensity):
-            air = _gusty(air, met, _varies(wind), motion, clock, states, n_paths, random_state)
+            local = gusty_air(asked, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        if return_std:
-            raise ValueError("Got n_paths and return_std=True, but expected one of them: paths spread by themselves.")
-    elif initial_std is not None and not return_std:
-        raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
+        drifts = None if drift is None else drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
         states = states[0]
-    drifts = None
-    if drifting is not None and n_paths is not None:
-        drifts = drifting.draw(clock.stages, states.shape[:-1], random_state)
-    record = fly_record(motion, commands, air, clock, states, drifts)
+    record = fly_record(motion, commands, local, clock, states, drifts)
     warn_of(record, motion)
-    std = linear_std(record, motion, initial_std, drifting) if return_std else {}
+    std = linear_std(record, motion, initial_std, drift) if return_std else {}
     first = [table["time"].iloc[0] for table in tables_of(controls)] or [0.0]
     table = trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
     table.attrs["air"] = said
     return table
-
-
-def _turbulence(
-    gusts: Any, wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array
-) -> tuple[Turbulence | None, str]:
-    """Return the turbulence to fly in, None if nobody knows it, and a sentence that says what it is."""
-    flown = motion.aerodynamics.turbulence
-    if gusts is None:
-        return STILL, "Air without gusts, as asked."
-    if isinstance(gusts, Turbulence):
-        intensity, length = (np.asarray(part, dtype=float) for part in gusts[:2])
-        size = np.stack([intensity, length]) if intensity.shape == length.shape == (3,) else np.full((2, 3), np.nan)
-        if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
-            raise ValueError(f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w.")
-        return gusts, f"Gusts {_sizes(gusts)}, as asked."
-    scaled = isinstance(gusts, Real) and not isinstance(gusts, bool) and 0.0 <= float(gusts) < np.inf
-    if not scaled and not (isinstance(gusts, str) and gusts == "auto"):
-        raise ValueError(
-            f"Got gusts={gusts!r}, but expected 'auto', a Turbulence, an intensity [m/s] from 0 on, or None."
-        )
-    if not scaled and _varies(wind):
-        found = _turbulence_of(wind, air, motion, clock, states)
-        if found is not None:
-            return found, f"Gusts as those of the wind, {_sizes(found)}."
-    if flown is None and scaled:
-        raise ValueError(
-            f"Got gusts={gusts!r}, but the model does not know the turbulence of its flights: their tables lack "
-            "airspeed, alpha, beta, attitude or v_north, v_east, v_down, or last less than 30 s. Give "
-            "Turbulence.from_flight(flight, span) or Turbulence.low_altitude(height, wind_at_6m)."
-        )
-    if flown is None:
-        return None, "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
-    if scaled:
-        found = flown.scaled(float(gusts) / flown.intensity[2])
-        return found, f"Gusts {_sizes(found)}, as asked."
-    return flown, f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
-
-
-def _sizes(turbulence: Turbulence) -> str:
-    """Return the intensities in words."""
-    u, v, w = turbulence.intensity
-    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
-
-
-def _varies(wind: Any) -> bool:
-    """Return whether a wind contains its gusts: a table or a function."""
-    return callable(wind) or bool(tables_of(wind))
-
-
-def _turbulence_of(wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array) -> Turbulence | None:
-    """Return the turbulence of a wind, None if it is too short to show it; a function is followed straight ahead."""
-    speeds, tables = _airspeed(states, air), tables_of(wind)
-    if not tables:
-        ground = body_to_ned(states[:, ATTITUDE], states[:, VELOCITY])
-        met = []
-        for k in range(clock.n_steps + 1):
-            moved = states.copy()
-            moved[:, POSITION] += k * clock.dt * ground
-            met.append(np.broadcast_to(air(2 * k, moved).wind, (len(states), 3)))  # type: ignore[union-attr]
-        time = clock.dt * np.arange(clock.n_steps + 1)
-        tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
-    try:
-        return Turbulence.from_wind(tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span)
-    except TooShort:
-        return None
-
-
-def _gusty(
-    air: AirAt,
-    turbulence: Turbulence,
-    rates_alone: bool,
-    motion: Motion,
-    clock: Clock,
-    states: Array,
-    n_paths: int,
-    random_state: Any,
-) -> GustyAir:
-    """Return the air (n_paths, n_starts) with gusts of the turbulence, or with their rates alone."""
-    seed = check_random_state(random_state).randint(2**31 - 1, size=5)  # other numbers than those of the paths
-    n = len(states)
-    length, intensity = (np.tile(part, (n, 1)) for part in (turbulence.length, turbulence.intensity))
-    drawn = dryden_gusts(
-        len(clock.stages), 0.5 * clock.dt, _airspeed(states, air), length, intensity, motion.aircraft.span,
-        np.random.default_rng(seed), n_draws=n_paths,
-    )  # fmt: skip
-    parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
-    if rates_alone:
-        parts[:2] = (np.zeros_like(part) for part in parts[:2])
-    return GustyAir(air, Gusts(*parts))
-
-
-def _drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool) -> Drift | None:
-    r"""Return the drift in the turbulence that is met; ``drawn``: besides the rates of its gusts.
-
-    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function, and the rates of
-    their gusts explain g. The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
-
-    .. math:: m + \min(1, \rho) (\tau^2 - g - m) + \rho g,
-              \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
-
-    without the last term where rates are drawn; :math:`\sigma_0` is what sensors show of calm air.
-    """
-    model = motion.aerodynamics
-    drift, flown = model.drift, model.turbulence
-    if drift is None or flown is None or met is None:
-        return drift
-    speed = start_speed if flown.airspeed is None else flown.airspeed
-    middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
-    gradient = model.gradient(middle[None])[0]
-    slopes = np.zeros((6, 3))
-    for k, regressor in enumerate(model.regressors):
-        name = regressor.removesuffix(TRUTH_SUFFIX)
-        rate = name.removesuffix(HAT)
-        if rate in BODY_RATES:
-            length = getattr(motion.aircraft, RATE_LENGTHS[rate])
-            factor = 1.0 if rate == name else rate_factor(rate, length, np.array(speed))
-            slopes[:, BODY_RATES.index(rate)] += gradient[:, k] * factor
-    besides = flown.without_rotation(drift, slopes, speed, motion.aircraft.span).variance
-    ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
-    variance = drift.misfit + min(1.0, ratio) * np.maximum(besides - drift.misfit, 0.0)
-    return drift._replace(variance=variance if drawn else variance + ratio * (drift.variance - besides))
-
-
-def _airspeed(states: Array, air: AirAt) -> Vector:
-    """Return the airspeed of starts (n, 13)."""
-    here = air(0, states)
-    wind = 0.0 if here is None else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
-    return np.linalg.norm(states[:, VELOCITY] - wind, axis=-1)
 
 
 class Record(NamedTuple):
@@ -480,7 +323,7 @@ def _std_along(
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
     at: Any = (knots, *place)
-    wind = None if record.wind is None else Air(record.wind[at])
+    wind = None if record.wind is None else LocalAir(record.wind[at])
     slopes = jacobian(
         motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
     )

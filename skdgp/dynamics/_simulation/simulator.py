@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
+from skdgp.dynamics._air.air import as_air
+from skdgp.dynamics._air.turbulence import Turbulence
 from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._equations.rigid_body import rk4_step
-from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed, wind_field
+from skdgp.dynamics._simulation.inputs import as_starts, initial_states, perturbed
 from skdgp.dynamics._simulation.simulate import FLYING, end_reasons
 from skdgp.dynamics._simulation.trajectory import beyond, channels
+from skdgp.dynamics._simulation.wind import wind_field
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust
 
@@ -30,10 +32,8 @@ class Simulator:
         As for :func:`skdgp.dynamics.simulate`.
     dt : float, default=0.02
         Time step [s].
-    wind : array-like (3,), callable or None
-        Velocity of the air, north, east, down [m/s]: constant, or a function (t, position (..., 3)).
-    thrust, density, gravity
-        As for :func:`skdgp.dynamics.simulate`.
+    air, thrust
+        As for :func:`skdgp.dynamics.simulate`; the wind is constant or a function, no gusts are drawn besides it.
 
     Attributes
     ----------
@@ -71,15 +71,16 @@ class Simulator:
         aircraft: Aircraft,
         dt: float = 0.02,
         *,
-        wind: Any = None,
+        air: Any = None,
         thrust: Thrust = "auto",
-        density: float | Callable | None = None,
-        gravity: float = STANDARD_GRAVITY,
     ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
-        self.motion = Motion(model, aircraft, thrust=thrust, gravity=gravity, density=density)
-        self.dt, self._steps, self._mean, self._air = float(dt), 0, self.motion.aerodynamics, wind_field(wind)
+        air = as_air(air)
+        if isinstance(air.gusts, Turbulence):
+            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: give a wind, as a function.")
+        self.motion = Motion(model, aircraft, thrust=thrust, air=air)
+        self.dt, self._steps, self._mean, self._air = float(dt), 0, self.motion.aerodynamics, wind_field(air.wind)
         self.ended: Any = FLYING
         self.beyond: Any = ""
         self._state: Any = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +12,6 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.frames import body_to_ned, cross
-from skdgp.dynamics._equations.motion import Air
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
-from skdgp.dynamics._simulation.inputs import AirAt
 
 FEET = 0.3048
 CEILING = 1000 * FEET
@@ -32,27 +27,6 @@ class Gusts(NamedTuple):
     """Rate of change of the velocity [m/s^2]."""
     rates: np.ndarray
     """p, q, r of the air as if it turned like a rigid body [rad/s]."""
-
-
-@dataclass(frozen=True)
-class GustyAir:
-    """Gusts around each aircraft, on top of a wind."""
-
-    wind: AirAt
-    gusts: Gusts
-    """At each stage, (n_stages, ..., 3)."""
-
-    def __call__(self, stage: Any, state: Array) -> Air:
-        """Return the air at a stage, or at several, and states (..., 13)."""
-        velocity, acceleration, rotation = (part[stage] for part in self.gusts)
-        rate = acceleration + cross(state[..., RATES], velocity)  # a gust turns with the aircraft
-        gust, gust_rate = body_to_ned(state[..., ATTITUDE], np.stack([velocity, rate]))
-        steady = self.wind(stage, state)
-        if steady is None:
-            return Air(gust, gust_rate, rotation)
-        return Air(
-            steady.wind + gust, gust_rate if steady.wind_rate is None else steady.wind_rate + gust_rate, rotation
-        )
 
 
 def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +126,7 @@ def dryden_wind(
     dt: float = 0.02,
     random_state: Seed = None,
 ) -> pd.DataFrame:
-    """Return a gusty wind for ``simulate(wind=...)``.
+    """Return a gusty wind, for ``simulate(air=...)``.
 
     Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at ``airspeed`` along
     ``heading``, without its rotation.

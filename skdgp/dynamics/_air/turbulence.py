@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from skdgp._compute.typing import Array
@@ -16,8 +15,7 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
-from skdgp.dynamics._equations.aerodynamics import Drift
-from skdgp.dynamics._simulation.gusts import dryden_system, low_altitude_turbulence
+from skdgp.dynamics._air.dryden import low_altitude_turbulence
 
 SHORTEST = 30.0
 """Flight [s] below which gusts cannot be told from the mean wind."""
@@ -38,8 +36,6 @@ FEWEST = 3
 """Values of the periodogram from which an intensity is estimated: its standard error is then 30 %."""
 CALM = 1e-12
 """Power [m^2/s^2] of the wind below which it is round-off."""
-HORIZON, POINTS = 1.0, 101
-"""Time [s] over which the effects of rotation and drift are compared, and points of the integral."""
 
 
 class Turbulence(NamedTuple):
@@ -182,39 +178,6 @@ class Turbulence(NamedTuple):
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
         std = None if self.intensity_std is None else factor * self.intensity_std
         return self._replace(intensity=factor * np.asarray(self.intensity), intensity_std=std)
-
-    def without_rotation(self, drift: Drift, slopes: Array, airspeed: float, span: float) -> Drift:
-        """Return the part of a drift that the rotation of these gusts does not explain.
-
-        The residuals of a flight contain the effect of the rates p, q, r of the air, which no sensor shows. Of each
-        coefficient, tau^2 is reduced by the share of the rates in the variance of its integral over 1 s.
-
-        Parameters
-        ----------
-        drift : Drift
-            Of a flight in this turbulence.
-        slopes : ndarray (6, 3)
-            Of the coefficients by p, q, r [s].
-        airspeed, span : float
-            Of that flight [m/s], [m].
-
-        Returns
-        -------
-        Drift
-        """
-        A, B, C = dryden_system(airspeed, self.length, self.intensity, span)
-        covariance, step = solve_continuous_lyapunov(A, -B @ B.T), expm(A * HORIZON / (POINTS - 1))
-        lags = np.linspace(0.0, HORIZON, POINTS)
-        autocovariance = np.empty((POINTS, 3))
-        for k in range(POINTS):
-            autocovariance[k] = np.einsum("ij,jk,ik->i", C[6:], covariance, C[6:])
-            covariance = step @ covariance
-        weight = 2 * np.gradient(lags) * (HORIZON - lags)
-        weight[[0, -1]] *= 0.5
-        rotation = slopes**2 @ (weight @ autocovariance)
-        whole = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
-        share = np.divide(rotation, whole, out=np.zeros(6), where=whole > 0)
-        return drift._replace(variance=drift.variance * np.maximum(1 - share, 0.0))
 
 
 class TooShort(ValueError):

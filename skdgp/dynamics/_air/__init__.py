@@ -1,0 +1,1 @@
+"""The air that an aircraft flies in: wind, gusts, density."""

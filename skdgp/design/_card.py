@@ -164,9 +164,10 @@ def _go(plan: Plan) -> str:
     if plan.gusts is None:
         caption += "of calm air."
     else:
-        along, _, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
-        caption += f"of gusts with standard deviations of {along} horizontally and {up} vertically: below 300{THIN}m "
-        caption += "those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller than this."
+        along, across, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
+        caption += f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: "
+        caption += f"below 300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller "
+        caption += "than this."
     return f"<section><h2>Go or no-go</h2>{table(['', 'go', 'no-go'], rows, caption=caption)}</section>"
 
 

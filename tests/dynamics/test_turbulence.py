@@ -24,7 +24,7 @@ TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 AIRCRAFT = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=SPAN, chord=0.25)
 
 
-def flights(turbulence, n_flights, duration, noise, seed):
+def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
     """Straight level flights over the ground at 25 m/s, in gusts and a wind along the way."""
     rng = np.random.default_rng(seed)
     n = round(duration / STEP)
@@ -37,8 +37,8 @@ def flights(turbulence, n_flights, duration, noise, seed):
         zero = np.zeros(n)
         tables.append(pd.DataFrame({
             "time": STEP * np.arange(n), "flight": f"flight {k}", "airspeed": speed, "alpha": np.arctan2(w, u),
-            "beta": np.arcsin(v / speed), "phi": zero, "theta": zero, "psi": zero, "v_north": SPEED + 3.0,
-            "v_east": zero, "v_down": zero,
+            "beta": np.arcsin(v / speed), "phi": zero, "theta": zero, "psi": zero + heading,
+            "v_north": (SPEED + 3.0) * np.cos(heading), "v_east": (SPEED + 3.0) * np.sin(heading), "v_down": zero,
         }))  # fmt: skip
     return pd.concat(tables, ignore_index=True)
 
@@ -58,6 +58,26 @@ class TestFromFlight:
             values = np.log([getattr(each, name)[[0, 2]] for each in found])
             stated = [(getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found]
             np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
+        assert np.mean([each.is_tied for each in found]) > 0.8  # of the flights, whose u and v are alike: 95 %
+
+    def test_u_and_v_that_differ_are_told_apart(self):
+        """Wherever the aircraft is heading; a wind without a heading does not tell."""
+        true = Turbulence(np.array([0.8, 0.4, 0.35]), np.array([100.0, 250.0, 60.0]))
+        tables = [flights(true, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
+        found, turned = (Turbulence.from_flight(table, SPAN) for table in tables)
+        assert not found.is_tied
+        assert (np.abs(np.log(found.intensity / true.intensity)) < 3 * found.intensity_std / found.intensity).all()
+        assert (np.abs(np.log(found.length / true.length)) < 3 * found.length_std / found.length).all()
+        np.testing.assert_allclose(turned.intensity, found.intensity, rtol=1e-3)
+        wind = dryden_wind(100.0, 25.0, 100.0, random_state=0)
+        assert Turbulence.from_wind(wind, 25.0, SPAN).is_tied
+
+    def test_each_axis_has_the_noise_of_its_sensor(self):
+        """A vane that is noisier than the pitot tube does not make gusts from the side."""
+        table = flights(TRUE, 2, 300.0, 0.1, seed=5)
+        vane = table["beta"] + np.random.default_rng(0).normal(0, 0.04, len(table))
+        found = Turbulence.from_flight(table.assign(beta=vane), SPAN)
+        np.testing.assert_allclose(found.intensity, TRUE.intensity, rtol=0.2)
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
     def test_the_spectrum_is_that_of_drawn_gusts_without_lag(self, axis):

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
+from scipy.stats import chi2
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
@@ -34,6 +35,8 @@ LENGTH, LENGTH_STD = 126.0, 0.72
 height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds do not show it."""
 FEWEST = 3
 """Values of the periodogram from which an intensity is estimated: its standard error is then 30 %."""
+LEVEL = 0.95
+"""Of the test that intensity and length of u and v differ: the usual one."""
 CALM = 1e-12
 """Power [m^2/s^2] of the wind below which it is round-off."""
 
@@ -60,6 +63,8 @@ class Turbulence(NamedTuple):
     length_std: Array | None = None
     airspeed: float | None = None
     """Mean of the flights [m/s]; None where intensity and length are given."""
+    is_tied: bool = False
+    """Whether u and v share intensity and length, since the wind does not tell them apart."""
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -71,9 +76,11 @@ class Turbulence(NamedTuple):
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
         """Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind, with the noise of the sensors: intensity and
-        length are estimated as by `from_wind`, and white noise with them. Six minutes give intensities to a tenth and
-        lengths to a fifth.
+        The velocity over the ground less that through the air is the wind, with the noise of the sensors. Its parts
+        along the flight through the air, across and down are u, v and w: intensity and length are estimated as by
+        `from_wind`, and white noise of each with them. u and v share intensity and length (MIL-F-8785C, 3.7.2) unless
+        the test of the likelihood ratio (Wilks 1938) tells them apart at a level of 5 %. Six minutes give intensities
+        to a tenth and lengths to a fifth.
 
         Parameters
         ----------
@@ -99,7 +106,7 @@ class Turbulence(NamedTuple):
         winds = [_wind_of(flight.iloc[part][columns].dropna()) for part in rows]
         long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= SHORTEST]
         try:
-            return cls._of(long, [wind["airspeed"].mean() for wind in long], span, noisy=True)
+            return cls._of(long, [wind["airspeed"].mean() for wind in long], span)
         except TooShort as error:
             raise ValueError(
                 f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every {LONGEST / SAMPLES:g} m, "
@@ -117,8 +124,8 @@ class Turbulence(NamedTuple):
                   - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
 
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as one, all winds and
-        axes. u and v share intensity and length (MIL-F-8785C, 3.7.2); of north and east, S is the mean of their
-        spectra. Standard errors are those of the Fisher information.
+        axes. The direction of flight is not known here: u and v share intensity and length (MIL-F-8785C, 3.7.2), and of
+        north and east, S is the mean of their spectra. Standard errors are those of the Fisher information.
 
         Parameters
         ----------
@@ -154,11 +161,11 @@ class Turbulence(NamedTuple):
             raise ValueError(
                 f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or one for each."
             )
-        return cls._of(wind, airspeed, span, noisy=False)
+        return cls._of([table[["time", *WIND]] for table in wind], airspeed, span)
 
     @classmethod
-    def _of(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float, *, noisy: bool) -> Turbulence:
-        """Return the turbulence of winds, ``noisy`` if they are of sensors."""
+    def _of(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
+        """Return the turbulence of winds, exact ones, or of sensors with the heading of the aircraft."""
         if not 0 < span < np.inf:
             raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
         speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
@@ -169,10 +176,17 @@ class Turbulence(NamedTuple):
                 "Got winds that are too short, or too rarely sampled, to show gusts, but expected some seconds, with a "
                 "row for each 300 m: give longer ones."
             )
-        horizontal, vertical = (_fitted(spectra, axes, noisy) for axes in ((0, 1), (2,)))
-        intensity, length, intensity_std, length_std = np.transpose([horizontal, horizontal, vertical])
+        along, vertical = _fitted(spectra, (0, 1)), _fitted(spectra, (2,))
+        across, is_tied = along, True
+        if spectra[0].is_along:
+            apart = [_fitted(spectra, (axis,)) for axis in (0, 1)]
+            is_tied = bool(2 * (along.loss - sum(one.loss for one in apart)) < chi2.ppf(LEVEL, 2))
+            along, across = (along, across) if is_tied else apart
+        intensity, length, intensity_std, length_std = np.transpose(
+            [each.estimate for each in (along, across, vertical)]
+        )
         mean = np.average([p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra])
-        return cls(intensity, length, intensity_std, length_std, float(mean))
+        return cls(intensity, length, intensity_std, length_std, float(mean), is_tied)
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
@@ -185,7 +199,7 @@ class TooShort(ValueError):
 
 
 class _Spectra(NamedTuple):
-    """Periodograms of the wind north, east, down, (n, 3), at frequencies (n,) [rad/s]."""
+    """Periodograms of the wind (n, 3), at frequencies (n,) [rad/s]."""
 
     frequency: np.ndarray
     values: Array
@@ -193,31 +207,54 @@ class _Spectra(NamedTuple):
     airspeed: float
     shortest: float
     """Scale length [m] that they can show."""
+    is_along: bool
+    """Whether the axes are along the flight, across, down, with noise of sensors; else north, east, down."""
+
+    def unit(self, length: float, axis: int) -> Array:
+        """Return Dryden's spectrum of an axis for unit variance: of north and east the mean of those of u and v."""
+        of = (0, 1) if axis < 2 and not self.is_along else (axis,)
+        return np.mean([_spectrum(self.frequency, length / self.airspeed, each) for each in of], axis=0)
+
+
+class _Fit(NamedTuple):
+    """Intensity and length of some axes."""
+
+    estimate: tuple[float, float, float, float]
+    """Intensity, length, and their standard errors."""
+    loss: float
+    """The negative logarithm of likelihood and prior, but for a constant."""
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return time, airspeed and wind of a flight."""
+    """Return time, airspeed and wind of a flight, and the heading of its velocity through the air."""
     attitude = euler_to_quaternion(*rows[[*EULER]].to_numpy(float).T)
     air = body_to_ned(attitude, air_velocity(*rows[[*AIR_DATA]].to_numpy(float).T))
     wind = pd.DataFrame(rows[[*EARTH_VELOCITY]].to_numpy(float) - air, columns=[*WIND])
+    wind["heading"] = np.unwrap(np.arctan2(air[:, 1], air[:, 0]))
     return wind.assign(time=rows["time"].to_numpy(float), airspeed=rows["airspeed"].to_numpy(float))
 
 
 def _periodogram(wind: pd.DataFrame, airspeed: float, span: float) -> _Spectra | None:
     """Return the periodogram of a wind, None if it is too short, met at no airspeed, or sampled too rarely."""
-    wind = wind[["time", *WIND]].dropna()
+    wind, is_along = wind.dropna(), "heading" in wind
     time = wind["time"].to_numpy(float)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if not 0 < SAMPLES * step * airspeed < LONGEST:
         return None
     even = np.arange(time[0], time[-1], step)
     gusts = np.stack([np.interp(even, time, wind[name].to_numpy(float)) for name in WIND], axis=1)
-    values = np.abs(np.fft.rfft(gusts - gusts.mean(axis=0), axis=0)) ** 2 * step / len(even)
+    gusts -= gusts.mean(axis=0)
+    if is_along:
+        heading = np.interp(even, time, wind["heading"].to_numpy(float))
+        ahead, aside = np.cos(heading), np.sin(heading)
+        north, east = gusts[:, 0].copy(), gusts[:, 1].copy()
+        gusts[:, 0], gusts[:, 1] = ahead * north + aside * east, ahead * east - aside * north
+    values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * step / len(even)
     frequency = 2 * np.pi * np.fft.rfftfreq(len(even), step)
     highest = min(BAND * np.pi * airspeed / (4 * span), 0.9 * np.pi / step)
     used = (frequency > SLOWEST) & (frequency < highest)
     shortest = max(SAMPLES * step * airspeed, airspeed / highest)
-    return _Spectra(frequency[used], values[used], step, airspeed, shortest)
+    return _Spectra(frequency[used], values[used], step, airspeed, shortest, is_along)
 
 
 def _spectrum(frequency: Array, time: float, axis: int) -> Array:
@@ -226,33 +263,34 @@ def _spectrum(frequency: Array, time: float, axis: int) -> Array:
     return 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
 
 
-def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], noisy: bool) -> tuple[float, float, float, float]:
-    """Return intensity and length common to the axes, whose spectrum is the mean of theirs, and standard errors."""
-    observed = np.concatenate([part.values[:, axes].ravel() for part in spectra])
+def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
+    """Return intensity and length that the axes share; each has white noise of its own."""
+    observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
     level = max(float(np.mean(observed)), CALM)
     power = level * max(part.frequency[-1] for part in spectra)
     density = level / min(part.step for part in spectra)
 
     def logarithm(theta):
-        variance, length, noise = np.exp(theta)
-        parts = []
-        for part in spectra:
-            unit = np.mean([_spectrum(part.frequency, length / part.airspeed, axis) for axis in axes], axis=0)
-            parts.append(np.repeat(np.log(variance * unit + noise * part.step), len(axes)))
-        return np.concatenate(parts)
+        variance, length, *noise = np.exp(theta)
+        return np.concatenate([
+            np.log(variance * part.unit(length, axis) + noise[k] * part.step)
+            for part in spectra for k, axis in enumerate(axes)
+        ])  # fmt: skip
 
     def loss(theta):
         spectrum = logarithm(theta)
         return np.sum(spectrum + observed * np.exp(-spectrum)) + 0.5 * ((theta[1] - np.log(LENGTH)) / LENGTH_STD) ** 2
 
     shortest = min(part.shortest for part in spectra)
-    loudest = 10 * density if noisy else 2e-6 * density
-    bounds = [*np.log([(1e-6 * power, 100 * power), (shortest, LONGEST), (1e-6 * density, loudest)])]
-    starts = [np.log([0.5 * power, length, 0.05 * loudest]) for length in (2 * shortest, 10 * shortest)]
-    best = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun).x
-    step = 1e-4
-    slopes = np.array([(logarithm(best + step * e) - logarithm(best - step * e)) / (2 * step) for e in np.eye(3)])
-    information = slopes @ slopes.T + np.diag([0.0, LENGTH_STD**-2, 0.0])
+    loudest = (10 if spectra[0].is_along else 2e-6) * density
+    bounds = [*np.log([(1e-6 * power, 100 * power), (shortest, LONGEST), *[(1e-6 * density, loudest)] * len(axes)])]
+    noise = [0.05 * loudest] * len(axes)
+    starts = [np.log([0.5 * power, length, *noise]) for length in (2 * shortest, 10 * shortest)]
+    best = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun)
+    x, step = best.x, 1e-4
+    slopes = np.array([(logarithm(x + step * e) - logarithm(x - step * e)) / (2 * step) for e in np.eye(len(x))])
+    information = slopes @ slopes.T
+    information[1, 1] += LENGTH_STD**-2
     error = np.sqrt(np.diag(np.linalg.pinv(information)))  # of the logarithms
-    intensity, length = np.exp(0.5 * best[0]), np.exp(best[1])
-    return intensity, length, 0.5 * error[0] * intensity, error[1] * length
+    intensity, length = np.exp(0.5 * x[0]), np.exp(x[1])
+    return _Fit((intensity, length, 0.5 * error[0] * intensity, error[1] * length), best.fun)

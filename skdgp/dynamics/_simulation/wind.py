@@ -96,7 +96,7 @@ def met_turbulence(
 def _sizes(turbulence: Turbulence) -> str:
     """Return the intensities in words."""
     u, v, w = turbulence.intensity
-    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
+    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w{', of which u and v are not told apart' * turbulence.is_tied})"
 
 
 def _has_gusts(wind: Any) -> bool:

@@ -83,7 +83,7 @@ def test_torque_turns_the_aircraft_against_the_propeller():
 
 def test_a_static_table_says_that_it_is_one():
     static = bench(airspeeds=(0.0,)).drop(columns=["airspeed"])
-    with pytest.warns(UserWarning, match="no airspeed > 0.*static thrust only"):
+    with pytest.warns(UserWarning, match="no airspeed > 0.*is overstated"):
         fitted = Propeller.from_table(static, diameter=0.5)
     np.testing.assert_allclose(fitted.thrust_coefficients, [0.11], atol=1e-12)
 

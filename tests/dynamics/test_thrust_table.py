@@ -35,7 +35,7 @@ def test_a_bench_table_in_any_order_and_one_airspeed(engine):
     rows = [{"throttle": t, "airspeed": v, "thrust": plane(t, v)} for v in AIRSPEED[::-1] for t in THROTTLE]
     again = ThrustTable.from_table(pd.DataFrame(rows), density=1.2)
     assert again({"throttle": 0.3}, 7.0, 1.2) == pytest.approx(plane(0.3, 7.0))
-    static = ThrustTable([0.0, 1.0], [0.0], [[0.0], [50.0]], follows_density=False)
+    static = ThrustTable([0.0, 1.0], [0.0], [[0.0], [50.0]], density=0.3)
     assert static({"throttle": 0.5}, 20.0, 0.3) == pytest.approx(25.0)
 
 

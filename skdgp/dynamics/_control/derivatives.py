@@ -55,9 +55,8 @@ def stability_derivatives(
 
     Parameters
     ----------
-    model : Aerodynamics, Pipeline or estimator
-        As for :func:`skdgp.dynamics.as_aerodynamics`.
-    aircraft : Aircraft
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
     point : Trim, array-like of shape (13,), or several of them
         Trims, or states (`STATE_NAMES`) with their ``controls``.
     controls : mapping of str to float or array-like of shape (n,), optional
@@ -92,10 +91,8 @@ def stability_derivatives(
         no such parts.
 
         Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make of the values, and
-        ``aircraft`` names the largest of them. They are shared: an inertia that is 10 % too large makes all derivatives
-        of that moment 10 % too large. They are not part of ``std``, as trim, modes and simulations with the same
-        aircraft do not depend on them: the forces and accelerations of the log do not change with the sizes that they
-        are divided by and multiplied with again. Compare derivatives with those of another source by both deviations.
+        ``aircraft`` names the largest of them. They are shared, and not part of ``std``: trim, modes and simulations
+        with the same aircraft do not depend on them. Compare derivatives with those of another source by both.
 
     Notes
     -----

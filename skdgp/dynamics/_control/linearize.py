@@ -31,7 +31,6 @@ OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
 ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
 ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
-LATERAL_CONTROLS, LONGITUDINAL_CONTROLS = {"aileron", "rudder"}, {"elevator", "thrust", "throttle", "propeller_speed"}
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 """States of the modes along and across the plane of symmetry."""
 TURN, SPIN = slice(6, 9), slice(9, 12)
@@ -122,16 +121,14 @@ def _mechanics(
         air = LocalAir(*parts)
     n_inputs, shape = len(inputs), state.shape[:-1]
     controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
-    steps = np.concatenate(
-        [
-            np.full((*shape, 3), POSITION_STEP),
-            np.repeat(FRACTION * instant.airspeed[..., None], 3, axis=-1),
-            np.full((*shape, 6), ANGLE_STEP),
-            *(FRACTION * (1.0 + np.abs(controls[name]))[..., None] for name in inputs),
-            np.full((*shape, 6), FRACTION),
-        ],
-        axis=-1,
+    steps = np.full((*shape, 18 + n_inputs), FRACTION)
+    steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
+        POSITION_STEP,
+        FRACTION * instant.airspeed[..., None],
+        ANGLE_STEP,
     )
+    for k, name in enumerate(inputs):
+        steps[..., 12 + k] = FRACTION * (1.0 + np.abs(controls[name]))
     slopes = np.zeros(())
     for move, weight in WEIGHTS.items():
         moves = move * steps[..., None] * np.eye(steps.shape[-1])
@@ -157,19 +154,10 @@ def _shifted(state: Array, errors: Array) -> Array:
 
 def _responses(instant: Instant, motion: Motion) -> Array:
     """Return error_dot, zero for the attitude, which `jacobian` has exactly, then regressors and outputs."""
-    derivative = instant.derivative
+    rate = np.zeros((*instant.derivative.shape[:-1], 12))
+    rate[..., :6], rate[..., SPIN] = instant.derivative[..., :6], instant.derivative[..., RATES]
     seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
-    return np.concatenate(
-        [
-            derivative[..., :6],
-            np.zeros((*derivative.shape[:-1], 3)),
-            derivative[..., RATES],
-            instant.regressors,
-            seen,
-            instant.force / motion.aircraft.mass,
-        ],
-        axis=-1,
-    )
+    return np.concatenate([rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1)
 
 
 class Matrices(NamedTuple):
@@ -185,15 +173,7 @@ class Matrices(NamedTuple):
 class LinearModel:
     r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
 
-    Parameters
-    ----------
-    A, B, C, D : DataFrame
-        Rows and columns carry the names of states, inputs, outputs.
-    state : ndarray of shape (13,)
-    controls : dict
-        The flight.
-    paths : Matrices or None
-        The same of each path of the posterior, (n_paths, ...).
+    Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs.
     """
 
     A: pd.DataFrame
@@ -201,8 +181,10 @@ class LinearModel:
     C: pd.DataFrame
     D: pd.DataFrame
     state: Array
+    """Of the flight, (13,)."""
     controls: dict[str, float]
     paths: Matrices | None = None
+    """A, B, C, D of each path of the posterior, (n_paths, ...)."""
 
     @property
     def states(self) -> list[str]:
@@ -224,13 +206,8 @@ class LinearModel:
         """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
         if self.paths is None:
             raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) has them.")
-        means = (self.A, self.B, self.C, self.D)
-        return Matrices(
-            *(
-                pd.DataFrame(path.std(axis=0, ddof=1), index=mean.index, columns=mean.columns)
-                for path, mean in zip(self.paths, means, strict=True)
-            )
-        )
+        pairs = zip(self.paths, self._tables(), strict=True)
+        return Matrices(*(pd.DataFrame(path.std(axis=0, ddof=1), mean.index, mean.columns) for path, mean in pairs))
 
     def select(self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> LinearModel:
         """Return the part with these states, inputs and outputs; what is left out stands still."""
@@ -239,24 +216,23 @@ class LinearModel:
         ):  # fmt: skip
             check_names(asked, have, f"{what} of the linear model")
         blocks = _block_names(list(states), list(inputs), list(outputs))
-        tables = [table.loc[a, b] for table, (a, b) in zip(self._tables(), blocks, strict=True)]
+        pairs = list(zip(self._tables(), blocks, strict=True))
+        A, B, C, D = (table.loc[rows, columns] for table, (rows, columns) in pairs)
         paths = None
         if self.paths is not None:
-            cut = []
-            for values, table, (a, b) in zip(self.paths, self._tables(), blocks, strict=True):
-                rows, columns = list(table.index), list(table.columns)
-                cut.append(values[:, [rows.index(name) for name in a]][:, :, [columns.index(name) for name in b]])
-            paths = Matrices(*cut)
-        A, B, C, D = tables
+            places = [[axis.get_indexer(pd.Index(names)) for axis, names in zip(table.axes, block, strict=True)]
+                      for table, block in pairs]  # fmt: skip
+            each = zip(self.paths, places, strict=True)
+            paths = Matrices(*(values[:, rows][:, :, columns] for values, (rows, columns) in each))
         return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
-        return self._without(ACROSS, LATERAL_CONTROLS)
+        return self._without(ACROSS, {"aileron", "rudder"})
 
     def lateral(self) -> LinearModel:
         """Return the motion across the plane of symmetry, v p r phi, with all inputs but elevator and thrust."""
-        return self._without(ALONG, LONGITUDINAL_CONTROLS)
+        return self._without(ALONG, {"elevator", "thrust", "throttle", "propeller_speed"})
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -322,13 +298,13 @@ def linearize(
     """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
     Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit function theorem.
-    Air is at rest; in steady wind the same holds for the motion relative to the air.
+    Air is at rest; in steady wind the same holds for the motion relative to the air. Raises ValueError if a name is
+    unknown, the airspeed is zero, or the model is not defined there.
 
     Parameters
     ----------
-    model : Aerodynamics, Pipeline or estimator
-        As for :func:`skdgp.dynamics.as_aerodynamics`.
-    aircraft : Aircraft
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
     point : Trim or array-like of shape (13,)
         A trim, or a state (`STATE_NAMES`) with its ``controls``.
     controls : mapping of str to float, optional
@@ -341,8 +317,7 @@ def linearize(
         Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
-        the modes. Slopes of a model learned from flights also get the other errors that
-        :func:`skdgp.dynamics.stability_derivatives` names.
+        the modes; with the other errors that :func:`skdgp.dynamics.stability_derivatives` names.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, air
@@ -351,11 +326,6 @@ def linearize(
     Returns
     -------
     LinearModel
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown, the airspeed is zero, or the model is not defined there.
 
     Examples
     --------
@@ -392,10 +362,8 @@ def linearize(
     paths = None
     if check_paths(n_paths):
         paths = _matrices(*_drawn(motion, state, controls, n_paths, random_state), controls, *chosen)
-    names = _block_names(*chosen)
-    blocks = zip(_matrices(motion, state, None, controls, *chosen), names, strict=True)
-    tables = [pd.DataFrame(values, index=rows, columns=columns) for values, (rows, columns) in blocks]
-    A, B, C, D = tables
+    blocks = zip(_matrices(motion, state, None, controls, *chosen), _block_names(*chosen), strict=True)
+    A, B, C, D = (pd.DataFrame(values, rows, columns) for values, (rows, columns) in blocks)
     return LinearModel(A, B, C, D, state, controls, paths)
 
 
@@ -447,13 +415,7 @@ def _drawn(
 
 
 def _matrices(
-    motion: Motion,
-    state: Array,
-    lag: Lag | None,
-    controls: Mapping,
-    states: list[str],
-    inputs: list[str],
-    outputs: list[str],
+    motion: Motion, state: Array, lag: Lag | None, controls: Mapping, states: list, inputs: list, outputs: list
 ) -> Matrices:
     found = jacobian(motion, state, controls, inputs=inputs, lag=lag)
     check_settled(found.instant)
@@ -487,11 +449,9 @@ def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
     return rate, change
 
 
-def _mode_table(A: np.ndarray, states: Sequence[str], paths: np.ndarray | None = None) -> pd.DataFrame:
+def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
     r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
-    states = list(states)
-    core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family]
-    core = core or states
+    core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family] or states
     rows = [states.index(name) for name in core]
     A = A[np.ix_(rows, rows)]
     eigenvalues, left, right = eig(A, left=True)
@@ -546,9 +506,7 @@ def _named(
         named |= _numbered("Dutch roll", dutch, eigenvalues)
         named |= dict(zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True))
         rest = []
-    if not named:
-        named = _numbered("mode", rest, eigenvalues)
-    return named
+    return named or _numbered("mode", rest, eigenvalues)
 
 
 def _choices(units: list, size: int) -> Iterator[list]:

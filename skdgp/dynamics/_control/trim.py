@@ -44,34 +44,12 @@ STARTS = (0.5, 0.25, 0.75, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """A steady flight.
-
-    Parameters
-    ----------
-    state : ndarray of shape (13,)
-        See `STATE_NAMES`; above the origin, heading north.
-    controls : dict of str to float
-        All that the model and the engine need.
-    airspeed, altitude, climb, turn_rate : float
-        [m/s, m, rad, rad/s]; ``climb`` is the angle of the flight path.
-    alpha, beta, phi, theta : float
-        [rad].
-    rates : ndarray of shape (3,)
-        p, q, r [rad/s].
-    coefficients : ndarray of shape (6,)
-        CX CY CZ Cl Cm Cn.
-    thrust : float
-        Of the engine, along its line [N].
-    solved : tuple of str
-        The unknowns; the rest was given.
-    residual : float
-        The largest acceleration that remains [m/s^2 or rad/s^2].
-    beyond : dict
-        Regressors outside what the model was learned from: name to (value, smallest, largest).
-    """
+    """A steady flight: airspeed [m/s], altitude [m], angles and that of the path, climb [rad], turn rate [rad/s]."""
 
     state: Array
+    """(13,), see `STATE_NAMES`; above the origin, heading north."""
     controls: dict
+    """All that the model and the engine need."""
     airspeed: float
     altitude: float
     climb: float
@@ -81,11 +59,17 @@ class Trim:
     phi: float
     theta: float
     rates: Array
+    """p, q, r [rad/s]."""
     coefficients: Array
+    """CX CY CZ Cl Cm Cn."""
     thrust: float
+    """Of the engine, along its line [N]."""
     solved: tuple[str, ...]
+    """The unknowns; the rest was given."""
     residual: float
+    """The largest acceleration that remains [m/s^2 or rad/s^2]."""
     beyond: dict
+    """Regressors outside what the model was learned from: name to (value, smallest, largest)."""
 
     def __repr__(self) -> str:
         named = {name: getattr(self, name) for name in ("climb", "turn_rate", "alpha", "beta", "phi", "theta")}
@@ -95,8 +79,8 @@ class Trim:
 
     def to_frame(self) -> pd.DataFrame:
         """Return the trim as a table of one row; ``beyond`` lists names."""
-        named = {name: getattr(self, name) for name in ("airspeed", "altitude", "climb", "turn_rate")}
-        named |= {name: getattr(self, name) for name in ("alpha", "beta", "phi", "theta")}
+        names = ("airspeed", "altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
+        named = {name: getattr(self, name) for name in names}
         named |= dict(zip(RATE_NAMES, self.rates, strict=True)) | self.controls | {"thrust": self.thrust}
         named |= dict(zip(COEFFICIENTS, self.coefficients, strict=True))
         return pd.DataFrame([named | {"residual": self.residual, "beyond": ", ".join(self.beyond)}])
@@ -133,13 +117,12 @@ def trim(
 
     Parameters
     ----------
-    model : Aerodynamics, Pipeline or estimator
-        As for :func:`skdgp.dynamics.as_aerodynamics`.
-    aircraft : Aircraft
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
     airspeed : float or array-like of shape (n,)
         [m/s]; several give a list of trims.
     altitude : float
-        [m], for the density of the air; a climb is steady at that altitude.
+        [m]; a climb is steady at the density of this altitude.
     climb : float or None
         Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or None.
     turn_rate, bank : float, optional
@@ -379,15 +362,13 @@ class SteadyFlight:
                 f"Nothing is at a limit: {', '.join(self.unknowns)} cannot balance it. Ask for another airspeed (too "
                 "slow, it stalls), free a control, or let the path follow (climb=None: no thrust holds it)"
             )
-        return (
-            f"There is no trim of {self.motion.aircraft.name} at {self._asked(airspeed)}: nearest to it are left "
-            f"{', '.join(left)}{', with ' + ', '.join(at) if at else ''}. {remedy}."
-        )
-
-    def _asked(self, airspeed: float) -> str:
         units = {"altitude": "m", "turn_rate": "rad/s"}
         asked = [f"{name} {value:g} {units.get(name, 'rad')}" for name, value in self.given.items()]
-        return ", ".join([f"airspeed {airspeed:g} m/s", *asked, *(f"{n} {v:g}" for n, v in self.fixed.items())])
+        asked = [f"airspeed {airspeed:g} m/s", *asked, *(f"{name} {value:g}" for name, value in self.fixed.items())]
+        return (
+            f"There is no trim of {self.motion.aircraft.name} at {', '.join(asked)}: nearest to it are left "
+            f"{', '.join(left)}{', with ' + ', '.join(at) if at else ''}. {remedy}."
+        )
 
 
 def _check_given(given: dict, fixed: dict) -> None:

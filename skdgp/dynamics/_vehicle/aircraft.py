@@ -46,10 +46,9 @@ class Aircraft:
         Thrust as a function of propeller speed and airspeed, for flights without thrust columns; or a mapping of the
         parameters of `Propeller.from_size`, such as diameter and pitch.
     deviations : mapping of str to ScaleFactor or mapping, optional
-        Errors of the sizes, by their cause. A pair (value, standard deviation) for mass, wing_area, span or chord, or
-        (matrix, three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own. `Aircraft.estimate` fills it.
-        :func:`skdgp.dynamics.stability_derivatives` says what these errors do; a simulation with the same aircraft does
-        not depend on them.
+        Errors of the sizes, by their cause: :func:`skdgp.dynamics.stability_derivatives` says what they do. A pair
+        (value, standard deviation) for mass, wing_area, span or chord, or (matrix, three standard deviations of Ixx,
+        Iyy, Izz) for inertia, adds its own.
 
     Examples
     --------
@@ -164,10 +163,9 @@ class Aircraft:
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
         """Read the aircraft from a file that ends in .json or .toml."""
-        path = Path(path)
+        path, readers = Path(path), {".json": cls.from_json, ".toml": cls.from_toml}
         if not path.exists():
             raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
-        readers = {".json": cls.from_json, ".toml": cls.from_toml}
         if path.suffix.lower() not in readers:
             raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
         return readers[path.suffix.lower()](path)
@@ -186,10 +184,9 @@ class Aircraft:
 
     @classmethod
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
-        """Build the aircraft from a mapping whose keys are the parameters of this class.
+        """Return the aircraft of a mapping of the parameters of this class, or with ``kind`` of `estimate`.
 
-        With a key ``kind`` they are those of `estimate`. Raises ValueError if a key is missing or unknown (the nearest
-        known one is named), or a value is not valid.
+        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
         """
         if isinstance(values, Mapping) and "kind" in values:
             check_keys(values, list(signature(cls.estimate).parameters), ["mass", "span"], what)
@@ -224,12 +221,10 @@ def _inertia_and_factors(value: Any) -> tuple[Array, dict[str, ScaleFactor]]:
     """Return the inertia, of a tensor or of a pair of it and the deviations of its moments, and their scale factors."""
     if not (isinstance(value, (list, tuple)) and len(value) == 2 and np.shape(value[1]) == (3,)):
         return _inertia(value), {}
-    inertia, std = _inertia(value[0]), as_floats(value[1])
-    relative = std / np.diag(inertia)
-    return inertia, {
-        name: ScaleFactor(each, {moment: 1.0}, "told")
-        for (name, moment), each in zip(INERTIAS.items(), relative.tolist(), strict=True)
-    }
+    inertia = _inertia(value[0])
+    relative = (as_floats(value[1]) / np.diag(inertia)).tolist()
+    pairs = zip(INERTIAS.items(), relative, strict=True)
+    return inertia, {name: ScaleFactor(each, {moment: 1.0}, "told") for (name, moment), each in pairs}
 
 
 def _inertia(value: ArrayLike) -> Array:
@@ -249,8 +244,7 @@ def _inertia(value: ArrayLike) -> Array:
     if moments[0] <= 0:
         raise ValueError(
             f"Got inertia {inertia.tolist()} which is not positive definite (principal moments "
-            f"{moments.round(6).tolist()} kg m^2): the moments on the diagonal must be positive and outweigh "
-            "the products off it. Check units (kg m^2) and signs (inertia[0][2] = -Ixz)."
+            f"{moments.round(6).tolist()} kg m^2): check units (kg m^2) and signs (inertia[0][2] = -Ixz)."
         )
     if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
         warnings.warn(

@@ -67,7 +67,7 @@ class Propeller:
         Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle is a control, and
         gives the thrust of flights without propeller_speed.
     load_std : float, default=0.0
-        Relative standard deviation of thrust and torque. `identify` says what it makes of derivatives.
+        Relative standard deviation of thrust and torque.
 
     Examples
     --------
@@ -86,13 +86,12 @@ class Propeller:
     load_std: float = 0.0
 
     def __post_init__(self):
-        for name in ("diameter", "max_advance_ratio"):
-            value = getattr(self, name)
-            if value is None and name == "max_advance_ratio":
-                continue
-            number = as_floats(value)
+        for name in ("diameter", *(["max_advance_ratio"] if self.max_advance_ratio is not None else [])):
+            number = as_floats(getattr(self, name))
             if number.shape != () or not 0 < number < np.inf:
-                raise ValueError(f"Got {name}={value!r} of a propeller, but expected a finite number > 0.")
+                raise ValueError(
+                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected a finite number > 0."
+                )
             object.__setattr__(self, name, float(number))
         if self.rotation not in (1, -1):
             raise ValueError(f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1.")
@@ -144,16 +143,15 @@ class Propeller:
         Parameters
         ----------
         table : pandas.DataFrame
-            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed`` [m/s]
-            (a static bench has none), ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
+            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed`` [m/s],
+            ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
         diameter : float
             D [m].
         degree : {0, 1, 2}
-            Degree of C_T(J) and C_Q(J). A static table determines degree 0 only.
+            Degree of C_T(J) and C_Q(J); of a static table it is 0.
         pitch : float, optional
-            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table it replaces the missing
-            airspeeds: C_T = c_0 (1 - J D / pitch), zero where the blades do not slip. This is a rule of thumb:
-            true zero-thrust advance ratios are often somewhat higher.
+            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1 - J D / pitch), zero
+            where the blades do not slip: a rule of thumb, true zero-thrust advance ratios are often higher.
         rotation : {1, -1}
             1 turns clockwise seen from behind.
 
@@ -172,16 +170,23 @@ class Propeller:
         speed = table["propeller_speed"].to_numpy(float)
         airspeed = table["airspeed"].to_numpy(float) if "airspeed" in table else np.zeros_like(speed)
         density = table["density"].to_numpy(float) if "density" in table else np.full_like(speed, SEA_LEVEL_DENSITY)
-        _check_bench(speed, airspeed, density, table["thrust"].to_numpy(float))
+        if not np.isfinite(np.stack([speed, airspeed, density, table["thrust"].to_numpy(float)])).all():
+            raise ValueError("Got NaN or infinite values in the bench table: drop those rows.")
+        if (speed <= 0).any() or (airspeed < 0).any() or (density <= 0).any():
+            raise ValueError(
+                "Got a bench table with propeller_speed <= 0, airspeed < 0 or density <= 0, but expected rad/s > 0, "
+                "m/s >= 0 and kg/m^3 > 0: drop those rows or fix the units."
+            )
         static = not (airspeed > 0).any()
         if static and pitch is None:
             warnings.warn(
-                "The bench table holds no airspeed > 0, so it determines the static thrust only, and thrust "
-                "in flight would be overstated. Add rows measured in a wind tunnel, or give pitch=... [m] to "
-                "let the thrust fall to zero at the advance ratio pitch / diameter.",
+                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows measured in a wind "
+                "tunnel, or give pitch=... [m]: the thrust then falls to zero at the advance ratio pitch / diameter.",
                 stacklevel=2,
             )
-        basis = _basis(speed, airspeed, density, diameter, 0 if static else degree)
+        n, advance = speed / (2.0 * np.pi), airspeed / diameter
+        powers = range(1 if static else degree + 1)
+        basis = np.stack([density * n ** (2 - k) * advance**k for k in powers], axis=-1)
 
         def fit(load: str, power: int) -> list[float]:
             target = table[load].to_numpy(float) / diameter**power
@@ -249,10 +254,8 @@ class Propeller:
                 "of motor_constant [rad/s/V] and voltage [V]."
             )
         ratio = float(pitch) / float(diameter)
-        for what, value, (low, high) in (
-            ("diameter", diameter, MEASURED_DIAMETERS),
-            ("pitch / diameter", ratio, MEASURED_PITCHES),
-        ):
+        measured = {"diameter": (diameter, MEASURED_DIAMETERS), "pitch / diameter": (ratio, MEASURED_PITCHES)}
+        for what, (value, (low, high)) in measured.items():
             if not low <= value <= high:
                 warnings.warn(
                     f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from others with {low:g} to "
@@ -267,33 +270,13 @@ class Propeller:
         return cls(diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std)
 
     def _load(
-        self,
-        coefficients: Sequence[float],
-        power: int,
-        propeller_speed: ArrayLike,
-        airspeed: ArrayLike,
-        density: ArrayLike,
+        self, coefficients: Sequence[float], power: int, propeller_speed: Any, airspeed: Any, density: Any
     ) -> Array:
         # n^2 C(V / n D) multiplied out, which stays finite at n = 0.
         n = np.asarray(propeller_speed, dtype=float) / (2.0 * np.pi)
         advance = np.asarray(airspeed, dtype=float) / self.diameter
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
         return np.asarray(density, float) * self.diameter**power * ((c0 * n + c1 * advance) * n + c2 * advance**2)
-
-
-def _basis(speed: Array, airspeed: Array, density: Array, diameter: float, degree: int) -> Array:
-    n, advance = speed / (2.0 * np.pi), airspeed / diameter
-    return np.stack([density * n ** (2 - k) * advance**k for k in range(degree + 1)], axis=-1)
-
-
-def _check_bench(speed: Array, airspeed: Array, density: Array, thrust: Array) -> None:
-    if not (np.isfinite(speed) & np.isfinite(airspeed) & np.isfinite(density) & np.isfinite(thrust)).all():
-        raise ValueError("Got NaN or infinite values in the bench table: drop those rows.")
-    if (speed <= 0).any() or (airspeed < 0).any() or (density <= 0).any():
-        raise ValueError(
-            "Got a bench table with propeller_speed <= 0, airspeed < 0 or density <= 0, but expected "
-            "rad/s > 0, m/s >= 0 and kg/m^3 > 0: drop those rows or fix the units."
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,7 +335,8 @@ class ThrustLine:
 class ThrustTable:
     """Thrust of an engine, interpolated linearly in a table: for ``simulate(thrust=...)``.
 
-    T = T(throttle, V) rho / rho_0, constant beyond the edges of the table, with rho_0 the density at the bench.
+    T = T(throttle, V) rho / rho_0, as of propellers and jets, constant beyond the edges of the table, with rho_0 the
+    density at the bench.
 
     Parameters
     ----------
@@ -364,8 +348,6 @@ class ThrustTable:
         [N].
     density : float or None, default=None
         Of the bench [kg/m^3]; None: the standard one at sea level.
-    follows_density : bool, default=True
-        Whether thrust goes with the density, as that of propellers and jets does.
 
     Examples
     --------
@@ -376,18 +358,12 @@ class ThrustTable:
     """
 
     def __init__(
-        self,
-        throttle: ArrayLike,
-        airspeed: ArrayLike,
-        thrust: ArrayLike,
-        *,
-        density: float | None = None,
-        follows_density: bool = True,
+        self, throttle: ArrayLike, airspeed: ArrayLike, thrust: ArrayLike, *, density: float | None = None
     ) -> None:
         self.throttle, self.airspeed, self.thrust = (np.asarray(x, dtype=float) for x in (throttle, airspeed, thrust))
-        for name, grid in (("throttle", self.throttle), ("airspeed", self.airspeed)):
-            if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all() or not (np.diff(grid) > 0).all():
-                raise ValueError(f"Got {name}={grid.tolist()}, but expected finite numbers that increase.")
+        for name, axis in (("throttle", self.throttle), ("airspeed", self.airspeed)):
+            if axis.ndim != 1 or not len(axis) or not np.isfinite(axis).all() or not (np.diff(axis) > 0).all():
+                raise ValueError(f"Got {name}={axis.tolist()}, but expected finite numbers that increase.")
         expected = (len(self.throttle), len(self.airspeed))
         if self.thrust.shape != expected or not np.isfinite(self.thrust).all():
             raise ValueError(
@@ -395,20 +371,15 @@ class ThrustTable:
                 "throttle, a column for each airspeed [N]."
             )
         self.density = float(standard_density(0.0)) if density is None else float(density)
-        self.follows_density = follows_density
-        axes = [
-            axis if len(axis) > 1 else np.array([axis[0], axis[0] + 1.0]) for axis in (self.throttle, self.airspeed)
-        ]
-        values = np.tile(self.thrust, [1 if len(axis) > 1 else 2 for axis in (self.throttle, self.airspeed)])
+        grid = (self.throttle, self.airspeed)
+        axes = [axis if len(axis) > 1 else axis[0] + np.array([0.0, 1.0]) for axis in grid]
+        values = np.tile(self.thrust, [1 if len(axis) > 1 else 2 for axis in grid])
         self._low, self._high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
         self._interpolated = RegularGridInterpolator(axes, values)
 
     @classmethod
     def from_table(cls, table: pd.DataFrame, **options: Any) -> ThrustTable:
-        """Return the engine of a bench table with the columns throttle, airspeed and thrust, a row for each point.
-
-        Raises ValueError if the points are not a full grid: every throttle at every airspeed, once.
-        """
+        """Return the engine of a table with throttle, airspeed and thrust; ValueError if it is no full grid."""
         check_columns(check_table(table, what="bench table"), ["throttle", "airspeed", "thrust"], what="bench table")
         if table.duplicated(["throttle", "airspeed"]).any():
             raise ValueError("Got a bench table with a point twice, but expected each throttle and airspeed once.")
@@ -427,5 +398,4 @@ class ThrustTable:
         fine = np.isfinite(points).all(axis=-1, keepdims=True)
         clipped = np.clip(np.where(fine, points, self._low), self._low, self._high)
         thrust = self._interpolated(clipped.reshape(-1, 2)).reshape(clipped.shape[:-1])
-        thrust = np.where(fine[..., 0], thrust, np.nan)
-        return thrust * (np.asarray(density) / self.density) if self.follows_density else thrust
+        return np.where(fine[..., 0], thrust, np.nan) * (np.asarray(density) / self.density)

@@ -27,8 +27,6 @@ POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {
 }
 """A measured coefficient is proportional to these powers: m f / (qbar S), and I omega_dot / (qbar S b) but for products
 of inertia and gyroscopic moments."""
-
-
 SPEED_POWERS = dict.fromkeys(RATE_LENGTHS, 0.5) | dict.fromkeys(ACCELERATION_LENGTHS, 1.0)
 """A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure."""
 
@@ -154,18 +152,13 @@ def estimated(
         factors["aspect ratio"] = ScaleFactor(std, powers, f"{ratio:g}, {usual if aspect_ratio is None else 'told'}")
         of_span |= {"wing_area": 2.0} | ({"chord": 1.0} if c is None else {})
     if c is None:
-        factors["mean aerodynamic chord"] = ScaleFactor(
-            rule.chord[1], {"chord": 1.0}, f"{rule.chord[0]:g} S / b, {usual}"
-        )
+        share, std = rule.chord
+        factors["mean aerodynamic chord"] = ScaleFactor(std, {"chord": 1.0}, f"{share:g} S / b, {usual}")
+        c = share * area / b
     else:
         by_chord = {"chord": 1.0} | ({"wing_area": 1.0} if wing_area is None and aspect_ratio is None else {})
         factors["chord"] = ScaleFactor(chord_std, by_chord, "told")
-    values: dict[str, Any] = {
-        "mass": m,
-        "span": b,
-        "wing_area": area,
-        "chord": rule.chord[0] * area / b if c is None else c,
-    }
+    values: dict[str, Any] = {"mass": m, "span": b, "wing_area": area, "chord": c}
     if inertia is None:
         l, length_std = (rule.length[0] * b, rule.length[1]) if length is None else value_and_std("length", length)
         share = l / (b + l)

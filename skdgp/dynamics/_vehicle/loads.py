@@ -65,7 +65,7 @@ def dynamic_pressure(airspeed: ArrayLike, density: ArrayLike) -> Array:
 def propeller_loads(
     aircraft: Aircraft, propeller_speed: ArrayLike, airspeed: ArrayLike, density: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return force (..., 3) [N] and moment (..., 3) [N m] of the aircraft's propeller on its thrust line.
+    """Return force (..., 3) [N] and moment (..., 3) [N m] of the aircraft's propeller, about the centre of gravity.
 
     Equation 7 of Hemakumara & Sukkarieh (2011): F_T = T(Omega, V) d,  M_T = r_T x F_T + Q d. Raises ValueError if the
     aircraft has no propeller.
@@ -79,7 +79,7 @@ def propeller_loads(
     Returns
     -------
     force, moment : ndarray (..., 3)
-        In body axes, the moment about the centre of gravity.
+        In body axes.
     """
     propeller = aircraft.propeller
     if propeller is None:
@@ -123,7 +123,16 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
     logged = "propeller_speed" in flight
     speed = flight["propeller_speed"].to_numpy(float) if logged else propeller.speed_at(flight["throttle"])
-    _warn_beyond_bench(propeller, speed, airspeed)
+    largest, running = propeller.max_advance_ratio, speed > 0
+    if largest is not None:
+        beyond = propeller.advance_ratio(speed, airspeed)[running] > 1.05 * largest
+        if beyond.any():
+            warnings.warn(
+                f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the largest one "
+                f"on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure at higher airspeed, or "
+                "give thrust columns.",
+                stacklevel=3,
+            )
     return propeller_loads(aircraft, speed, airspeed, density)
 
 
@@ -208,17 +217,3 @@ def _stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[
     """Return values by name as (..., 3), zero where one is absent."""
     columns = [np.asarray(values[name], dtype=float) if name in values else 0.0 for name in names]
     return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)
-
-
-def _warn_beyond_bench(propeller: Propeller, propeller_speed: Array, airspeed: Array) -> None:
-    if propeller.max_advance_ratio is None:
-        return
-    running = propeller_speed > 0
-    beyond = propeller.advance_ratio(propeller_speed, airspeed)[running] > 1.05 * propeller.max_advance_ratio
-    if beyond.any():
-        warnings.warn(
-            f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the largest one on "
-            f"the bench ({propeller.max_advance_ratio:.2f}): the thrust there is an extrapolation. Measure at higher "
-            "airspeed, or give thrust columns.",
-            stacklevel=4,
-        )

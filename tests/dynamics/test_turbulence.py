@@ -1,7 +1,5 @@
 """Turbulence of a flight, and simulation in it."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +14,7 @@ from skdgp.dynamics import Aerodynamics, Air, Aircraft, Simulator, Turbulence, a
 from skdgp.dynamics._air.dryden import dryden_gusts, dryden_system
 from skdgp.dynamics._air.turbulence import _spectrum
 from skdgp.dynamics._equations.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
+from skdgp.dynamics._equations.motion import Motion
 from skdgp.dynamics._simulation.wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
@@ -237,7 +236,7 @@ def learned_in(turbulence, model, drift):
     known = Aerodynamics(
         coefficients, model.regressors, drift=drift, turbulence=turbulence._replace(airspeed=SPEED), sampler=sampler
     )
-    return SimpleNamespace(aerodynamics=known, aircraft=AIRCRAFT)
+    return Motion(known, AIRCRAFT, thrust=None)
 
 
 def coefficients(X):

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
 from skdgp.dynamics._control.slope_errors import LAGS, lag_of
@@ -270,12 +270,10 @@ def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
 
 def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
     """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
-    name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
+    name = motion.regressors[k]
     if name not in LENGTHS:
         return np.ones_like(airspeed)
-    length, model_length = (getattr(owner, LENGTHS[name]) for owner in (motion.aircraft, motion.aerodynamics))
-    factor = rate_factor(name, model_length or length, airspeed) if HAT in full else 1.0
-    return factor / rate_factor(name, length, airspeed)
+    return motion.factor(k, airspeed) / rate_factor(name, getattr(motion.aircraft, LENGTHS[name]), airspeed)
 
 
 def _merged(row: str, name: str, source: int) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.channels import RATE_LENGTHS
 from skdgp._flight.frames import air_data_slopes, air_velocity, cross
 from skdgp.dynamics._equations.motion import Instant, Motion
 
@@ -57,7 +57,7 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
     for k, name in enumerate(motion.regressors):
         if name not in RATE_LENGTHS:
             continue
-        unit = _rate_unit(motion, k, now.airspeed)
+        unit = np.broadcast_to(1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed))  # of the regressor [rad/s]
         if name in LAGS:
             own[..., list(LAGS).index(name), k] = unit
             continue
@@ -66,16 +66,6 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
             by_rate[..., list(LAGS.values()).index(name)] = size[..., k] / unit[..., None]
     missing = np.array([[name not in motion.regressors] for name in LAGS])
     return Lag(SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing)
-
-
-def _rate_unit(motion: Motion, k: int, airspeed: Array) -> Array:
-    """Return one unit of the k-th regressor, a rate, in rad/s."""
-    name, full = motion.regressors[k], motion.aerodynamics.regressors[k]
-    if HAT not in full:
-        return np.ones_like(airspeed)
-    length = RATE_LENGTHS[name]
-    own = getattr(motion.aerodynamics, length) or getattr(motion.aircraft, length)
-    return 1.0 / rate_factor(name, own, airspeed)
 
 
 def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:

@@ -40,7 +40,6 @@ CONTROLS = (
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 """Channels that follow from the loads, and so from the coefficients that they may be regressors of."""
 STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
-PLACES = {"u": 3, "v": 4, "w": 5}
 MOST_ITERATIONS = 60
 MEMORY = 4
 """Changes that Anderson's method mixes."""
@@ -113,6 +112,7 @@ class Motion:
             )
         self._needs_angles = any(name in EULER for name in self.regressors)
         self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
+        self.is_implicit = bool(self._implicit)  # the coefficients depend on what follows from them
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
 
     def _check_lengths(self) -> None:
@@ -127,10 +127,10 @@ class Motion:
                 stacklevel=4,
             )
 
-    @property
-    def is_implicit(self) -> bool:
-        """Whether the coefficients depend on what follows from them."""
-        return bool(self._implicit)
+    def factor(self, k: int, airspeed: Array) -> Array | float:
+        """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
+        name, length = self._plan[k]
+        return rate_factor(name, length, airspeed) if length else 1.0
 
     def _source(self, full: str) -> tuple[str, float | None]:
         """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
@@ -201,29 +201,20 @@ class Motion:
         """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
         values = {"airspeed": airspeed, "alpha": alpha, "beta": beta, "density": density, "altitude": altitude}
         if self._needs_angles:
-            angles = quaternion_to_euler(state[..., ATTITUDE])
-            values |= {name: angles[..., k] for k, name in enumerate(EULER)}
+            values |= dict(zip(EULER, np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0), strict=True))
         rates = state[..., RATES] if air is None or air.rotation is None else state[..., RATES] - air.rotation
         values |= {"p": rates[..., 0], "q": rates[..., 1], "r": rates[..., 2]}
+        values |= {"u": state[..., 3], "v": state[..., 4], "w": state[..., 5]}
         X = np.empty((*state.shape[:-1], len(self._plan)))
-        for k, (name, length) in enumerate(self._plan):
-            if name in PLACES:
-                value = state[..., PLACES[name]]
-            elif name in values:
-                value = values[name]
-            elif name in IMPLICIT:
-                continue
-            else:
-                value = controls[name]
-            X[..., k] = value * rate_factor(name, length, airspeed) if length else value
+        for k, name in enumerate(self.regressors):
+            if name not in IMPLICIT:
+                X[..., k] = (values[name] if name in values else controls[name]) * self.factor(k, airspeed)
         return X
 
     def _insert(self, X: Array, implicit: Array, airspeed: Array) -> None:
         """Set the regressors that follow from the loads."""
-        for k in self._implicit:
-            name, length = self._plan[k]
-            value = implicit[..., IMPLICIT.index(name)]
-            X[..., k] = value * rate_factor(name, length, airspeed) if length else value
+        for k, place in zip(self._implicit, self._follows, strict=True):
+            X[..., k] = implicit[..., place] * self.factor(k, airspeed)
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""

@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.channels import HAT, RATE_LENGTHS, RATES, SENSOR_GUST, TRUTH_SUFFIX, WIND, rate_factor
+from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics._air.air import Air, AirAt, GustyAir, LocalAir
@@ -158,13 +158,9 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, draw
     middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
     gradient = model.gradient(middle[None])[0]
     slopes = np.zeros((6, 3))
-    for k, regressor in enumerate(model.regressors):
-        name = regressor.removesuffix(TRUTH_SUFFIX)
-        rate = name.removesuffix(HAT)
-        if rate in RATES:
-            length = getattr(motion.aircraft, RATE_LENGTHS[rate])
-            factor = 1.0 if rate == name else rate_factor(rate, length, np.array(speed))
-            slopes[:, RATES.index(rate)] += gradient[:, k] * factor
+    for k, name in enumerate(motion.regressors):
+        if name in RATES:
+            slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(speed))
     besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
     variance = drift.misfit + min(1.0, ratio) * np.maximum(besides - drift.misfit, 0.0)

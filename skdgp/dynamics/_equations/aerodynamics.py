@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from inspect import signature
 from itertools import takewhile
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,30 +30,6 @@ MISFIT_MEMORY = 2.0
 """Time [s] for which an error of the function lasts: that in which a manoeuvre changes the regressors. A guess: on four
 aircraft of JSBSim bands with 5 s hold the same share, and with the memory of the drift, .1 to .6 s, down to 83 %."""
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
-
-
-@runtime_checkable
-class HasGradient(Protocol):
-    """A regressor with slopes."""
-
-    def predict_gradient(self, X: Array) -> Array:
-        """Return the slopes (n, P, d) at X (n, d)."""
-
-
-@runtime_checkable
-class HasPosterior(Protocol):
-    """A regressor that draws functions from its posterior; its ``predict`` has ``return_cov``."""
-
-    def sample_paths(self, n_paths: int, random_state: Any) -> Any:
-        """Return the functions, with ``each`` and ``gradient``."""
-
-
-@runtime_checkable
-class HasTableOutput(Protocol):
-    """A transformer that returns tables or arrays."""
-
-    def set_output(self, *, transform: str) -> Any:
-        """Choose between them."""
 
 
 class Mixing(NamedTuple):
@@ -220,11 +196,12 @@ class Aerodynamics:
                 "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
             )
         values, slopes = self._sampler(n_paths, random_state)
-        errors = self._errors() if correlated else None
-        if errors is not None:
-            values, slopes = _with_errors(values, slopes, errors.draw(n_paths, random_state))
         drawn = copy.copy(self)
         drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
+        if correlated and (known := self._errors()) is not None:
+            errors = known.draw(n_paths, random_state)
+            drawn.function = lambda X: values(X) + errors(X)
+            drawn._gradient = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
         return drawn
 
     def covariance(self, X: ArrayLike, *, correlated: bool = False) -> Array:
@@ -246,7 +223,6 @@ class Aerodynamics:
         return covariance + root @ root.T
 
     def _errors(self) -> Any:
-        """Return the errors of the function that the posterior does not contain, None where none are known."""
         return None if self.function_errors is None else self.function_errors()
 
     def _each(self, function: Callable, X: Array, shape: tuple[int, ...]) -> Array:
@@ -270,20 +246,13 @@ class Aerodynamics:
         return np.stack(slopes, axis=-1)
 
 
-def _with_errors(values: Callable, slopes: Callable | None, errors: Any) -> tuple[Callable, Callable | None]:
-    """Return values and slopes of functions, with the errors of each added."""
-    added = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
-    return lambda X: values(X) + errors(X), added
-
-
 def as_aerodynamics(model: Any) -> Aerodynamics:
     """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
-    columns are regressors (``feature_names_in_``); or either in a fitted search or a ``CalibratedRegressor``. It
-    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names of them. Raises TypeError if
-    it is none of these; ValueError if the regressors have no names, or were scaled before they were chosen, or a
-    coefficient is missing.
+    columns are regressors; or either in a fitted search or a ``CalibratedRegressor``. It predicts all six coefficients,
+    in the order CX CY CZ Cl Cm Cn where it keeps no names of them. Raises TypeError if it is none of these; ValueError
+    if regressors have no names or were scaled before they were chosen, or a coefficient is missing.
 
     Notes
     -----
@@ -297,8 +266,9 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     - "measurements": treats measurements, and is left out. So is a step without the attribute.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
-    regressor at the end may have ``predict_gradient`` (`HasGradient`), ``sample_paths`` (`HasPosterior`), and a drift
-    in time, ``drift_variance_`` and ``drift_memory_`` (P,). A meta-estimator whose ``acts_on_outputs`` is true may hold
+    regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n, d); ``sample_paths``, functions with
+    ``each`` and ``gradient``, and then a ``predict`` with ``return_cov``; and a drift in time, ``drift_variance_`` and
+    ``drift_memory_`` (P,). A meta-estimator whose ``acts_on_outputs`` is true may hold
     a pipeline in ``estimator_``.
 
     Examples
@@ -331,15 +301,13 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
             f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
             "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
         )
-    scaled = [type(step).__name__ for step in before if isinstance(step, SCALERS)]
-    if scaled:
+    if scaled := [type(step).__name__ for step in before if isinstance(step, SCALERS)]:
         raise ValueError(
             f"Got {scaled} before the choice of regressors, but expected flight channels in their units there, as a "
             "simulation gives them: put it behind RegressorSelector."
         )
     chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
-    limits = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")]
-    mixing = None
+    limits, mixing = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")], None
     if splitter is not None:
         mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
     aerodynamics = Aerodynamics(
@@ -352,8 +320,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         turbulence=turbulence_of(model),
         limits=None if limits[0] is None else np.array(limits),
         flown=getattr(chosen, "ranges_", None),
-        span=None if rates is None else rates.span,
-        chord=None if rates is None else rates.chord,
+        span=getattr(rates, "span", None),
+        chord=getattr(rates, "chord", None),
         mixing=mixing,
         units=getattr(model, "control_units_", None),
     )
@@ -369,8 +337,8 @@ class _Chain:
         self.regressor = regressor
         self.shift, self.scale, self.others = standard_scaling(transforms, n_regressors)
         self.order = self._order()
-        self.has_slopes = not self.others and isinstance(regressor, HasGradient)
-        self.can_sample = not self.others and isinstance(regressor, HasPosterior)
+        self.has_slopes = not self.others and hasattr(regressor, "predict_gradient")
+        self.can_sample = not self.others and hasattr(regressor, "sample_paths")
 
     def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
@@ -401,7 +369,7 @@ class _Chain:
         exact = {"include_input_noise": False} if "include_input_noise" in signature(predict).parameters else {}
         covariance = predict((X - self.shift) / self.scale, return_cov=True, **exact)[1]
         blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
-        return blocks[self.order][:, :, self.order].reshape(6 * len(X), 6 * len(X))
+        return blocks[self.order][:, :, self.order].reshape(6 * len(X), -1)
 
     def drift(self) -> Drift | None:
         """Return the drift of the regressor, or None if it has none."""
@@ -437,8 +405,7 @@ class _Chain:
                     f"Got a model of outputs {shape[1:]}, but expected all six coefficients {', '.join(COEFFICIENTS)}."
                 )
             return slice(None)
-        lacking = [name for name in COEFFICIENTS if name not in names]
-        if lacking:
+        if lacking := [name for name in COEFFICIENTS if name not in names]:
             raise ValueError(
                 f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. Fit it on a table "
                 "of all of them (aerodynamic_coefficients gives it)."
@@ -480,7 +447,7 @@ def _steps_of(model: Any) -> list:
 def _for_arrays(transform: Any) -> Any:
     """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
     twin = copy.deepcopy(_without_names(transform))
-    return twin.set_output(transform="default") if isinstance(twin, HasTableOutput) else twin
+    return twin.set_output(transform="default") if hasattr(twin, "set_output") else twin
 
 
 def _without_names(step: Any) -> Any:

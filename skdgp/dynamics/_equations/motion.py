@@ -100,12 +100,18 @@ class Motion:
         air = as_air(air)
         self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
         self._density = _density_of_air if air.density is None else air.density
-        self._check_lengths()
+        span, chord = self.aerodynamics.span, self.aerodynamics.chord
+        own = [aircraft.span, aircraft.chord]
+        if span is not None and chord is not None and not np.isclose([span, chord], own, rtol=0.01).any():
+            warnings.warn(
+                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
+                f"{aircraft!r} has others: is this the aircraft that the model was learned from?",
+                stacklevel=3,
+            )
         self._plan = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, *_ in self._plan)
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
-        unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
-        if unknown:
+        if unknown := [name for name in self.controls if name in CHANNELS and name not in CONTROLS]:
             raise ValueError(
                 f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt along a flight: "
                 f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
@@ -114,18 +120,6 @@ class Motion:
         self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self.is_implicit = bool(self._implicit)  # the coefficients depend on what follows from them
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
-
-    def _check_lengths(self) -> None:
-        """Warn where the model seems to be of another aircraft."""
-        span, chord = self.aerodynamics.span, self.aerodynamics.chord
-        if span is None or chord is None:
-            return
-        if not np.isclose([span, chord], [self.aircraft.span, self.aircraft.chord], rtol=0.01).any():
-            warnings.warn(
-                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
-                f"{self.aircraft!r} has others: is this the aircraft that the model was learned from?",
-                stacklevel=4,
-            )
 
     def factor(self, k: int, airspeed: Array) -> Array | float:
         """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""

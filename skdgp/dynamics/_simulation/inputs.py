@@ -29,6 +29,7 @@ from skdgp.dynamics._air.air import LocalAir
 from skdgp.dynamics._equations import rigid_body
 from skdgp.dynamics._equations.error_covariance import checked_std
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
+from skdgp.dynamics._vehicle.loads import stacked
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15
@@ -45,7 +46,12 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     if isinstance(x0, Sequence) and len(x0) and all(hasattr(one, "state") for one in x0):
         x0 = [one.state for one in x0]
     if isinstance(x0, Mapping):
-        _check_spelling(x0)
+        lacking = [name for name in START_NAMES if name not in x0]
+        for name in map(str, x0):
+            if name not in CHANNELS and (near := get_close_matches(name, lacking, n=1, cutoff=0.75)):
+                raise ValueError(
+                    f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean {near[0]!r}?"
+                )
     if not isinstance(x0, Mapping | pd.Series | pd.DataFrame):
         x0 = getattr(x0, "state", x0)
     if hasattr(x0, "columns") and not isinstance(x0, pd.DataFrame):
@@ -88,18 +94,13 @@ def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
     ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or `EARTH_VELOCITY`.
     """
     states = np.zeros((len(table), len(STATE_NAMES)))
-    states[:, ATTITUDE] = euler_to_quaternion(*_columns(table, EULER).T)
-    states[:, rigid_body.RATES] = _columns(table, RATES)
-    states[:, rigid_body.POSITION] = _columns(table, POSITION)
+    states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, (len(table),)).T)
+    states[:, rigid_body.RATES] = stacked(table, RATES, (len(table),))
+    states[:, rigid_body.POSITION] = stacked(table, POSITION, (len(table),))
     if velocity:
-        values = _columns(table, velocity)
+        values = stacked(table, velocity, (len(table),))
         states[:, VELOCITY] = values if velocity == BODY_VELOCITY else ned_to_body(states[:, ATTITUDE], values)
     return states
-
-
-def _columns(table: pd.DataFrame, names: Sequence[str]) -> Array:
-    """Return columns as (n, k), zero where one is absent."""
-    return np.stack([table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], axis=-1)
 
 
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
@@ -120,33 +121,18 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
         check_names(["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)")
         if (table["airspeed"].to_numpy(float) <= 0).any():
             raise ValueError(f"Got airspeed {table['airspeed'].min():g} m/s in x0, but expected one > 0.")
-        states[:, VELOCITY] = air_velocity(*_columns(table, AIR_DATA).T) + wind
-    _warn_of_wind(table, states, wind)
-    return states
-
-
-def _check_spelling(given: Mapping) -> None:
-    """Raise ValueError if a name is unknown and nearly one that the start lacks."""
-    lacking = [name for name in START_NAMES if name not in given]
-    for name in map(str, given):
-        near = get_close_matches(name, lacking, n=1, cutoff=0.75)
-        if near and name not in CHANNELS:
-            raise ValueError(f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean {near[0]!r}?")
-
-
-def _warn_of_wind(table: pd.DataFrame, states: Array, wind: Any) -> None:
-    if "airspeed" not in table:
-        return
+        states[:, VELOCITY] = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T) + wind
+    given_speed = table["airspeed"].to_numpy(float) if "airspeed" in table else np.full(len(table), np.nan)
     airspeed = np.linalg.norm(states[:, VELOCITY] - wind, axis=1)
-    given = table["airspeed"].to_numpy(float)
-    off = np.abs(airspeed - given)
-    if (off > AIRSPEED_TOLERANCE * np.abs(given)).any():
+    off = np.abs(airspeed - given_speed)
+    if (off > AIRSPEED_TOLERANCE * np.abs(given_speed)).any():
         worst = int(np.nanargmax(off))
         warnings.warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, but x0 says "
-            f"{table['airspeed'].iloc[worst]:.1f} m/s: give the wind of that flight (air=wind).",
-            stacklevel=5,
+            f"{given_speed[worst]:.1f} m/s: give the wind of that flight (air=wind).",
+            stacklevel=4,
         )
+    return states
 
 
 def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any) -> Array:
@@ -317,25 +303,22 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: f
     if not tables:
         return
     spans = [(table["time"].iloc[0], table["time"].iloc[-1]) for table in tables]
+    other = []
     if isinstance(starts, pd.DataFrame) and "time" in starts:
         for k, at in enumerate(starts["time"].to_numpy(float)):
             first = spans[k if len(spans) > 1 else 0][0]
-            if abs(at - first) > dt:
-                _warn_of_time(f"start {k} is of time {at:g} s", first)
-                break
+            other += [(f"start {k} is of time {at:g} s", first)] if abs(at - first) > dt else []
     for table in air:
         first, last = table["time"].iloc[0], table["time"].iloc[-1]
         if any(abs(a - first) > dt and max(a, first) < min(b, last) for a, b in spans):
-            _warn_of_time(f"the wind begins at time {first:g} s", spans[0][0])
-            break
-
-
-def _warn_of_time(what: str, first: float) -> None:
-    warnings.warn(
-        f"Got controls that begin at time {first:g} s, but {what}: the first row of each table counts as the start. "
-        "Cut them alike, table[table['time'] >= start].",
-        stacklevel=4,
-    )
+            other.append((f"the wind begins at time {first:g} s", spans[0][0]))
+    if other:
+        what, first = other[0]
+        warnings.warn(
+            f"Got controls that begin at time {first:g} s, but {what}: the first row of each table counts as the "
+            "start. Cut them alike, table[table['time'] >= start].",
+            stacklevel=3,
+        )
 
 
 def _as_list(source: Any) -> list:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,7 +76,6 @@ def simulate(
     model : Pipeline, estimator or Aerodynamics
         Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
-        Mass, inertia, reference lengths, thrust line and propeller.
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``, ``alpha``, ``beta``,
         ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...; what is not given is zero.
@@ -128,8 +128,7 @@ def simulate(
     Warns
     -----
     SimulationWarning
-        If a trajectory ends early (it diverged, lost its airspeed, or no fixed point was found), or leaves what the
-        model was learned from.
+        If a trajectory ends early, or leaves what the model was learned from.
     UserWarning
         If start, controls and wind carry times that do not begin together, or a start does not fit its wind.
 
@@ -229,6 +228,10 @@ def fly_record(
         drift = 0.0 if drifts is None else drifts[stage]
         return motion.at(state, controls, here, None if last is None else last.implicit, drift), controls, wind
 
+    def slope(step, now, t, state):
+        stage = round(2 * t / clock.dt)
+        return now.derivative if stage == 0 else instant(step, stage, state, now)[0].derivative
+
     now = None
     with np.errstate(all="ignore"):  # what diverges is ended
         for k in range(n):
@@ -244,7 +247,7 @@ def fly_record(
                 now, controls, wind = instant(k, 0, state, None)
             flown.append((state, now, controls, wind))
             if k < clock.n_steps:
-                state = _step(instant, k, state, now, clock.dt)
+                state = rk4_step(partial(slope, k, now), 0.0, state, clock.dt)
     return _record(motion, clock.dt * np.arange(n), flown, ended, end)
 
 
@@ -275,16 +278,6 @@ def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, 
     )
 
 
-def _step(instant: Callable, k: int, state: Array, now: Instant, dt: float) -> Array:
-    """Return the states one step on."""
-
-    def derivative(t, x):
-        stage = round(2 * t / dt)
-        return now.derivative if stage == 0 else instant(k, stage, x, now)[0].derivative
-
-    return rk4_step(derivative, 0.0, state, dt)
-
-
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, by reason."""
     fine = np.isfinite(now.derivative).all(axis=-1)
@@ -302,10 +295,7 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
 def linear_std(
     record: Record, motion: Motion, initial_std: Mapping[str, float] | None, drift: Drift | None
 ) -> dict[str, Array]:
-    """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order.
-
-    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of a drift.
-    """
+    """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order."""
     start, shape = checked_std(initial_std), record.ended.shape
     found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
     for place in np.ndindex(shape):
@@ -319,14 +309,16 @@ def linear_std(
 def _std_along(
     record: Record, motion: Motion, start: Mapping[str, float], drift: Drift | None, place: Any, n: int
 ) -> Array:
-    """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory."""
+    """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory.
+
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of a drift.
+    """
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
     at: Any = (knots, *place)
     wind = None if record.wind is None else LocalAir(record.wind[at])
-    slopes = jacobian(
-        motion, record.states[at], {name: values[at] for name, values in record.controls.items()}, air=wind
-    )
+    controls = {name: values[at] for name, values in record.controls.items()}
+    slopes = jacobian(motion, record.states[at], controls, air=wind)
     covariance = motion.aerodynamics.covariance(record.regressors[at], correlated=True)
     if drift is not None:
         covariance = covariance + drift.covariance(record.time[knots])

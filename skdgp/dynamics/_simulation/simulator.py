@@ -41,8 +41,6 @@ class Simulator:
         Why the flight, or each, is over; "" while it is not.
     beyond : str or ndarray of str
         After a step: the regressor that is farthest outside of what the model was learned from, or "".
-    control_names : tuple of str
-        Controls that the model needs, besides what gives the thrust.
 
     Examples
     --------
@@ -86,11 +84,6 @@ class Simulator:
         self._state: Any = None
 
     @property
-    def control_names(self) -> tuple[str, ...]:
-        """Controls that the model needs."""
-        return self.motion.controls
-
-    @property
     def time(self) -> float:
         """Since the reset [s]."""
         return self._steps * self.dt
@@ -106,29 +99,17 @@ class Simulator:
     def reset(
         self, x0: Any, *, random_state: Seed = None, initial_std: Mapping[str, float] | None = None
     ) -> dict[str, Any]:
-        """Begin a flight, or several, and return what is seen.
+        """Begin a flight, or several, and return ``time``, position, velocities, angles, rates, air data, altitude.
 
-        Parameters
-        ----------
-        x0
-            One start or several, as for :func:`skdgp.dynamics.simulate`.
-        random_state : int, RandomState or None
-            None: the mean of the model flies. Else functions drawn from its posterior, one for each start.
-        initial_std : mapping of str to float, optional
-            Standard deviations of the start, by name.
-
-        Returns
-        -------
-        dict of str to float or ndarray (n,)
-            ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude.
+        ``x0`` and ``initial_std`` are as for :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean of
+        the model flies, else functions drawn from its posterior, one for each start.
         """
         starts = as_starts(x0)
         states = initial_states(starts, lambda at: self._air(0.0, at))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
-        self.motion.aerodynamics = (
-            self._mean if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
-        )
+        drawn = None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
+        self.motion.aerodynamics = drawn or self._mean
         self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)

@@ -200,20 +200,20 @@ def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, A
     for name in names:
         forces, moments = ([f"{name}_{axis}" for axis in axes] for axes in ("xyz", "lmn"))
         check_columns(flight, forces)
-        force += _stacked(flight, forces, (len(flight),))
-        moment += _stacked(flight, moments, (len(flight),))
+        force += stacked(flight, forces, (len(flight),))
+        moment += stacked(flight, moments, (len(flight),))
     return force, moment
 
 
 def _loads_by_axis(values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Return the thrust of its columns or controls; without a moment, that of the force on the thrust line."""
-    force = _stacked(values, THRUST_FORCES, shape)
+    force = stacked(values, THRUST_FORCES, shape)
     if any(name in values for name in THRUST_MOMENTS):
-        return force, _stacked(values, THRUST_MOMENTS, shape)
+        return force, stacked(values, THRUST_MOMENTS, shape)
     return force, cross((aircraft.thrust_line or CENTRED).position, force)
 
 
-def _stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[int, ...]) -> Array:
+def stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[int, ...]) -> Array:
     """Return values by name as (..., 3), zero where one is absent."""
     columns = [np.asarray(values[name], dtype=float) if name in values else 0.0 for name in names]
     return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)

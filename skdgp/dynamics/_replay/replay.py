@@ -112,17 +112,16 @@ def replay(
             f"Got horizon={horizon!r} and correlation_time={correlation_time!r}, but expected seconds, the horizon > 0."
         )
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
-    path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces)
+    path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces, float(gravity))
     driven, start_std, tables = path.is_driven(), checked_std(initial_std), []
     runs = [
         slice(part.start + run.start, part.start + run.stop) for part in segments for run in true_runs(driven[part])
     ]
     for h in horizons.tolist():
         rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
-        states = _integrate(path, rows, aircraft, float(gravity))
-        std = None
+        states, std = _integrate(path, rows), None
         if path.load_factor is not None:
-            std = _standard_deviations(path, rows, states, aircraft, float(gravity), correlation_time, start_std)
+            std = _standard_deviations(path, rows, states, correlation_time, start_std)
         tables.append(_table(flight, rows, states, std, h))
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
@@ -160,22 +159,17 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
             measured = flight[state + suffix].to_numpy(float)
             error = part[state].to_numpy() - measured
             error = np.abs(wrapped(error) if state in EULER else error)
+            known = measured[np.isfinite(measured)]
+            if state in EULER:  # about the direction of the mean
+                known = wrapped(known - np.angle(np.exp(1j * known).sum()))
             row = {"state": state, "horizon": horizon, "median": _nanmedian(error[flown])}
-            row["at_end"], row["spread"] = _nanmedian(error[ends]), _spread(measured, state)
+            row |= {"at_end": _nanmedian(error[ends]), "spread": float(known.std()) if known.size else np.nan}
             if f"{state}_std" in part:
                 seen = flown & np.isfinite(error)
                 inside = error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]
                 row["coverage"] = float(inside.mean()) if inside.size else np.nan
             rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _spread(values: Array, state: str) -> float:
-    """Return the standard deviation of a state; of an angle that about the direction of its mean."""
-    known = values[np.isfinite(values)]
-    if state in EULER:
-        known = wrapped(known - np.angle(np.exp(1j * known).sum()))
-    return float(known.std()) if known.size else float("nan")
 
 
 class _Path(NamedTuple):
@@ -187,16 +181,14 @@ class _Path(NamedTuple):
     state: Array  # (n, 13), measured
     load_factor: Any  # None, or (n, 6, 6), loads per unit of coefficient error
 
+    aircraft: Aircraft
+    gravity: float
+
     @classmethod
     def of(
-        cls,
-        flight: pd.DataFrame,
-        aircraft: Aircraft,
-        coefficients: pd.DataFrame | ArrayLike,
-        std: pd.DataFrame | ArrayLike | None,
-        thrust: str | None,
-        external_forces: Sequence[str],
-    ) -> _Path:
+        cls, flight: pd.DataFrame, aircraft: Aircraft, coefficients: Any, std: Any, thrust: str | None,
+        external_forces: Sequence[str], gravity: float,
+    ) -> _Path:  # fmt: skip
         airspeed, density = flight["airspeed"].to_numpy(float), flight["density"].to_numpy(float)
         loads = (
             aerodynamic_loads(_coefficient_array(coefficients, flight), airspeed, density, aircraft),
@@ -211,7 +203,8 @@ class _Path(NamedTuple):
         measured = [names for names in (EARTH_VELOCITY, BODY_VELOCITY) if all(name in flight for name in names)]
         velocity = measured[0] if measured else EARTH_VELOCITY
         check_columns(flight, velocity)
-        return cls(flight["time"].to_numpy(float), force, moment, table_states(flight, velocity), load_factor)
+        state, time = table_states(flight, velocity), flight["time"].to_numpy(float)
+        return cls(time, force, moment, state, load_factor, aircraft, gravity)
 
     def is_driven(self) -> Any:
         """Return where the loads, and with them the uncertainty, are known, (n,)."""
@@ -260,7 +253,7 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, std: Array | None
     return table
 
 
-def _integrate(path: _Path, rows: Indices, aircraft: Aircraft, gravity: float) -> Array:
+def _integrate(path: _Path, rows: Indices) -> Array:
     """Return the states (n_windows, n_steps + 1, 13) of each window, its loads linear over every step."""
     states = np.empty((*rows.shape, 13))
     states[:, 0] = path.state[rows[:, 0]]
@@ -270,24 +263,18 @@ def _integrate(path: _Path, rows: Indices, aircraft: Aircraft, gravity: float) -
 
         def rate_per_step(fraction: float, state: Array, here=here, there=there, dt=dt) -> Array:
             force, moment = ((1 - fraction) * load[here] + fraction * load[there] for load in (path.force, path.moment))
-            return rigid_body_derivative(state, force, moment, aircraft, gravity) * dt
+            return rigid_body_derivative(state, force, moment, path.aircraft, path.gravity) * dt
 
         states[:, k + 1] = rk4_step(rate_per_step, 0.0, states[:, k], 1.0)
     return states
 
 
 def _standard_deviations(
-    path: _Path,
-    rows: Indices,
-    states: Array,
-    aircraft: Aircraft,
-    gravity: float,
-    correlation_time: float,
-    start_std: Mapping[str, float],
+    path: _Path, rows: Indices, states: Array, correlation_time: float, start_std: Mapping[str, float]
 ) -> Array:
     """Return the standard deviations (n_windows, n_steps + 1, 12) of `REPLAYED`."""
     steps = np.diff(path.time[rows]).T[..., None, None]
-    samples = _error_rates(path, rows, states, aircraft, gravity)
+    samples = _error_rates(path, rows, states)
     covariances = error_covariances(samples, steps, start_errors(start_std, states[:, 0]), correlation_time)
     places = [STATES.index(name) for name in REPLAYED]
     std = np.empty((*rows.shape, len(REPLAYED)))
@@ -296,12 +283,10 @@ def _standard_deviations(
     return std
 
 
-def _error_rates(
-    path: _Path, rows: Indices, states: Array, aircraft: Aircraft, gravity: float
-) -> Iterator[tuple[Array, Array]]:
+def _error_rates(path: _Path, rows: Indices, states: Array) -> Iterator[tuple[Array, Array]]:
     """Yield A (n_windows, 12, 12) and B (n_windows, 12, 6) of every sample: the loads do not depend on the state."""
     P, V, T, W = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-    inertia = aircraft.inertia
+    inertia, inverse = path.aircraft.inertia, path.aircraft.inertia_inverse
     for k in range(rows.shape[1]):
         state, load_factor = states[:, k], path.load_factor[rows[:, k]]
         rotation = quaternion_to_matrix(state[:, ATTITUDE])
@@ -309,11 +294,10 @@ def _error_rates(
         A, B = np.zeros((len(state), 12, 12)), np.zeros((len(state), 12, 6))
         A[:, P, V], A[:, P, T] = rotation, -rotation @ velocity
         A[:, V, V], A[:, V, W] = -omega, velocity
-        A[:, V, T] = cross_matrix(gravity * rotation[:, 2])
+        A[:, V, T] = cross_matrix(path.gravity * rotation[:, 2])
         A[:, T, T], A[:, T, W] = -omega, np.eye(3)
-        A[:, W, W] = aircraft.inertia_inverse @ (cross_matrix(state[:, rigid_body.RATES] @ inertia) - omega @ inertia)
-        B[:, V] = load_factor[:, :3] / aircraft.mass
-        B[:, W] = aircraft.inertia_inverse @ load_factor[:, 3:]
+        A[:, W, W] = inverse @ (cross_matrix(state[:, rigid_body.RATES] @ inertia) - omega @ inertia)
+        B[:, V], B[:, W] = load_factor[:, :3] / path.aircraft.mass, inverse @ load_factor[:, 3:]
         yield A, B
 
 

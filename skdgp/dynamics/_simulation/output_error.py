@@ -22,13 +22,7 @@ from skdgp.dynamics._air.air import as_air
 from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._equations.error_covariance import checked_std
 from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._simulation.inputs import (
-    Clock,
-    as_starts,
-    control_schedule,
-    initial_states,
-    perturbed,
-)
+from skdgp.dynamics._simulation.inputs import Clock, as_starts, control_schedule, initial_states, perturbed
 from skdgp.dynamics._simulation.simulate import fly_record, is_control
 from skdgp.dynamics._simulation.trajectory import channels
 from skdgp.dynamics._simulation.wind import wind_schedule
@@ -82,19 +76,16 @@ def fit_output_error(
 ) -> OutputError:
     r"""Correct a model so that its free flight from recorded starts fits the recorded states.
 
-    Inverse dynamics fits accelerations; a simulation integrates them. The method of output error fits what is
-    integrated, by maximum likelihood (Jategaonkar 2015, chapter 4), here with the model's posterior as prior and its
-    drift as process noise. The correction of the coefficients is affine in the regressors, :math:`\Phi(x) \theta`. It
-    minimises
+    The method of output error (Jategaonkar 2015, chapter 4), with the model's posterior as prior and its drift as
+    process noise. The correction of the coefficients is affine in the regressors, :math:`\Phi(x) \theta`. It minimises
 
     .. math:: \sum_s r_s^T C_s^{-1} r_s + \theta^T (k P)^{-1} \theta
 
     by Gauss-Newton steps: r are the recorded less the simulated states of a segment at five times, C the
     covariance of both by ``noise`` and the drift, and P the prior covariance of the affine part of the model's errors.
-    Slopes of the states by :math:`\theta` are differences of simulations, one path each. The factor k is the one that
-    predicts best when each flight is left out in turn (each segment of a single flight), to first order. **The model is
-    returned as it is where a correction does not predict these better**: where Student's one-sided test of the gains of
-    a small correction (k = 0.1) does not show it with 90 % confidence.
+    The factor k is the one that predicts best when each flight is left out in turn (each segment of a single flight),
+    to first order. **The model is returned as it is where a correction does not predict these better**: where Student's
+    one-sided test of the gains of a small correction (k = 0.1) does not show it with 90 % confidence.
 
     Paths of the corrected model are those of the model, with their affine part drawn anew from
     :math:`N(\theta, (\sum_s J_s^T C_s^{-1} J_s + (k P)^{-1})^{-1})`.
@@ -124,12 +115,8 @@ def fit_output_error(
     Raises
     ------
     ValueError
-        If the model has no posterior, there are fewer than two segments, or none is flown to its end.
-
-    Warns
-    -----
-    UserWarning
-        If segments are left out because the model does not fly them to their end.
+        If the model has no posterior, there are fewer than two segments, or none is flown to its end; those that are
+        not are left out with a warning.
 
     Examples
     --------
@@ -280,7 +267,7 @@ class _Problem:
         if not self.flown.any():
             raise ValueError(
                 f"Got {len(flights)} segments of {self.clock.n_steps * dt:g} s, none of which the model flies to its "
-                "end, but expected most: cut shorter ones, or look at starts, controls, wind and thrust."
+                "end: cut shorter ones, or look at starts, controls, wind and thrust."
             )
         if not self.flown.all():
             warnings.warn(
@@ -288,9 +275,8 @@ class _Problem:
                 "to their end. Cut shorter ones.",
                 stacklevel=3,
             )
-        self.correction = _Correction(
-            aerodynamics, record.regressors[:, self.flown].reshape(-1, record.regressors.shape[-1])
-        )
+        met = record.regressors[:, self.flown]
+        self.correction = _Correction(aerodynamics, met.reshape(-1, met.shape[-1]))
         self.root = self.correction.affine_root()  # theta = root @ z, with z ~ N(0, k)
         self.whitening = self._whitening(random_state)
 
@@ -321,7 +307,7 @@ class _Problem:
     def _off(self, one: Array, other: Array) -> Array:
         """Return differences of states, those of angles on the circle."""
         off = one - other
-        turns = [k for k, name in enumerate(self.names) if name in EULER]
+        turns = np.isin(self.names, EULER)
         off[..., turns] = wrapped(off[..., turns])
         return off
 

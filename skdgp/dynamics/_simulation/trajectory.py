@@ -47,13 +47,8 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     attitude = states[..., ATTITUDE]
     earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
     air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
-    groups = {
-        POSITION: states[..., rigid_body.POSITION],
-        EARTH_VELOCITY: earth,
-        BODY_VELOCITY: states[..., VELOCITY],
-        EULER: angles,
-        RATES: states[..., rigid_body.RATES],
-    }
+    groups = {POSITION: states[..., rigid_body.POSITION], EARTH_VELOCITY: earth, BODY_VELOCITY: states[..., VELOCITY]}
+    groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
     found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
     found |= dict(zip(AIR_DATA, air_data(air), strict=True))
     return found | {"altitude": -states[..., 2]}
@@ -169,12 +164,8 @@ def trajectory_bands(
     rows = []
     for start, part in trajectories.groupby("start", sort=False):
         n_paths = part["path"].nunique()
-        time = part["time"].to_numpy().reshape(n_paths, -1)[0]
-        band = {
-            "start": start,
-            "time": time,
-            "flying": (part["ended"] == "").to_numpy().reshape(n_paths, -1).mean(axis=0),
-        }
+        flying = (part["ended"] == "").to_numpy().reshape(n_paths, -1).mean(axis=0)
+        band = {"start": start, "time": part["time"].to_numpy()[: len(flying)], "flying": flying}
         for name in names:
             values = part[name].to_numpy(float).reshape(n_paths, -1)
             if name in EULER:

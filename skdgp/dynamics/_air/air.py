@@ -35,9 +35,8 @@ class Air:
         None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
-        change slowly, as the residuals of the training flights did, besides what drawn gusts explain. In calmer air it
-        is smaller, in calm air the misfit of the function alone; where the model does not know the turbulence of its
-        flights, it is as large as theirs. False: the uncertainty of the aircraft alone.
+        change slowly, as the residuals of the training flights did, besides what drawn gusts explain: smaller in calmer
+        air, if the model knows the turbulence of its flights. False: the uncertainty of the aircraft alone.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
     gravity : float, default=9.80665

@@ -80,7 +80,8 @@ class Turbulence(NamedTuple):
         along the flight through the air, across and down are u, v and w: intensity and length are estimated as by
         `from_wind`, and white noise of each with them. u and v share intensity and length (MIL-F-8785C, 3.7.2) unless
         the test of the likelihood ratio (Wilks 1938) tells them apart at a level of 5 %. Six minutes give intensities
-        to a tenth and lengths to a fifth.
+        to a tenth and lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is
+        not > 0, or no flight lasts 30 s and is sampled every 300 m.
 
         Parameters
         ----------
@@ -92,12 +93,6 @@ class Turbulence(NamedTuple):
         Returns
         -------
         Turbulence
-
-        Raises
-        ------
-        ValueError
-            If columns are missing, angles are in degrees, the span is not > 0, or no flight lasts 30 s and is sampled
-            every 300 m.
         """
         columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
         check_columns(check_table(flight, what="flight"), columns, what="flight")
@@ -126,6 +121,8 @@ class Turbulence(NamedTuple):
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as one, all winds and
         axes. The direction of flight is not known here: u and v share intensity and length (MIL-F-8785C, 3.7.2), and of
         north and east, S is the mean of their spectra. Standard errors are those of the Fisher information.
+        Raises ValueError if a column is missing, there is not one airspeed or as many as winds, the span is not > 0, or
+        the winds are too short or too rarely sampled.
 
         Parameters
         ----------
@@ -140,12 +137,6 @@ class Turbulence(NamedTuple):
         Returns
         -------
         Turbulence
-
-        Raises
-        ------
-        ValueError
-            If a column is missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds are
-            too short or too rarely sampled.
 
         Examples
         --------

@@ -80,15 +80,13 @@ def stability_derivatives(
 
         - ``std_posterior``: over functions drawn from the posterior,
         - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
-        - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, less where these
-          scatter: it shows slopes that gusts flatten; what third powers change; and how far noise of the regressors may
-          flatten a slope, which is much where a flight hardly moves them,
+        - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, what third
+          powers change, and how far noise of the regressors may flatten a slope,
         - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative. ``std_unmerged`` is without
           it: what more flights of the same kind lower, and what :func:`skdgp.design.plan` plans for.
 
-        ``n_effective`` is the number of independent samples that would determine the slope as well. Without stored
-        samples (compact models) ``std_random``, ``std_method`` and ``n_effective`` are missing. A model by formula has
-        no such parts.
+        ``n_effective`` is the number of independent samples that would determine the slope as well. Compact models
+        lack ``std_random``, ``std_method`` and ``n_effective``.
 
         Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make of the values, and
         ``aircraft`` names the largest of them. They are shared, and not part of ``std``: trim, modes and simulations
@@ -97,10 +95,9 @@ def stability_derivatives(
     Notes
     -----
     A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
-    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot, its Cn_r between Cn_r and Cn_r - Cn_beta_dot cos(alpha), its
-    Cn_p between Cn_p and Cn_p + Cn_beta_dot sin(alpha) (Klein & Morelli 2006, section 5.1; docs/control.md). With
-    them, gusts leave open which share is theirs. ``std_merged`` is for derivatives by alpha_dot of 0 +- .4 times those
-    by q, as of a tail in the downwash, and by beta_dot of 0 +- .2 times those by r.
+    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli 2006, section 5.1; docs/control.md).
+    ``std_merged`` is for derivatives by alpha_dot of 0 +- .4 times those by q, as of a tail in the downwash, and by
+    beta_dot of 0 +- .2 times those by r.
 
     Examples
     --------

@@ -238,10 +238,9 @@ class LinearModel:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
 
         A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation factors
-        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode: of w and q in short period and
-        phugoid, of v, r and p in Dutch roll, roll and spiral. A pair that has split into two real roots keeps its name
-        with a number; a roll and a spiral that have become one oscillation are the "roll-spiral". Position and heading
-        are left out.
+        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode. A pair that has split into two
+        real roots keeps its name with a number; a roll and a spiral that have become one oscillation are the
+        "roll-spiral". Position and heading are left out.
 
         Returns
         -------

@@ -85,7 +85,7 @@ class Aerodynamics:
         Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its non-dimensional form, or
         controls by any name.
     gradient : callable, optional
-        Regressors (n, d) to slopes (n, 6, d); by default central differences of fourth order.
+        Regressors (n, d) to slopes (n, 6, d); by default central differences.
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients (n_paths, n, 6) and to
         slopes (n_paths, n, 6, d), of functions drawn from the posterior. Without it the model has no uncertainty.

@@ -38,9 +38,8 @@ def aerodynamic_coefficients(
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
 
-    Raises ValueError if a column is missing, time does not increase, airspeed is not positive, values are impossible in
-    SI units, or nothing gives the thrust. Warns with FlightDataWarning if samples were not measured: the coefficients
-    are NaN there.
+    Raises ValueError if a column is missing, time does not increase, values are impossible in SI units, or nothing
+    gives the thrust. Warns with FlightDataWarning if samples were not measured: the coefficients are NaN there.
 
     Parameters
     ----------
@@ -54,9 +53,8 @@ def aerodynamic_coefficients(
         Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
         frequency [Hz], the smoother of each channel's spectrum, or none.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an engine of unknown thrust. Its
-        F_T / (qbar S) is then part of the coefficients: throttle and airspeed as regressors explain it, and a
-        simulation has ``thrust=None``, too.
+        As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown thrust, which is then
+        part of the coefficients: throttle and airspeed as regressors explain it, and a simulation has ``thrust=None``.
     external_forces : sequence of str, default=()
         Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
         tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.

@@ -49,9 +49,9 @@ def replay(
 ) -> pd.DataFrame:
     """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
-    The equations of `rigid_body_derivative` are integrated by RK4 over the log's samples, with the loads of the
-    predicted coefficients at the measured airspeed and density, the propulsive and external loads and gravity. Raises
-    ValueError if a column is missing, shapes disagree, or a parameter is out of its range.
+    RK4 of `rigid_body_derivative` over the log's samples, with the loads of the predicted coefficients at the measured
+    airspeed and density, the propulsive and external loads and gravity. Raises ValueError if a column is missing,
+    shapes disagree, or a parameter is out of its range.
 
     Parameters
     ----------
@@ -68,9 +68,8 @@ def replay(
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
     correlation_time : float, default=0.5
-        Of the errors of the coefficients [s]: error = std * z with
-        ``corr(z(t), z(t')) = exp(-|t - t'| / correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a
-        whole window, the widest bands.
+        Of the errors of the coefficients [s], whose correlation is exp(-|t - t'| / correlation_time). 0: every sample
+        anew; ``numpy.inf``: one error for a whole window, the widest bands.
     initial_std : mapping of str to float, optional
         Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).
     thrust, external_forces
@@ -83,14 +82,9 @@ def replay(
     pandas.DataFrame
         Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window`` (count of
         restarts), ``elapsed`` [s] since the restart, the states (north, east, down where known) v_north, v_east,
-        v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ...
-        A row where one window ends and the next starts shows the end. Rows not flown are NaN, their window -1: those
-        without loads, and those before the first row whose whole state was measured.
-
-    Notes
-    -----
-    The bands are the covariance of small errors of position, velocity, attitude and rates along the replayed path, from
-    ``std`` and ``initial_std`` alone: airspeed, density, thrust, mass and inertia count as exact.
+        v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ..., to first
+        order, by ``std`` and ``initial_std`` alone. A row where one window ends and the next starts shows the end. Rows
+        not flown are NaN, their window -1: those without loads, and those before the first whole state.
 
     Examples
     --------

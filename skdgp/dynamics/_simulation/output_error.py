@@ -92,12 +92,11 @@ def fit_output_error(
 
     Parameters
     ----------
-    model : Pipeline, estimator or Aerodynamics
-        With a posterior, as of :func:`skdgp.dynamics.simulate`.
-    aircraft : Aircraft
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`, with a posterior.
     flights : sequence of DataFrame
-        Segments of 1 to 10 s, with ``time``, the states, the controls, and what :func:`skdgp.dynamics.simulate` needs
-        of a start; a column ``flight`` names their flights. May be the flights that the model was learned from.
+        Segments of 1 to 10 s, with ``time``, the states, the controls, and what is needed of a start; a column
+        ``flight`` names their flights. May be the flights that the model was learned from.
     noise : mapping of str to float
         Standard deviations of the recorded states that are fitted, and of the start: u, v, w or v_north, v_east,
         v_down, phi, theta, psi, p, q, r, perhaps north, east, down.

@@ -67,8 +67,7 @@ def simulate(
 ) -> pd.DataFrame:
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
-    At every stage the regressors are rebuilt from the simulated state as the pipeline builds them from a log, the
-    model gives the coefficients, and Newton's and Euler's equations the rest (`rigid_body_derivative`). Regressors
+    At every stage the regressors are rebuilt from the simulated state as the pipeline builds them from a log; those
     that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax, ay, az) are found by fixed point.
 
     Parameters
@@ -93,15 +92,14 @@ def simulate(
         default paths meet the gusts of a wind that is a table or a function, else those of the training flights. "calm"
         is without gusts.
     n_paths : int, optional
-        Number of functions drawn to fly instead of the mean, each for a whole flight: from the posterior, with errors
-        by noise that is correlated between samples, which it does not contain. Their spread is the uncertainty of the
-        trajectory.
+        Number of functions drawn from the posterior to fly instead of the mean, each for a whole flight. Their spread
+        is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     return_std : bool, default=False
-        Whether to add columns ``airspeed_std``, ``phi_std``, ... of the mean's trajectory: standard deviations by the
-        joint posterior of the coefficients along it, to first order, with the rates of gusts, but no velocity of gusts.
-        Fast, and right for some seconds, while errors are small; ``n_paths`` is right for longer.
+        Whether to add standard deviations ``airspeed_std``, ``phi_std``, ... of the mean's trajectory by the joint
+        posterior along it, to first order, with the rates of gusts, but not their velocity: fast, and right for some
+        seconds; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
         Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w", "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.

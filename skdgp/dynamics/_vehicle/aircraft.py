@@ -127,10 +127,9 @@ class Aircraft:
         """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the rest may be.
 
         Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design, equations 16.52 to
-        16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b + l) / 4)^2, and no products. What is
-        missing of wing area, chord and length follows from usual ratios of the kind, area = span chord, or area =
-        span^2 / aspect ratio. A pair is a value and its standard deviation. Raises ValueError as `Aircraft` does, and
-        if the kind is unknown, or wing area and aspect ratio are both given.
+        16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b + l) / 4)^2. What is missing of wing area,
+        chord and length follows from usual ratios of the kind. A pair is a value and its standard deviation. Raises
+        ValueError as `Aircraft` does, and if the kind is unknown, or wing area and aspect ratio are both given.
 
         Parameters
         ----------
@@ -156,8 +155,7 @@ class Aircraft:
         ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of inertia 0.07',
          'mass 0.016']
         """
-        sizes: dict[str, Any] = {"wing_area": wing_area, "aspect_ratio": aspect_ratio, "chord": chord, "length": length}
-        found = estimated(mass, span, kind=kind, inertia=inertia, **sizes)
+        found = estimated(mass, span, kind, inertia, wing_area, aspect_ratio, chord, length)
         return cls(**{"name": name, "thrust_line": thrust_line, "propeller": propeller} | found)
 
     @classmethod

@@ -234,8 +234,8 @@ class Propeller:
             [m]; a "10x5" has 0.254 and 0.127.
         motor_constant, voltage : float, optional
             Speed of the electric motor per volt without load [rad/s/V], 0.1047 times the rpm per volt; voltage of the
-            battery in flight [V]. At full throttle a motor turns at about .75 times their product, and the thrust at a
-            throttle is then some 40 % off. Without them flights need propeller_speed.
+            battery in flight [V]. The thrust at a throttle is then some 40 % off. Without them flights need
+            propeller_speed.
         rotation : {1, -1}
             1 turns clockwise seen from behind.
 

@@ -119,15 +119,7 @@ REMEDIES = {
 
 
 def estimated(
-    mass: Any,
-    span: Any,
-    *,
-    kind: str = "conventional",
-    wing_area: Any = None,
-    aspect_ratio: Any = None,
-    chord: Any = None,
-    length: Any = None,
-    inertia: Any = None,
+    mass: Any, span: Any, kind: str, inertia: Any, wing_area: Any, aspect_ratio: Any, chord: Any, length: Any
 ) -> dict[str, Any]:
     """Return mass, inertia, wing_area, span, chord and deviations of an aircraft, as of `Aircraft.estimate`."""
     check_choice("kind", kind, KINDS)

@@ -33,7 +33,7 @@ from skdgp.dynamics._simulation.simulate import simulate
 from skdgp.dynamics._simulation.simulator import Simulator
 from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, ThrustTable
+from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine
 from skdgp.dynamics._vehicle.estimate import ScaleFactor
 from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 
@@ -51,7 +51,6 @@ __all__ = [
     "SimulationWarning",
     "Simulator",
     "ThrustLine",
-    "ThrustTable",
     "Trim",
     "Turbulence",
     "aerodynamic_coefficients",

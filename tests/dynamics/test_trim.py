@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, trim
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, simulate, trim
 from skdgp.dynamics._equations.motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -228,3 +228,18 @@ class TestNoSuchFlight:
             trim(TEXTBOOK, glider, 20.0, limits={"gear": (0, 1)})
         with pytest.raises(ValueError, match="smallest < largest"):
             trim(TEXTBOOK, glider, 20.0, limits={"elevator": (0.1, 0.1)})
+
+
+def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
+    def engine(controls, airspeed, density):
+        return (5.0 + 80.0 * controls["throttle"] - 1.5 * airspeed) * density / 1.2
+
+    slopes = np.zeros((6, 5))
+    slopes[2, 0], slopes[4, 0], slopes[4, 2] = -4.0, -0.5, -0.6
+    slopes[1, 1], slopes[3, 1], slopes[5, 1], slopes[3, 3], slopes[5, 4] = -0.5, -0.03, 0.06, 0.1, -0.05
+    intercept = np.array([-0.03, 0, -0.1, 0, 0.03, 0])
+    model = Aerodynamics(lambda X: intercept + X @ slopes.T, ["alpha", "beta", "elevator", "aileron", "rudder"])
+    steady = trim(model, aircraft, airspeed=20.0, thrust=engine)
+    flown = simulate(model, aircraft, steady, steady.controls, duration=0.5, thrust=engine)
+    np.testing.assert_allclose(flown["airspeed"], 20.0, atol=1e-5)
+    assert 0 < steady.controls["throttle"] < 1

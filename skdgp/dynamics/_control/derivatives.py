@@ -251,17 +251,14 @@ def _points(
 def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
     """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
     sin, cos = np.sin(alpha), np.cos(alpha)
+    parts: dict[str, dict[str, Any]] = {name: {name: 1.0} for name in COEFFICIENTS}
+    parts |= {"CL": {"CX": sin, "CZ": -cos}, "CD": {"CX": -cos, "CZ": -sin}}
+    if stability:
+        parts |= {"Cl": {"Cl": cos, "Cn": sin}, "Cn": {"Cl": -sin, "Cn": cos}}
     turn = np.zeros((len(alpha), len(rows), 6))
     for k, row in enumerate(rows):
-        if row in COEFFICIENTS:
-            turn[:, k, COEFFICIENTS.index(row)] = 1.0
-    lift, drag = rows.index("CL"), rows.index("CD")
-    turn[:, lift, 0], turn[:, lift, 2] = sin, -cos
-    turn[:, drag, 0], turn[:, drag, 2] = -cos, -sin
-    if stability:
-        roll, yaw = rows.index("Cl"), rows.index("Cn")
-        turn[:, roll, 3], turn[:, roll, 5] = cos, sin
-        turn[:, yaw, 3], turn[:, yaw, 5] = -sin, cos
+        for name, part in parts[row].items():
+            turn[:, k, COEFFICIENTS.index(name)] = part
     return turn
 
 

@@ -1,20 +1,19 @@
-"""Engines: propeller, thrust line, measured thrust."""
+"""Engines: propeller and thrust line."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.interpolate import RegularGridInterpolator
 
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY, standard_density
-from skdgp._flight.checks import check_columns, check_names, check_table
+from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
+from skdgp._flight.checks import check_columns, check_table
 
 USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
 USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
@@ -330,72 +329,3 @@ class ThrustLine:
         """
         T, Q = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
         return T * self.direction, T * self._arm + Q * self.direction
-
-
-class ThrustTable:
-    """Thrust of an engine, interpolated linearly in a table: for ``simulate(thrust=...)``.
-
-    T = T(throttle, V) rho / rho_0, as of propellers and jets, constant beyond the edges of the table, with rho_0 the
-    density at the bench.
-
-    Parameters
-    ----------
-    throttle : array-like of shape (n,)
-        Increasing, 0 to 1.
-    airspeed : array-like of shape (m,)
-        Increasing [m/s]; one alone: thrust does not depend on it.
-    thrust : array-like of shape (n, m)
-        [N].
-    density : float or None, default=None
-        Of the bench [kg/m^3]; None: the standard one at sea level.
-
-    Examples
-    --------
-    >>> from skdgp.dynamics import ThrustTable
-    >>> engine = ThrustTable(throttle=[0.0, 0.5, 1.0], airspeed=[0.0, 30.0], thrust=[[0, -5], [60, 25], [140, 80]])
-    >>> engine({"throttle": 0.75}, airspeed=15.0, density=1.225).round(2)
-    np.float64(76.25)
-    """
-
-    def __init__(
-        self, throttle: ArrayLike, airspeed: ArrayLike, thrust: ArrayLike, *, density: float | None = None
-    ) -> None:
-        self.throttle, self.airspeed, self.thrust = (np.asarray(x, dtype=float) for x in (throttle, airspeed, thrust))
-        for name, axis in (("throttle", self.throttle), ("airspeed", self.airspeed)):
-            if axis.ndim != 1 or not len(axis) or not np.isfinite(axis).all() or not (np.diff(axis) > 0).all():
-                raise ValueError(f"Got {name}={axis.tolist()}, but expected finite numbers that increase.")
-        expected = (len(self.throttle), len(self.airspeed))
-        if self.thrust.shape != expected or not np.isfinite(self.thrust).all():
-            raise ValueError(
-                f"Got thrust of shape {self.thrust.shape}, but expected finite numbers, {expected}: a row for each "
-                "throttle, a column for each airspeed [N]."
-            )
-        self.density = float(standard_density(0.0)) if density is None else float(density)
-        grid = (self.throttle, self.airspeed)
-        axes = [axis if len(axis) > 1 else axis[0] + np.array([0.0, 1.0]) for axis in grid]
-        values = np.tile(self.thrust, [1 if len(axis) > 1 else 2 for axis in grid])
-        self._low, self._high = (np.array([axis[k] for axis in axes]) for k in (0, -1))
-        self._interpolated = RegularGridInterpolator(axes, values)
-
-    @classmethod
-    def from_table(cls, table: pd.DataFrame, **options: Any) -> ThrustTable:
-        """Return the engine of a table with throttle, airspeed and thrust; ValueError if it is no full grid."""
-        check_columns(check_table(table, what="bench table"), ["throttle", "airspeed", "thrust"], what="bench table")
-        if table.duplicated(["throttle", "airspeed"]).any():
-            raise ValueError("Got a bench table with a point twice, but expected each throttle and airspeed once.")
-        grid = table.pivot(index="throttle", columns="airspeed", values="thrust").sort_index().sort_index(axis=1)
-        if grid.isna().any(axis=None):
-            raise ValueError(
-                f"Got a bench table of {len(table)} points, but expected a full grid of {grid.shape[0]} throttles times"
-                f" {grid.shape[1]} airspeeds."
-            )
-        return cls(grid.index, grid.columns, grid.to_numpy(), **options)
-
-    def __call__(self, controls: Mapping, airspeed: ArrayLike, density: ArrayLike) -> Array:
-        """Return the thrust [N] at ``controls["throttle"]``, airspeed [m/s] and density [kg/m^3]."""
-        check_names(["throttle"], controls, "controls")
-        points = np.stack(np.broadcast_arrays(np.asarray(controls["throttle"], float), airspeed), axis=-1)
-        fine = np.isfinite(points).all(axis=-1, keepdims=True)
-        clipped = np.clip(np.where(fine, points, self._low), self._low, self._high)
-        thrust = self._interpolated(clipped.reshape(-1, 2)).reshape(clipped.shape[:-1])
-        return np.where(fine[..., 0], thrust, np.nan) * (np.asarray(density) / self.density)

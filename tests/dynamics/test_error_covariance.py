@@ -8,8 +8,7 @@ from skdgp.dynamics._equations.error_covariance import (
     STATES,
     error_covariances,
     standard_deviations,
-    start_errors,
-    state_readouts,
+    state_deviations,
 )
 
 STATE = np.r_[10.0, -20.0, -300.0, 25.0, -1.0, 2.0, euler_to_quaternion(0.5, 0.2, 2.0), 0.3, 0.1, -0.2]
@@ -45,8 +44,9 @@ def test_a_start_follows_the_exponential_of_the_motion():
 
 @pytest.mark.parametrize("name", STATES)
 def test_the_deviation_of_a_start_is_read_out_as_it_was_given(name):
-    errors = start_errors({name: 0.02}, STATE)
-    std = dict(zip(STATES, standard_deviations(errors @ errors.T, state_readouts(STATE)), strict=True))
+    sample = np.zeros((12, 12)), np.zeros((12, 1))
+    (found,) = state_deviations([sample], [], {name: 0.02}, STATE[None])
+    std = dict(zip(STATES, found, strict=True))
     assert std[name] == pytest.approx(0.02)
     ground = [std[one] for one in ("v_north", "v_east", "v_down")]
     if name in ("phi", "theta", "psi"):  # an error of attitude leaves the velocity over the ground

@@ -12,18 +12,17 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS, THRUST_FORCES, THRUST_MOMENTS
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._control.linearize import check_settled
-from skdgp.dynamics._equations.motion import IMPLICIT, Instant, Motion
+from skdgp.dynamics._equations.motion import IMPLICIT, PROPULSION, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
 
-ENGINE = ("thrust", "throttle", "propeller_speed")
-THRUSTS = ("thrust", "propeller_speed", *THRUST_FORCES, *THRUST_MOMENTS)
+ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]
 """Controls that give the thrust of any engine."""
 ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
 OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}

@@ -9,6 +9,7 @@ variance behind the coefficients. Over a step h, with c = exp(-h / correlation t
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import repeat
 
 import numpy as np
 
@@ -89,6 +90,25 @@ def error_covariances(
         covariance, with_z = _pushed(covariance, memory * (transition @ with_z), half * next_B)
         A, B = next_A, next_B
         yield covariance
+
+
+def state_deviations(
+    samples: Iterable[tuple[Array, Array]],
+    steps: Iterable[Array | float],
+    std: Mapping[str, float],
+    states: Array,
+    correlation_time: float = np.inf,
+    further: Iterable[Array] = repeat(np.zeros((0, 12))),
+) -> Iterator[Array]:
+    """Yield the standard deviations of `STATES` and of ``further`` readouts (n, 12) at every state (n_times, ..., 13).
+
+    ``std`` are those of the start by name, the rest as of `error_covariances`.
+    """
+    covariances = error_covariances(samples, steps, start_errors(std, states[0]), correlation_time)
+    for state, more, covariance in zip(states, further, covariances, strict=False):
+        readouts = state_readouts(state)
+        readouts = np.concatenate([readouts, np.broadcast_to(more, (*readouts.shape[:-2], *more.shape))], axis=-2)
+        yield standard_deviations(covariance, readouts)
 
 
 def standard_deviations(covariance: Array, readouts: Array) -> Array:

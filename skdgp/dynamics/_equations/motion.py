@@ -30,12 +30,8 @@ from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY, rigi
 from skdgp.dynamics._vehicle.aircraft import Aircraft
 from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
 
-CONTROLS = (
-    *("elevator", "aileron", "rudder", "elevon_left", "elevon_right", "throttle", "propeller_speed", "thrust"),
-    *THRUST_FORCES,
-    *THRUST_MOMENTS,
-    "gust",
-)
+PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
+CONTROLS = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", *PROPULSION, "gust")
 """Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 """Channels that follow from the loads, and so from the coefficients that they may be regressors of."""

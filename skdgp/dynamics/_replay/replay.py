@@ -17,14 +17,7 @@ from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import cross_matrix, quaternion_to_matrix, wrapped
 from skdgp.dynamics._equations import rigid_body
-from skdgp.dynamics._equations.error_covariance import (
-    STATES,
-    checked_std,
-    error_covariances,
-    standard_deviations,
-    start_errors,
-    state_readouts,
-)
+from skdgp.dynamics._equations.error_covariance import STATES, checked_std, state_deviations
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY, rigid_body_derivative, rk4_step
 from skdgp.dynamics._simulation.inputs import table_states
 from skdgp.dynamics._simulation.trajectory import channels
@@ -268,13 +261,9 @@ def _standard_deviations(
 ) -> Array:
     """Return the standard deviations (n_windows, n_steps + 1, 12) of `REPLAYED`."""
     steps = np.diff(path.time[rows]).T[..., None, None]
-    samples = _error_rates(path, rows, states)
-    covariances = error_covariances(samples, steps, start_errors(start_std, states[:, 0]), correlation_time)
-    places = [STATES.index(name) for name in REPLAYED]
-    std = np.empty((*rows.shape, len(REPLAYED)))
-    for k, covariance in enumerate(covariances):
-        std[:, k] = standard_deviations(covariance, state_readouts(states[:, k])[:, places])
-    return std
+    samples, places = _error_rates(path, rows, states), [STATES.index(name) for name in REPLAYED]
+    found = state_deviations(samples, steps, start_std, np.swapaxes(states, 0, 1), correlation_time)
+    return np.stack([std[:, places] for std in found], axis=1)
 
 
 def _error_rates(path: _Path, rows: Indices, states: Array) -> Iterator[tuple[Array, Array]]:

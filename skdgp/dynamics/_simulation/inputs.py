@@ -12,17 +12,7 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import (
-    AIR_DATA,
-    BODY_VELOCITY,
-    CHANNELS,
-    EARTH_VELOCITY,
-    EULER,
-    POSITION,
-    RATES,
-    THRUST_FORCES,
-    THRUST_MOMENTS,
-)
+from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, CHANNELS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._air.air import LocalAir
@@ -156,9 +146,6 @@ def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, rand
         if not any(name in std for name in BODY_VELOCITY):  # the velocity over the ground is what was measured
             drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
     return drawn
-
-
-PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 
 
 class Clock(NamedTuple):

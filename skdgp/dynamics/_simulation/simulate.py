@@ -16,18 +16,10 @@ from skdgp.dynamics._air.air import LocalAir, as_air
 from skdgp.dynamics._air.turbulence import Turbulence
 from skdgp.dynamics._control.linearize import jacobian
 from skdgp.dynamics._equations.aerodynamics import Drift
-from skdgp.dynamics._equations.error_covariance import (
-    STATES,
-    checked_std,
-    error_covariances,
-    standard_deviations,
-    start_errors,
-    state_readouts,
-)
-from skdgp.dynamics._equations.motion import CONTROLS, Instant, Motion
+from skdgp.dynamics._equations.error_covariance import STATES, checked_std, state_deviations
+from skdgp.dynamics._equations.motion import CONTROLS, PROPULSION, Instant, Motion
 from skdgp.dynamics._equations.rigid_body import RATES, VELOCITY, rk4_step
 from skdgp.dynamics._simulation.inputs import (
-    PROPULSION,
     Clock,
     as_starts,
     control_schedule,
@@ -334,12 +326,9 @@ def _std_along(
         for step in range(n):
             yield between(slopes.state, step), between(slopes.coefficients, step) @ between(errors, step)
 
-    covariances = error_covariances(samples(), [record.time[1]] * (n - 1), start_errors(start, states[0]))
-    readouts, air_data = state_readouts(states), slopes.outputs_state[:, :3]
-    return np.stack([
-        standard_deviations(covariance, np.concatenate([readouts[step], between(air_data, step)]))
-        for step, covariance in enumerate(covariances)
-    ])  # fmt: skip
+    air_data = (between(slopes.outputs_state[:, :3], step) for step in range(n))
+    steps = [record.time[1]] * (n - 1)
+    return np.stack([*state_deviations(samples(), steps, start, states, further=air_data)])
 
 
 def is_control(motion: Motion) -> Callable[[str], bool]:

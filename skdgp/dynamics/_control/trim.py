@@ -227,12 +227,9 @@ class SteadyFlight:
         self.limits = {name: self._limits(name) for name in self.unknowns}
         check_names(limits, (*self.unknowns, *fixed), "unknowns of this trim, and the limits given with them,")
         for name, pair in limits.items():
-            if np.shape(pair) != (2,):
-                raise ValueError(f"Got limits of {name} {pair!r}, but expected two numbers, smallest and largest.")
+            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+                raise ValueError(f"Got limits of {name} {pair!r}, but expected two numbers, smallest < largest.")
         self.limits |= {name: tuple(map(float, pair)) for name, pair in limits.items() if name in self.unknowns}
-        for name, (low, high) in self.limits.items():
-            if not low < high:
-                raise ValueError(f"Got limits of {name} from {low:g} to {high:g}, but expected smallest < largest.")
 
     def _controls(self, controls: Sequence[str] | None) -> tuple[str, ...]:
         """Return the controls to solve for; those that remain are fixed."""

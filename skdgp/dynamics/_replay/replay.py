@@ -101,9 +101,7 @@ def replay(
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces, float(gravity))
     driven, start_std, tables = path.is_driven(), checked_std(initial_std), []
-    runs = [
-        slice(part.start + run.start, part.start + run.stop) for part in segments for run in true_runs(driven[part])
-    ]
+    runs = [slice(part.start + r.start, part.start + r.stop) for part in segments for r in true_runs(driven[part])]
     for h in horizons.tolist():
         rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
         states, std = _integrate(path, rows), None
@@ -312,9 +310,8 @@ def _covariance_factor(std: ArrayLike, n_samples: int) -> Array:
 def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None) -> Indices:
     """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
 
-    A window starts at a row of a run whose state is ``known`` (n,), by default any, and ends at the last such row no
-    more than ``horizon`` [s] later, where the next one starts. Where no known row lies within the horizon, it ends with
-    the horizon, and the next one starts at the next known row.
+    A window starts at a row of a run whose state is ``known`` (n,) and ends at the last such row no more than
+    ``horizon`` [s] later, where the next one starts; where there is none, it ends with the horizon.
     """
     known = np.ones(len(time), dtype=bool) if known is None else known
     windows = [window for run in runs for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))]

@@ -24,7 +24,7 @@ class Simulator:
     """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
 
     Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts are
-    simulated as one batch. With a seed, each uses another function drawn from the posterior.
+    simulated as one batch.
 
     Parameters
     ----------

@@ -123,17 +123,16 @@ def warn_of(record: Any, motion: Motion) -> None:
             SimulationWarning,
             stacklevel=3,
         )
-    outside, limits = beyond(motion, record.regressors), motion.aerodynamics.limits
+    outside, limits = beyond(motion, record.regressors).reshape(len(record.time), -1), motion.aerodynamics.limits
     if limits is not None and outside.any():
-        flights = outside.reshape(len(outside), -1)
-        first = int(np.flatnonzero(flights.any(axis=1))[0])
-        k = int(flights[first].max()) - 1
-        low, high = limits[:, k]
-        values, name = record.regressors[..., k], motion.aerodynamics.regressors[k]
+        first = int(np.flatnonzero(outside.any(axis=1))[0])
+        k = int(outside[first].max()) - 1
+        (low, high), values = limits[:, k], record.regressors[..., k]
         warnings.warn(
-            f"{np.count_nonzero(flights.any(axis=0))} of {n} trajectories left what the model was learned from, the "
-            f"first {first * dt:.2f} s after its start in {name} (here {np.nanmin(values):.3g} to "
-            f"{np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column beyond says where.",
+            f"{np.count_nonzero(outside.any(axis=0))} of {n} trajectories left what the model was learned from, the "
+            f"first {first * dt:.2f} s after its start in {motion.aerodynamics.regressors[k]} (here "
+            f"{np.nanmin(values):.3g} to {np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column "
+            "beyond says where.",
             SimulationWarning,
             stacklevel=3,
         )

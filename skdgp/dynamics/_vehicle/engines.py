@@ -223,9 +223,8 @@ class Propeller:
 
         .. math:: C_T = .048 + .092 x - (.136 - .123 x) J - .104 J^2,
 
-        and C_Q likewise. The thrust of propellers that were not in the fit is 23 % off, root mean square. Raises
-        ValueError if a size is not positive, or of the motor's constant and the voltage there is one alone; warns
-        beyond the sizes that were measured, diameters of .17 to .49 m and x of .35 to 1.1.
+        and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a size is not
+        positive, or of the motor's constant and the voltage there is one alone; warns beyond the sizes measured.
 
         Parameters
         ----------
@@ -246,8 +245,8 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         sizes = {"diameter": diameter, "pitch": pitch, "motor_constant": motor_constant, "voltage": voltage}
-        known = {name: as_floats(value) for name, value in sizes.items() if value is not None}
-        if any(value.shape != () or not 0 < value < np.inf for value in known.values()) or len(known) == 3:
+        known = [as_floats(value) for value in sizes.values() if value is not None]
+        if any(value.shape != () or not 0 < value < np.inf for value in known) or len(known) == 3:
             raise ValueError(
                 f"Got {sizes} of a propeller, but expected numbers > 0 of diameter and pitch [m], and of both or none "
                 "of motor_constant [rad/s/V] and voltage [V]."

@@ -16,7 +16,7 @@ from skdgp.dynamics._air.turbulence import Turbulence
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Air:
     """The air that an aircraft flies in, and gravity: ``air`` of `simulate`, `trim` and others.
 

@@ -81,13 +81,7 @@ class Motion:
     """
 
     def __init__(
-        self,
-        model: Any,
-        aircraft: Aircraft,
-        *,
-        thrust: Thrust = "auto",
-        air: Any = None,
-        lagged: bool = False,
+        self, model: Any, aircraft: Aircraft, *, thrust: Thrust = "auto", air: Any = None, lagged: bool = False
     ):
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged

@@ -74,7 +74,7 @@ def simulate(
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what gives the thrust: a
         table with ``time`` [s], its first row the start (linear between rows; a list: one for each start); constants
         by name; or a feedback law, a function (t, state) to values by name, where ``state`` maps the names of
-        channels to arrays, ``state["phi"]``; or `FlightComputer` (law), which asks it once a step.
+        channels to arrays, ``state["phi"]``; or ``FlightComputer(law)``, which asks it once a step.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional

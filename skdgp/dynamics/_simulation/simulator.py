@@ -64,13 +64,7 @@ class Simulator:
     """
 
     def __init__(
-        self,
-        model: Any,
-        aircraft: Aircraft,
-        dt: float = 0.02,
-        *,
-        air: Any = None,
-        thrust: Thrust = "auto",
+        self, model: Any, aircraft: Aircraft, dt: float = 0.02, *, air: Any = None, thrust: Thrust = "auto"
     ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")

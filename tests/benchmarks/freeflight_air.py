@@ -14,12 +14,15 @@ Free flight: from 20 points of the flights, under the logged controls and thrust
 the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` the true wind, a table over time;
 "nothing" says nothing of the air, where that is as it was in training.
 
+"gusts": their power by `Turbulence.from_flight` of the sensors over the true one, at frequencies that turn an aircraft.
+
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
 """
 
 from __future__ import annotations
 
 import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import joblib
@@ -29,6 +32,8 @@ from _common import finish, parser_of
 from _study_flights import KNOTS, jsbsim_log, jsbsim_subject
 from _study_methods import EVERY, known_by, line
 from freeflight import coverage_of, truth_of, windows
+from scipy.signal import welch
+from scipy.stats import gmean
 from study import LOGGED, Results, coverage_table
 
 from skdgp import make_identification_pipeline
@@ -37,12 +42,14 @@ from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER
 from skdgp.datasets._example_flights import MEASURED, measure
 from skdgp.dynamics import (
     SimulationWarning,
+    Turbulence,
     aerodynamic_coefficients,
     air_velocity,
     body_to_ned,
     euler_to_quaternion,
     simulate,
 )
+from skdgp.dynamics._air.turbulence import _spectrum
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
 
@@ -123,6 +130,27 @@ def flown_row(name, model, aircraft, flown, n_paths):
     return row
 
 
+def air_row(name, aircraft, flown):
+    """Return the power of gusts u, v, w by `Turbulence.from_flight` over the true one, where gusts turn an aircraft.
+
+    The geometric mean over three bands of the frequencies up to pi V / 4 b, the lowest of which begin at .3 rad/s.
+    """
+    row = {"aircraft": name}
+    for air in ("light", "moderate"):
+        flight, found = flown[air], Turbulence.from_flight(sensed(flown[air]), aircraft.span)
+        wind, psi = flight[[f"{w}_true" for w in WIND]].to_numpy(), flight["psi_true"].to_numpy()
+        (north, east, down), speed = (wind - wind.mean(axis=0)).T, flight["airspeed_true"].mean()
+        gusts = [np.cos(psi) * north + np.sin(psi) * east, np.cos(psi) * east - np.sin(psi) * north, down]
+        frequency, power = welch(np.array(gusts), 1 / np.median(np.diff(flight["time"])), nperseg=2048)
+        edges = np.geomspace(0.3, np.pi * speed / (4 * aircraft.span), 7)[3:]
+        for k, axis in enumerate("uvw"):
+            model = 2 * found.intensity[k] ** 2 * _spectrum(2 * np.pi * frequency, found.length[k] / speed, k)
+            bands = [(low <= 2 * np.pi * frequency) & (2 * np.pi * frequency < high) for low, high in pairwise(edges)]
+            row[f"{axis}, {air}"] = gmean([model[band].mean() / power[k, band].mean() for band in bands])
+        row[f"tied, {air}"] = found.is_tied
+    return row
+
+
 def summarized(rows):
     """Return the rows, and the median and the worst over aircraft: the lowest coverage, the largest error."""
     if not rows:
@@ -139,14 +167,15 @@ def main(words=None):
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
     options = parser.parse_args(words)
-    models, flights = [], []
+    models, flights, gusts = [], [], []
     for name in options.aircraft[: 0 if options.smoke else None]:
         model, log, aircraft = learned(name, options.models)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
         models.append(model_row(name, model, log, flown))
         flights.append(flown_row(name, model, aircraft, flown, options.paths))
+        gusts.append(air_row(name, aircraft, flown))
         print(pd.DataFrame([models[-1] | flights[-1]]).round(2).to_string(index=False), flush=True)
-    finish(options, "freeflight_air", models=summarized(models), free_flight=summarized(flights))
+    finish(options, "freeflight_air", models=summarized(models), free_flight=summarized(flights), gusts=gusts)
 
 
 if __name__ == "__main__":

@@ -182,10 +182,10 @@ class TestNotation:
 
 def test_limits_on_the_page_are_those_of_the_code():
     from skdgp._compute.linalg import JITTER_FIRST, JITTER_LAST
-    from skdgp._regressor._estimator import EXACT_LIMIT
+    from skdgp._regressor._estimator import EXACT_LIMIT, LOG_LIMIT
 
     text = (ROOT / "docs" / "inference.md").read_text(encoding="utf-8")
-    assert f"Above {EXACT_LIMIT} observed values" in text
+    assert f"Above {EXACT_LIMIT} observed values, {LOG_LIMIT} of a log" in text
     assert f"by {JITTER_FIRST:.0e} of its".replace("e-0", "e-") in text
     assert f"up to {JITTER_LAST:.0e}".replace("e-0", "e-") in text
 

@@ -18,7 +18,7 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import fit_structure, likeliest_mean, most_factors, weights_of
+from skdgp._regressor._structure import fit_structure, likeliest_mean, most_factors, most_iterations, weights_of
 from skdgp.inference import (
     Data,
     ExactPosterior,
@@ -34,8 +34,13 @@ from skdgp.inference import (
 )
 from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
 
-EXACT_LIMIT = 1000
-"""Largest number of observed values for which inference="auto" is exact: a search learns from no more."""
+EXACT_LIMIT, LOG_LIMIT = 6000, 1000
+"""Largest number of observed values, and of values of a log, for which inference="auto" is exact.
+
+An exact posterior of 6000 values takes seconds. With 100 inducing inputs a sparse one has 2.4 times its squared error
+on the SARCOS arm (docs/results.md), and the same on smooth functions. Errors of a log are correlated, which the sparse
+posterior takes into account.
+"""
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
@@ -92,8 +97,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     inference : {"auto", "exact", "sparse"}
         "exact" uses every observed value. "sparse" learns hyperparameters from a subset and then uses all values
         through inducing variables, in linear time and constant memory. It estimates the correlation of neighbouring
-        errors from the order of the rows, so rows must be in the order of the log. "auto" is "exact" up to 1000
-        observed values. The result is in ``inference_``.
+        errors from the order of the rows, so rows must be in the order of the log. "auto" is "exact" up to 6000
+        observed values, 1000 of a log, which ``fit`` gets with ``time``. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
     input_noise : "auto", "learned", None, float, array (d,) or (d, d)
@@ -105,8 +110,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log,
         which ``fit`` gets with ``time``, the search stops when the error of held-out blocks of rows no longer falls, so
         that hyperparameters do not fit what is particular to the log. The posterior uses all values.
-    max_iter : int
-        Iterations of a joint search. The preceding fits of single outputs use at most twice as many each.
+    max_iter : int or None
+        Largest number of iterations of a joint search, half of them with widths that outputs share. The preceding fits
+        of single outputs use at most twice as many each. None: 60 for a log, which ``fit`` gets with ``time``,
+        else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
     n_jobs : int or None
         Searches of a log, or members of the average, that are fitted side by side, as in joblib. None: the setting of
         ``joblib.parallel_config``, or one process.
@@ -139,13 +146,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     weights_ : dict of str to ndarray (P,)
         Weight of each kind of member of the average for each output: "joint", with all terms, "additive", with main
         effects, and "trend".
-    n_iter_, n_evaluations_ : int
-        Iterations of the joint search, at most ``max_iter``, and total number of evaluations of the likelihood.
+    n_iter_, max_iter_, n_evaluations_ : int
+        Iterations of the joint search, their largest number, and total number of evaluations of the likelihood.
     interrupted_ : bool
         Whether Ctrl-C ended the search.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
-        value in ``max_iter`` further iterations. If not, ``fit`` warns.
+        value in ``max_iter_`` further iterations. If not, ``fit`` warns.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
@@ -177,7 +184,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [StrOptions({"auto", "learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
-        "max_iter": [Interval(Integral, 1, None, closed="left")],
+        "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "n_jobs": [Integral, None],
         "random_state": ["random_state"],
     }
@@ -194,7 +201,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         n_inducing: int = 100,
         input_noise: Any = "auto",
         optimizer: Any = "fmin_l_bfgs_b",
-        max_iter: int = 60,
+        max_iter: int | None = None,
         n_jobs: int | None = None,
         random_state: Seed = None,
     ) -> None:
@@ -265,7 +272,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             If there are fewer than 10 independent rows for each regressor: bands are too narrow then.
         ConvergenceWarning
             If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
-            ``max_iter`` before it converged.
+            ``max_iter_`` before it converged.
         """
         check_n_jobs(self.n_jobs)
         task, index = FitTask(self, X, y), getattr(X, "index", None)
@@ -281,19 +288,19 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_constant_regressors(X, self._regressor_names())
         _checks.warn_of_samples(X, Y, self.output_names_)
-        n_values = int(np.isfinite(Y).sum())
-        self.inference_ = (
-            self.inference if self.inference != "auto" else "exact" if n_values <= EXACT_LIMIT else "sparse"
-        )
+        n_values, self.inference_ = int(np.isfinite(Y).sum()), self.inference
+        if self.inference == "auto":
+            self.inference_ = "exact" if n_values <= (EXACT_LIMIT if clock is None else LOG_LIMIT) else "sparse"
         if self.inference_ == "exact":
             check_memory(n_values, "Exact inference on", FIT_REMEDY, 1 + most_factors(self, clock is not None))
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
+        self.max_iter_ = most_iterations(self.max_iter, Z, clock is not None)
         found = task.run(fit_structure, self, X, Z, clock is not None)
         posterior, learned = found.posterior, found.learned
         self.weights_ = weights_of(posterior)
-        _checks.warn_of_search(learned, self.max_iter, X, self._regressor_names())
+        _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
         if not learned.interrupted:
             _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_))
         misfit, variance, memory = np.zeros((3, len(self.scale_)))

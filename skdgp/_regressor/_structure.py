@@ -12,7 +12,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
-from skdgp.inference import Fit, average, fit_exact, fit_sparse, joined
+from skdgp.inference import Fit, average, fit_exact, fit_sparse, joined, n_searched
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
 
 SEARCHES = 2
@@ -24,6 +24,13 @@ N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.
 
 Of the known values of seven electrodes (docs/results.md) the likelihood is 124, 202 and 213 with two, three and four.
+"""
+LOG_ITERATIONS = 60  # of a log; held-out blocks end most searches before
+ITERATIONS, ITERATED_VALUES = 150, 1500
+"""Most iterations, of a search that learns from up to so many values; of more values as many as take the same time.
+
+Seven electrodes need 100 of 1492 values: the error of gaps is .46 after 60, and .26 then. Other searches of
+tests/benchmarks/published.py converge within 90, or do not gain.
 """
 ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/theory.md
 
@@ -41,7 +48,7 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
     _check_structure(model)
     options = {
         "optimizer": model.optimizer,
-        "max_iter": model.max_iter,
+        "max_iter": most_iterations(model.max_iter, Z, log),
         "input_noise": _checks.input_root(_input_noise(model, log), X, model._regressor_names()),
         "stop_early": log,
     }
@@ -53,6 +60,16 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
         return search(random_state=int(seeds[0]))
     n_jobs = model.n_jobs if len(seeds) == 1 else None
     return joined(fit_map(partial(_averaged, search, X, Z, n_jobs), [{"seed": int(s)} for s in seeds], model.n_jobs))
+
+
+def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
+    """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
+
+    Where it is not given, 60 of a log, else 150, or :math:`150 (1500 / N)^3`, as N^3 is the time of an iteration.
+    """
+    if max_iter is not None or log:
+        return LOG_ITERATIONS if max_iter is None else max_iter
+    return int(ITERATIONS * min(ITERATED_VALUES / n_searched(Y), 1.0) ** 3)
 
 
 def most_factors(model: Any, log: bool) -> int:

@@ -22,7 +22,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "regressors": names,
         "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
         "iterations": int(regressor.n_iter_),
-        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter),
+        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter_),
         "converged": bool(regressor.converged_),
         "interrupted": bool(regressor.interrupted_),
         "evaluations": int(regressor.n_evaluations_),

@@ -244,7 +244,7 @@ class Identification:
                 inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
                 n_iter=fit["iterations"],
-                max_iter=regressor.max_iter,
+                max_iter=regressor.max_iter_,
                 converged=fit.get("converged", True),
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,

@@ -20,7 +20,7 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, joined, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
-from skdgp.inference._search import Optimum, input_noise_loading, maximize
+from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, output_correlation, slope_errors
 from skdgp.inference._sparse import SparsePosterior, shares_of
 
@@ -46,6 +46,7 @@ __all__ = [
     "log_likelihood",
     "maximize",
     "misfit_variance",
+    "n_searched",
     "output_correlation",
     "residual_drift",
     "shares_of",

@@ -2,8 +2,7 @@
 
 1. Each output alone (``fit_singles``).
 2. All outputs, with widths that they share.
-3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better; in exact inference of many
-   values, the last iterations are of all of them.
+3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
 4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
 
 Stages learn from ``some_rows`` of all, or from those that ``held_out_rows`` leaves.
@@ -26,7 +25,6 @@ from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, couplings, log_likelihood
 
-REFINED = 4  # exact inference of many values learns from some of them first, and in the last fourth from all
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
@@ -157,12 +155,7 @@ def search(
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     # Stage 3.
-    most, refined = max_iter - n_iter, exact and held_out is None and len(X) < len(whole[0])
-    kernel, noise, best = stages.run(data, kernel, noise, bounds, most - refined * (most // REFINED))
-    if refined and not stop.is_set():
-        n_iter += best.n_iter
-        data = stages.hyperparameters(kernel, noise, root).data(*whole, 1)
-        kernel, noise, best = stages.run(data, kernel, noise, bounds, most // REFINED)
+    kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter)
     n_values = data.n_values
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
@@ -229,6 +222,11 @@ def stratified(rows: Any, n, random_state: Any):
         return rows
     edges = np.linspace(0, len(rows), n + 1)
     return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
+
+
+def n_searched(Y: Matrix) -> int:
+    """Return the number of values that a search learns from."""
+    return int(min(np.clip(Y.shape[1] * OUTPUT_VALUES, *SEARCH_VALUES), np.isfinite(Y).sum()))
 
 
 def some_rows(Y: Matrix, random_state: Seed):

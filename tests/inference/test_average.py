@@ -12,13 +12,11 @@ from skdgp.inference import (
     AveragePosterior,
     Data,
     ExactPosterior,
-    _search,
     average,
     compact,
     fit_exact,
     fit_sparse,
     joined,
-    log_likelihood,
 )
 from skdgp.inference._average import PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -217,17 +215,6 @@ def test_a_trend_of_weights_is_the_exact_posterior(data):
     dense = ExactPosterior(trend.kernel, trend.noise, trend.samples())
     for got, expected in zip(trend.predict(AT, True), dense.predict(AT, True), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-6)
-
-
-def test_exact_inference_of_many_values_ends_its_search_with_all(monkeypatch):
-    """The likelihood of all values has no slope left, though the search began with a part of them."""
-    rng = np.random.default_rng(3)
-    x = rng.uniform(-2, 2, (150, 1))
-    y = np.sin(2 * x) + rng.normal(0, 0.1, x.shape)
-    monkeypatch.setattr(_search, "SEARCH_VALUES", (50, 50))
-    fit = fit_exact(ConvolvedGaussian(0), x, y, optimizer="fmin_l_bfgs_b", max_iter=100, random_state=0)
-    slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, Data.from_table(x, y), eval_gradient=True)[1]
-    assert np.abs(slope).max() < 1e-3 * len(y)
 
 
 class TestParts:

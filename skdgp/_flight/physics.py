@@ -261,7 +261,7 @@ def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def block_means(values: np.ndarray, size: int) -> np.ndarray:
     """Return the means of ``size`` rows each; what is left over at the end does not count."""
-    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+    return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
 
 
 # -- relations ----------------------------------------------------------------------------------------------

@@ -16,10 +16,8 @@ from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
 from skdgp.dynamics._vehicle.loads import dynamic_pressure, knows_speed
-from skdgp.identification._flights import AIRSPEED_ERROR, Flights, is_autopilot_log
-from skdgp.io import FULL_THROW
-from skdgp.io._autopilot.servos import REVERSED, reversed_of, throw_errors
-from skdgp.io._inspect import names_servos
+from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
+from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 
 THRUST_IN_COEFFICIENTS = (
     "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as regressors: CX is "
@@ -28,8 +26,7 @@ THRUST_IN_COEFFICIENTS = (
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
 THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
 THRUST = "thrust on a bench over the propeller's speed"
-LISTED = 3
-"""Measurements that are named."""
+LISTED = 3  # measurements that are named
 
 
 def servos_for(servos: Any, *flights: Any) -> Any:
@@ -37,8 +34,8 @@ def servos_for(servos: Any, *flights: Any) -> Any:
 
     Raises ValueError of logs without servos beside tables, whose surfaces are in radians.
     """
-    items = [item for part in flights for item in _items(part)]
-    logs = [is_autopilot_log(item) for item in items]
+    items = [item for part in flights if part is not None for item in items_of(part)]
+    logs = [is_log(item) for item in items]
     if servos is not None or not any(logs):
         return servos
     if not all(logs):
@@ -54,24 +51,33 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     names = reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True)) if reversed_of(servos) == () else []
     if not names:
         return servos, *parts
-    servos = f"{FULL_THROW}{REVERSED}{' '.join(names)}"
+    servos = f"{FULL_THROW}, reversed {' '.join(names)}"
     warnings.warn(
         f"The flights show that {' and '.join(names)} move the other way than the autopilot's parameters say, so their "
         f'signs are turned: servos = "{servos}".',
         FlightDataWarning,
         stacklevel=3,
     )
-    return servos, *({k: _turned(table, names) for k, table in flights.items()} for flights in parts)
-
-
-def _turned(table: pd.DataFrame, names: Iterable[str]) -> pd.DataFrame:
-    return table.assign(**{name: -table[name] for name in names if name in table})
+    return servos, *(
+        {key: table.assign(**{name: -table[name] for name in names if name in table}) for key, table in part.items()}
+        for part in parts
+    )
 
 
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
-    errors = throw_errors(servos) if reversed_of(servos) is None else {}
-    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in errors.items()}
+    told = read_servos(servos) if reversed_of(servos) is None else {}
+    return _with_deviations(
+        aircraft,
+        {
+            f"throw of the {name}": ScaleFactor(each.std / each.angle, {name: 1.0}, "told")
+            for name, each in told.items()
+            if isinstance(each, Throw) and each.std
+        },
+    )
+
+
+def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
 
 
@@ -79,7 +85,7 @@ def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> 
     """Return the aircraft, with the deviation of airspeeds that are of turns, as if one error were in all samples."""
     std = max((table.attrs.get(AIRSPEED_ERROR, 0.0) for table in tables), default=0.0)
     factor = ScaleFactor(2 * std, {PRESSURE: 1.0}, "velocity over the ground in turns")
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "airspeed": factor}) if std else aircraft
+    return _with_deviations(aircraft, {"airspeed": factor} if std else {})
 
 
 def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str) -> Aircraft:
@@ -104,15 +110,7 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
         for name, value in zip(names, column, strict=True)
     }
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
-
-
-def _items(flights: Any) -> list:
-    if flights is None:
-        return []
-    if isinstance(flights, Mapping):
-        return list(flights.values())
-    return list(flights) if isinstance(flights, list | tuple) else [flights]
+    return _with_deviations(aircraft, {"thrust": factor})
 
 
 def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:

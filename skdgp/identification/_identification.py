@@ -28,10 +28,11 @@ from skdgp.identification._evaluation import (
     Evaluation,
     evaluate_flights,
     group_means,
+    reconstruction_of,
     scores,
+    thrust_sources,
     usable_flights_of_model,
 )
-from skdgp.identification._facts import reconstruction_of, thrust_sources
 from skdgp.identification._flights import named_flights
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._pipeline import regressor_and_scale

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,9 +65,9 @@ class FlightLog:
     remarks: list[str]
 
 
-def is_log(path: Path) -> bool:
-    """Return whether a path is that of a log of an autopilot: it has its suffix, or is a folder of topics."""
-    return path.suffix.lower() in AUTOPILOTS or path.is_dir()
+def is_log(path: object) -> bool:
+    """Return whether this is the path of a log of an autopilot: with its suffix, or a folder of topics."""
+    return isinstance(path, str | os.PathLike) and (Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir())
 
 
 def read_log(path: Path) -> Log:

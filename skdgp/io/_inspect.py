@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
@@ -21,8 +21,8 @@ from skdgp.io._autopilot.autopilot import AUTOPILOTS, is_log, no_flight_because,
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
 from skdgp.io._autopilot.servos import template
-from skdgp.io._errors import FlightReadError
 from skdgp.io._read import PathLike, read_flight
+from skdgp.io._tables import FlightReadError, reading
 
 NEEDS = {
     "coefficients": ("airspeed", "density", *SPECIFIC_FORCE, *RATES, "thrust_x or propeller_speed"),
@@ -179,9 +179,8 @@ class LogSummary:
 def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
-    ``path`` is any file that :func:`read_flight` reads, ``servos`` the end points of the servos (a file or a mapping of
-    channels), as there. ``print`` shows the summary, ``to_dict`` gives it for JSON. Raises FlightReadError if the file
-    cannot be read (a log without a flight can), FileNotFoundError if there is none.
+    ``path`` and ``servos`` are as of :func:`read_flight`. ``print`` shows the summary. Raises FlightReadError if the
+    file cannot be read (a log without a flight can), FileNotFoundError if there is none.
 
     Examples
     --------
@@ -195,14 +194,12 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     path = Path(path)
     if not is_log(path):
         return _of_table(path, read_flight(path))
-    flown = on_one_clock(path, servos=servos)
+    with reading(path):
+        flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
-    table, log = longest.table, flown.log
-    columns = [
-        ColumnSummary(name, *flown.origin[name], _constant(table[name])) for name in table if name in flown.origin
-    ]
+    log, found = flown.log, {name: each for name, each in longest.table.items() if name in flown.origin}
+    columns = tuple(ColumnSummary(name, *flown.origin[name], _constant(each)) for name, each in found.items())
     tables = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
-    flights = [_flight(each) for each in tables]
     return LogSummary(
         path=str(path),
         format=log.kind,
@@ -210,10 +207,10 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
         vehicle=log.vehicle,
         duration=float(sum(np.ptp(part.table["time"]) for part in flown.parts if len(part.table))),
         topics=tuple(_topic(name, topic) for name, topic in longest.topics.items()),
-        columns=tuple(columns),
+        columns=columns,
         missing=missing_for(columns),
-        flights=tuple(flights),
-        no_flight="" if flights else no_flight_because(table, log, flown.speed),
+        flights=tuple(map(_flight, tables)),
+        no_flight="" if tables else no_flight_because(longest.table, log, flown.speed),
         remarks=(*flown.remarks, *_contradictions(tables)),
     )
 
@@ -223,15 +220,16 @@ def servo_template(path: PathLike) -> str:
 
     Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was sent to servos.
     """
-    path = Path(path)
     if not is_log(path):
         raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
-    return template(read_log(path))
+    with reading(path):
+        return template(read_log(Path(path)))
 
 
 def names_servos(path: PathLike) -> bool:
     """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
-    log = read_log(Path(path))
+    with reading(path):
+        log = read_log(Path(path))
     return bool(log.servos or log.mixing)
 
 
@@ -248,13 +246,17 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
 def _of_table(path, table) -> LogSummary:
     steps = table.groupby("flight", sort=False)["time"].diff().dropna()
     rate = 1 / float(steps.median()) if len(steps) else np.nan
-    columns = [
-        ColumnSummary(name, "column", rate * table[name].notna().mean(), _constant(table[name]))
-        for name in table.columns
-        if name not in ("time", "flight", *table.attrs["unknown_columns"])
-    ]
+    unknown = table.attrs["unknown_columns"]
+    columns = tuple(
+        ColumnSummary(str(name), "column", rate * each.notna().mean(), _constant(each))
+        for name, each in table.items()
+        if name not in ("time", "flight", *unknown)
+    )
     tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
-    flights = [_flight(each) for each in tables]
+    flights = tuple(map(_flight, tables))
+    faults: dict[tuple[str, str], list[Finding]] = {}
+    for fault in find_faults(table):
+        faults.setdefault((fault.channel, fault.kind), []).append(fault)
     return LogSummary(
         path=str(path),
         format="table",
@@ -262,25 +264,19 @@ def _of_table(path, table) -> LogSummary:
         vehicle=None,
         duration=sum(each.end - each.begin for each in flights),
         topics=(),
-        columns=tuple(columns),
+        columns=columns,
         missing=missing_for(columns),
-        flights=tuple(flights),
+        flights=flights,
         no_flight="",
         remarks=(
-            *(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
-            *_faults(table),
+            *(f"column {name!r} is not of the vocabulary" for name in unknown),
+            *(
+                f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
+                for first, *others in faults.values()
+            ),
             *_contradictions(tables),
         ),
     )
-
-
-def _faults(table) -> Iterator[str]:
-    """Yield a line for each kind of fault of each channel, with the first of several."""
-    found: dict[tuple[str, str], list[Finding]] = {}
-    for each in find_faults(table):
-        found.setdefault((each.channel, each.kind), []).append(each)
-    for first, *others in found.values():
-        yield f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
 
 
 def _flight(table) -> FlightSummary:

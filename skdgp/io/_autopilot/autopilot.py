@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._autopilot.clock import clock_parts, gaps
@@ -22,7 +24,7 @@ from skdgp.io._autopilot.formats import Log, Topic
 from skdgp.io._autopilot.servos import full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._autopilot.tlog import read_tlog
 from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog,
@@ -72,11 +74,9 @@ def is_log(path: object) -> bool:
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
-    if path.is_dir():
-        return read_topic_tables(path)
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    return AUTOPILOTS[path.suffix.lower()](path)
+    return read_topic_tables(path) if path.is_dir() else AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
@@ -88,7 +88,9 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
         log = read_log(path)
         servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
         topics, remarks = clock_parts(log.topics)
-        speed = threshold(log, airborne if airborne is not False else True)
+        slowest = log.slowest_airspeed
+        speed = AIRBORNE_SHARE * slowest if 0 < slowest < 200 else AIRBORNE_SPEED
+        speed = speed if isinstance(airborne, bool) else float(airborne)  # [m/s], above which it is airborne
         parts: list[Part] = []
         origin: dict[str, Origin] = {}
         useless: list[str] = []
@@ -131,19 +133,22 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the accelerometer (Klein & Morelli
     2006, Aircraft System Identification, equation 10.12).
     """
-    names, rates = ["ax", "ay", "az"], ["p", "q", "r"]
-    if not {*names, *rates} <= set(table.columns):
+    if not {*SPECIFIC_FORCE, *RATES} <= set(table.columns):
         return table
-    omega, time = table[rates].to_numpy(), table["time"].to_numpy()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
-            accelerations = differentiate(omega, time, cutoff=RATE_CUTOFF * rate)
+        accelerations = _rates_of_change(table, RATES, rate)
     except ValueError as error:
         raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
-    arm = np.asarray(position, float)
+    arm, omega = np.asarray(position, float), table[list(RATES)].to_numpy()
     extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
-    return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
+    force = table[list(SPECIFIC_FORCE)].to_numpy() - extra
+    return table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+
+
+def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> Matrix:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+        return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
 
 
 def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple[pd.DataFrame, dict[str, Origin]]:
@@ -152,14 +157,11 @@ def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple
     It is for logs without an accelerometer of use, and carries what the velocity does: little above a fifth of its
     rate.
     """
-    names = (*EARTH_VELOCITY, *EULER)
-    if not set(names) <= set(table.columns):
+    if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
         return table, origin
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
-            change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=RATE_CUTOFF * rate)
+        change = _rates_of_change(table, EARTH_VELOCITY, rate)
     except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
         return table, origin
     change[:, 2] -= STANDARD_GRAVITY
@@ -168,13 +170,6 @@ def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple
     words = Origin("velocity and attitude, as no accelerometer is of use", rate)
     table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
     return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(SPECIFIC_FORCE, words)
-
-
-def threshold(log: Log, airborne: bool | float) -> float:
-    """Return the airspeed [m/s] above which the aircraft is airborne."""
-    if airborne is not True:
-        return float(airborne)
-    return AIRBORNE_SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else AIRBORNE_SPEED
 
 
 def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
@@ -229,10 +224,9 @@ def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
 def _speed(table, log):
     if "airspeed" in table:
         return table["airspeed"].to_numpy()
-    velocity = [name for name in ("v_north", "v_east") if name in table]
-    if len(velocity) < 2 or log.vehicle in NOT_FLYING_ON_WINGS:
+    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
         return np.full(len(table), np.nan)
-    return np.hypot(*table[velocity].to_numpy().T)
+    return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
 
 
 def _landed(time, log, topics):
@@ -249,19 +243,16 @@ def _gap_remarks(parts):
     """Yield a remark on the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():
-            found = gaps(source.time)
-            if found:
+            if found := gaps(source.time):
                 begin, length = max(found, key=lambda gap: gap[1])
-                columns = " ".join(source.columns)
-                yield (
-                    f"{source.name} ({columns}) has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
-                )
+                name = f"{source.name} ({' '.join(source.columns)})"
+                yield f"{name} has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
 
 
 def _check_options(rate, airborne, imu_position):
-    if rate is not None and not (_is_real(rate) and 0 < rate <= 1000):
+    if rate is not None and not (_is_positive(rate) and rate <= 1000):
         raise FlightReadError(f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000.")
-    if not isinstance(airborne, bool) and not (_is_real(airborne) and airborne > 0):
+    if not isinstance(airborne, bool) and not _is_positive(airborne):
         raise FlightReadError(f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s.")
     if imu_position is not None:
         position = np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
@@ -272,5 +263,5 @@ def _check_options(rate, airborne, imu_position):
             )
 
 
-def _is_real(value):
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+def _is_positive(value):
+    return isinstance(value, Real) and not isinstance(value, bool) and value > 0

@@ -17,7 +17,7 @@ from skdgp._flight.frames import quaternion_to_euler, without_sign_changes
 from skdgp.io._autopilot.clock import resample, sampling_rate, uniform_clock
 from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
 from skdgp.io._autopilot.servos import Mixture, Servo
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 LEAST_RATE = 5.0
 """A source slower than this [Hz] gives way to a faster one further down."""
@@ -42,11 +42,6 @@ class Source(NamedTuple):
     note: str = ""
 
     @property
-    def alive(self) -> bool:
-        """Whether there are samples."""
-        return len(self.time) > 1
-
-    @property
     def rate(self) -> float:
         """The usual rate [Hz]."""
         return sampling_rate(self.time)
@@ -63,7 +58,7 @@ def find_sources(
         source = _source(part, rule)
         if source is None:
             continue
-        if not source.alive:
+        if len(source.time) < 2:
             useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
         elif impossible := _impossible(source):
             useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
@@ -75,8 +70,10 @@ def find_sources(
         if not servos.keys() & set(columns)
     ]
     surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
-    useless += [f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if not each.alive]
-    return found + [each for each in surfaces if each.alive], list(dict.fromkeys(useless))
+    useless += [
+        f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if len(each.time) < 2
+    ]
+    return found + [each for each in surfaces if len(each.time) > 1], list(dict.fromkeys(useless))
 
 
 def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
@@ -136,12 +133,14 @@ def _source(log, rule: Rule) -> Source | None:
     topic = log.topics.get(name)
     if topic is None or not all(field in topic for field in rule.fields):
         return None
-    raw = topic.columns(rule.fields)
-    values = rule.convert(raw)
+    values = rule.convert(topic.columns(rule.fields))
     known = np.isfinite(values).all(axis=1)
     for field in rule.valid:
         known &= topic[field] > 0 if field in topic else True
-    return Source(rule.columns, f"{name}.{_joined(rule.fields)}", topic.time[known], values[known], rule.note)
+    first, last = rule.fields[0], rule.fields[-1]
+    is_array = first != last and first.endswith("[0]")
+    words = f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)  # q[0..3], GyrX GyrY GyrZ
+    return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
 
 
 def _impossible(source) -> float:
@@ -152,15 +151,13 @@ def _impossible(source) -> float:
 
 
 def _surface(log, name, servo: Servo | Mixture) -> Source:
-    parts = servo.parts if isinstance(servo, Mixture) else ((1.0, servo),)
-    found = [(weight * each.deflection(_channel(log, name, each.channel)), each) for weight, each in parts]
-    values = np.sum([deflection for deflection, _ in found], axis=0)
+    values = np.sum([w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0)
     known = np.isfinite(values)
-    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in parts)
+    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in servo.parts)
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    channels = " ".join(each.channel for _, each in found)
-    time = log.topics[parts[0][1].channel.partition(".")[0]].time  # parts are fields of one topic
-    return Source((name,), channels, time[known], values[known][:, None], note)
+    channels = [each.channel for _, each in servo.parts]
+    time = log.topics[channels[0].partition(".")[0]].time  # parts are fields of one topic
+    return Source((name,), " ".join(channels), time[known], values[known][:, None], note)
 
 
 def _channel(log, name, channel: str) -> Vector:
@@ -174,11 +171,3 @@ def _channel(log, name, channel: str) -> Vector:
             f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
         )
     return topic[field]
-
-
-def _joined(fields) -> str:
-    """Return the names of fields shortly: q[0..3], GyrX GyrY GyrZ."""
-    first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]"):
-        return f"{first[:-1]}..{last.split('[')[1]}"
-    return " ".join(fields)

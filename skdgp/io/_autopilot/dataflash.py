@@ -27,7 +27,7 @@ from skdgp.io._autopilot.formats import (
     instance_name,
     whole,
 )
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 MARK, HEAD = b"\xa3\x95", 3
 FMT, FMT_LENGTH = 0x80, 89
@@ -49,8 +49,8 @@ VEHICLES = {
 
 def _ground_course(values):
     """Return velocity north, east, down of ground speed, course [deg], velocity down."""
-    speed, course, down = values.T
-    return np.column_stack([speed * np.cos(np.deg2rad(course)), speed * np.sin(np.deg2rad(course)), down])
+    speed, course, down = values[:, 0], np.deg2rad(values[:, 1]), values[:, 2]
+    return np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
 
 
 def _attitude(degrees):
@@ -106,7 +106,7 @@ def read_dataflash(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
-            f"Got {path}, which does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
+            "Got a file that does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
             "empty, or of another kind?"
         )
     reader = _Reader(data)
@@ -114,8 +114,8 @@ def read_dataflash(path: Path) -> Log:
     topics = reader.topics()
     if not topics:
         raise FlightReadError(
-            f"Got {path}, a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected "
-            "messages: was it cut off, or written before 2015?"
+            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected messages: was it "
+            "cut off, or written before 2015?"
         )
     messages, parameters = reader.texts("MSG", "Message"), reader.parameters()
     firmware = next((text for text in messages if text.split(" ")[0] in VEHICLES), "ArduPilot")
@@ -219,20 +219,13 @@ class _Reader:
         numbered = self._numbered()
         by_name: dict[str, Topic] = {}
         for kind, of in self.formats.items():
-            if (
-                of.name in DEFINITIONS
-                or not of.starts
-                or "TimeUS" not in of.names
-                or of.dtype["TimeUS"].kind not in "iu"
-            ):
+            timed = "TimeUS" in of.names and of.dtype["TimeUS"].kind in "iu"
+            if of.name in DEFINITIONS or not of.starts or not timed:
                 continue
-            records, order = self._gather(of), np.array(of.starts)
+            records = self._gather(of)
+            topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), records, of.scale)
             instance = numbered.get(kind, of.instance)
-            topic = Topic(records["TimeUS"] * 1e-6, order, records, of.scale)
-            if instance is None:
-                by_name.setdefault(of.name, topic)
-                continue
-            numbers = records[instance]
+            numbers = np.zeros(len(records), int) if instance is None else records[instance]
             for number in np.unique(numbers).tolist():
                 by_name.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
         return dict(sorted(by_name.items()))
@@ -275,22 +268,17 @@ def mixing_of(
 ) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
     """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
     by_function = dict(reversed(_numbers(outputs, parameters, name)))
-    return {
-        control: _mixed(weights, {each: by_function[each] for each in weights}, outputs, parameters, name)
-        for control, weights in MIXES.items()
-        if set(weights) <= set(by_function)
-    }
-
-
-def _mixed(weights, numbers, outputs, parameters, name) -> tuple[tuple[float, ServoChannel], ...]:
-    channels = {each: _channel(name.format(n), n, parameters, False) for each, n in numbers.items()}
-    sign = 1.0
-    if LEFT_FLAPERON in weights:
-        moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels.values()]
-        sign = -1.0 if moves[0] @ moves[1] < 0 else 1.0
-    return tuple(
-        (weight * (sign if each == LEFT_FLAPERON else 1.0), channels[each]) for each, weight in weights.items()
-    )
+    found: dict[str, tuple[tuple[float, ServoChannel], ...]] = {}
+    for control, weights in MIXES.items():
+        if set(weights) <= set(by_function):
+            numbers = [by_function[each] for each in weights]
+            channels = [_channel(name.format(n), n, parameters, False) for n in numbers]
+            signs = [1.0, 1.0]
+            if LEFT_FLAPERON in weights:
+                moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels]
+                signs = [-1.0 if moves[0] @ moves[1] < 0 else 1.0, 1.0]
+            found[control] = tuple(zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True))
+    return found
 
 
 def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +20,9 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._autopilot.dataflash import mixing_of, servos_of
-from skdgp.io._autopilot.formats import (
-    EQUIVALENT,
-    QUATERNION,
-    Log,
-    Rule,
-    Topic,
-    density_at,
-    from_rpm,
-    instance_name,
-)
+from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, Topic, density_at, from_rpm, instance_name
 from skdgp.io._autopilot.ulog import MAV_TYPES
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13
 """Bytes: time of arrival; of a message beside its payload, by its first byte; of a signature."""
@@ -42,18 +35,6 @@ NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
 
 
-def _milli_g(values):
-    return 1e-3 * STANDARD_GRAVITY * values
-
-
-def _milli(values):
-    return 1e-3 * values
-
-
-def _centi(values):
-    return 0.01 * values
-
-
 def _wind_from(values):
     """Return the wind north, east of the direction [deg] that it comes from, and its speed."""
     direction, speed = np.deg2rad(values[:, 0]), values[:, 1]
@@ -64,6 +45,7 @@ def _axes(name):
     return tuple(f"{axis}{name}" for axis in "xyz")
 
 
+_milli, _centi, _milli_g = (partial(np.multiply, factor) for factor in (1e-3, 0.01, 1e-3 * STANDARD_GRAVITY))
 RULES = (
     Rule(("p", "q", "r"), "HIGHRES_IMU", _axes("gyro")),
     Rule(("p", "q", "r"), "RAW_IMU", _axes("gyro"), _milli),
@@ -101,8 +83,8 @@ def read_tlog(path: Path) -> Log:
     systems = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
     if not systems:
         raise FlightReadError(
-            f"Got {path} without a message ATTITUDE of MAVLink, but expected the telemetry of an aircraft: is it "
-            "empty, or of another kind?"
+            "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an aircraft: is it empty, "
+            "or of another kind?"
         )
     system = systems.most_common(1)[0][0]
     by_name: dict[str, list[int]] = {}
@@ -120,6 +102,7 @@ def read_tlog(path: Path) -> Log:
         for name, places in sorted(by_name.items())
     }
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
+    speeds = [parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters]
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
@@ -128,10 +111,7 @@ def read_tlog(path: Path) -> Log:
         firmware="PX4" if px4 else "ArduPilot",
         vehicle=vehicle,
         remarks=(f"{skipped} bytes could not be read and were skipped",) if skipped else (),
-        slowest_airspeed=next(
-            (parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters),
-            np.nan,
-        ),
+        slowest_airspeed=next(iter(speeds), np.nan),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         servos=servos_of(topics.get(OUTPUTS, ()), parameters, OUTPUTS + ".servo{}_raw"),
@@ -154,10 +134,8 @@ def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
             if number in known and known[number].msgname not in READ:
                 position = start + size
                 continue
-            try:
+            with suppress(mavlink.MAVError, struct.error, UnicodeDecodeError):
                 message = decoder.decode(bytearray(data[start : start + size]))
-            except (mavlink.MAVError, struct.error, UnicodeDecodeError):
-                message = None
         if message is None:
             position, skipped = position + 1, skipped + 1
             continue

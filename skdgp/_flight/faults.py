@@ -25,15 +25,13 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     VANES,
 )
-from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
+from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 """Channels of one sensor: where one moves, all do."""
 SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
 """Channels that noise and motion never let stand still."""
-ANGLES = ("phi", "psi")
-"""Angles that go round."""
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -123,15 +121,11 @@ class Finding(NamedTuple):
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
     """Return the faults of each flight in a table whose time increases within each, but those of columns to ignore."""
-    ignored = set(ignore)
+    ignored, time = set(ignore), table["time"].to_numpy(float)
     codes, names = flight_codes(table["flight"] if "flight" in table else np.full(len(table), "flight"))
-    time = table["time"].to_numpy(float)
-    names_here = [name for name in POSSIBLE if name in table and name not in ignored]
-    channels = {
-        name: table[name].to_numpy(float, na_value=np.nan)
-        for name in names_here
-        if pd.api.types.is_numeric_dtype(table[name])
-    }
+    used = [name for name in POSSIBLE if name in table and name not in ignored]
+    used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
+    channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
     findings = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
@@ -178,7 +172,7 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
             for rows in stuck_rows(values, step):
                 yield name, "stuck", rows, f"is stuck at {values[rows[0]]:.4g}"
                 values[rows] = np.nan
-            rows = spike_rows(values, angle=name in ANGLES)
+            rows = spike_rows(values, angle=name in WRAPPED)
             if rows.size:
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
         elif name in ALL_SURFACES:
@@ -280,7 +274,8 @@ def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
     out = np.abs(seen - around)
     far = out > SPIKE * np.quantile(out, 0.995)
     found = [np.arange(run.start, run.stop) for run in true_runs(far) if run.stop - run.start <= WIDEST_SPIKE]
-    back = [part for part in found if _returns(seen, part, out[part].max())]
+    ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)) for part in found]
+    back = [k for k, (a, b) in zip(found, ends, strict=True) if abs(seen[b] - seen[a]) < out[k].max() / 2]
     edges = np.r_[start, len(known)]
     return np.concatenate([known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]])
 
@@ -304,13 +299,8 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         return []
     if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []
-    stops = []
-    for extreme in (seen.min(), seen.max()):
-        at = long & (level == extreme)
-        if at.any():
-            parts = zip(runs.start[at], runs.length[at], strict=True)
-            stops.append(np.concatenate([rows[first : first + n] for first, n in parts]))
-    return stops
+    held_there = (long & (level == extreme) for extreme in (seen.min(), seen.max()))
+    return [rows[np.repeat(at, runs.length)] for at in held_there if at.any()]
 
 
 def missing_rows(values: np.ndarray) -> list[np.ndarray]:
@@ -328,8 +318,3 @@ def usual_spacing(values: np.ndarray) -> float:
     """Return how many rows lie between a sample and the next, but for a tenth of them."""
     known = np.flatnonzero(np.isfinite(values))
     return float(np.quantile(np.diff(known), 0.9)) if known.size > 1 else 1.0
-
-
-def _returns(seen: np.ndarray, part: np.ndarray, size: float) -> bool:
-    before, after = max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)
-    return abs(seen[after] - seen[before]) < size / 2

@@ -16,7 +16,7 @@ of the search for the next. Noise, wind and missing channels therefore cause no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +106,8 @@ class Contradiction(NamedTuple):
     flight: object
     channels: tuple[str, ...]
     message: str
+    is_sign: bool = False
+    """Whether it is the sign of the channels, and no other cause is as probable."""
 
     def __str__(self) -> str:
         return self.message if self.flight is None else f"flight {self.flight}: {self.message}"
@@ -157,13 +159,8 @@ def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
 
 def reversed_surfaces(table: pd.DataFrame) -> list[str]:
     """Return the surfaces whose signs all flights of a table contradict, where nothing else is as probable a cause."""
-    return [
-        name
-        for each in find_contradictions(table)
-        if each.flight is None and each.message.startswith(f"{_wrong_sign(each.channels)}: ")
-        for name in each.channels
-        if name in CONTROLS
-    ]
+    found = [each for each in find_contradictions(table) if each.flight is None and each.is_sign]
+    return [name for each in found for name in each.channels if name in CONTROLS]
 
 
 def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
@@ -173,8 +170,8 @@ def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
         best = _most_probable(windows, signals)
         if best is None:
             break
-        cause, message = best
-        found.append(Contradiction(flight, cause.channels, message))
+        cause, *words = best
+        found.append(Contradiction(flight, cause.channels, *words))
         signals = cause.correct(signals)
     return found
 
@@ -267,32 +264,16 @@ def block_means(values: np.ndarray, size: int) -> np.ndarray:
 # -- relations ----------------------------------------------------------------------------------------------
 
 
-def _relations(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    """Return the relations between the channels that there are."""
+def _relations(windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED) -> dict[str, Relation]:
+    """Return the relations between the channels that there are: those that depend on the changed ones."""
+    found: dict[str, Relation] = {}
     with np.errstate(all="ignore"):
-        return _equalities(windows, signals) | _slope_signs(windows, signals)
-
-
-def _corrected(windows: Windows, signals: Signals, cause: Cause, before: dict[str, Relation]) -> dict[str, Relation]:
-    """Return the relations after the correction of a cause; those without its channels stay as ``before``."""
-    corrected, after = cause.correct(signals), dict(before)
-    with np.errstate(all="ignore"):
-        if not CONTROLS.issuperset(cause.channels):
-            after |= _equalities(windows, corrected)
-        if not INERTIAL.issuperset(cause.channels):
-            after |= _slope_signs(windows, corrected)
-    return after
-
-
-def _equalities(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    return {
-        name: _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
-        for name, words, y, x in _kinematics(windows, signals)
-    }
-
-
-def _slope_signs(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    return {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+        if not CONTROLS.issuperset(changed):
+            for name, words, y, x in _kinematics(windows, signals):
+                found[name] = _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
+        if not INERTIAL.issuperset(changed):
+            found |= {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+    return found
 
 
 def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
@@ -306,12 +287,12 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     if attitude and get(*RATES):
         phi, theta, psi = attitude
         p, q, r = get(*RATES)
+        words = "the change of {} and the integral of {}".format
         turn = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
-        yield "phi", "the change of phi and the integral of p", change(phi) - turn, integral(p)
-        turn = integral(r * np.sin(phi))
-        yield "theta", "the change of theta and the integral of q", change(theta) + turn, integral(q * np.cos(phi))
+        yield "phi", words("phi", "p"), change(phi) - turn, integral(p)
+        yield "theta", words("theta", "q"), change(theta) + integral(r * np.sin(phi)), integral(q * np.cos(phi))
         turn = change(psi) - integral(q * np.sin(phi) / np.cos(theta))
-        yield "psi", "the change of psi and the integral of r", turn, integral(r * np.cos(phi) / np.cos(theta))
+        yield "psi", words("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
     for place, rate in zip((*POSITION, "altitude"), (*EARTH_VELOCITY, "v_down"), strict=True):
         if get(place, rate):
             sign = -1.0 if place == "altitude" else 1.0
@@ -425,13 +406,16 @@ def _t_value(total: float, products: np.ndarray) -> float:
 # -- causes -------------------------------------------------------------------------------------------------
 
 
-def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str] | None:
-    """Return the cause whose correction makes most relations agree, and its message; None if none does clearly."""
+def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool] | None:
+    """Return the cause whose correction makes most relations agree, its message, and whether it is a sign for sure.
+
+    None if none makes them agree clearly.
+    """
     before = _relations(windows, signals)
     contradictions = [name for name, each in before.items() if each.contradicts]
     found: list[tuple[float, Cause, Relation, Relation]] = []
     for cause in _causes(signals) if contradictions else ():
-        after = _corrected(windows, signals, cause, before)
+        after = before | _relations(windows, cause.correct(signals), cause.channels)
         gain = {
             name: after[name].agreement - each.agreement
             for name, each in before.items()
@@ -447,7 +431,7 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str] | No
         return None
     most, cause, *relations = max(found, key=lambda each: each[0])
     rivals = [each.words for total, each, *_ in found if total > most - TIE and each is not cause]
-    return cause, _message(cause, rivals, *relations)
+    return cause, _message(cause, rivals, *relations), not rivals and cause.words == _wrong_sign(cause.channels)
 
 
 def _agrees(relation: Relation) -> bool:
@@ -482,15 +466,17 @@ def _causes(signals: Signals) -> Iterator[Cause]:
     if all(name in signals for name in ELEVONS):
         for names in (*((name,) for name in ELEVONS), ELEVONS):
             yield Cause(names, _wrong_sign(names), "change it (> 0 trailing edge down)", _scaled(names, -1.0))
-        exchanged = _exchanged(ELEVONS)
-        yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", exchanged)
+        sides = _exchanged(ELEVONS)
+        yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", sides)
         words, remedy = "the elevons are probably exchanged and of the wrong sign", "exchange them, change their signs"
-        yield Cause(ELEVONS, words, remedy, lambda signals: exchanged(_scaled(ELEVONS, -1.0)(signals)))
+        yield Cause(ELEVONS, words, remedy, lambda signals: sides(_scaled(ELEVONS, -1.0)(signals)))
     if all(name in signals for name in ("v_north", "v_east")):
         words = "v_north and v_east are probably exchanged"
         yield Cause(("v_north", "v_east"), words, "exchange them", _exchanged(("v_north", "v_east")))
-        words, names = "the velocity is probably east, north, up", EARTH_VELOCITY
-        yield Cause(names, words, "exchange v_north and v_east, change the sign of v_down", _east_north_up)
+        words, exchanged, down = "the velocity is probably east, north, up", _exchanged(("v_north", "v_east")), "v_down"
+        turned = _scaled([down] if down in signals else [], -1.0)
+        remedy = "exchange v_north and v_east, change the sign of v_down"
+        yield Cause(EARTH_VELOCITY, words, remedy, lambda signals: turned(exchanged(signals)))
     if "psi" in signals:
         words = "psi is probably measured from east, counter-clockwise"
         yield Cause(("psi",), words, "use pi/2 - psi", lambda s: s | {"psi": np.pi / 2 - s["psi"]})
@@ -517,11 +503,6 @@ def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
 
 def _exchanged(names) -> Callable[[Signals], Signals]:
     return lambda signals: signals | dict(zip(names, [signals[name] for name in reversed(names)], strict=True))
-
-
-def _east_north_up(signals: Signals) -> Signals:
-    turned = _exchanged(("v_north", "v_east"))(signals)
-    return turned | {"v_down": -signals["v_down"]} if "v_down" in signals else turned
 
 
 def _with_gravity(signals: Signals) -> Signals:

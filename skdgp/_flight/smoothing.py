@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ def smooth(
     cutoff: float | str | None = "auto",
     flight: ArrayLike | None = None,
     joint: bool = False,
+    derivative: bool = False,
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
 
@@ -41,26 +43,36 @@ def smooth(
     Wiener smoother of the channel's spectrum over its flight, which needs a segment of 128 samples, else it warns and
     leaves the channel as it is; or None, no smoothing. With ``joint``, "auto" estimates each channel from all channels
     sampled at the same rows, through their cross-spectra: for few channels that move together, such as alpha and q.
+    With ``derivative`` their rates of change are returned, see `differentiate`.
 
     Raises ValueError if time does not increase or is too irregular, a value is infinite, or the cutoff is not below
     half the sampling rate.
     """
-    return _per_channel(values, time, flight, cutoff, joint, derivative=False)
+    columns, times, codes = _checked(values, time, flight)
+    if isinstance(cutoff, str | None):
+        known = cutoff in ("auto", None)
+    else:
+        known = isinstance(cutoff, Real) and not isinstance(cutoff, bool) and 0 < float(cutoff) < np.inf
+    if not known:
+        raise ValueError(
+            f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no smoothing)."
+        )
+    out = np.full(columns.shape, np.nan)
+    remarks: set[str] = set()
+    for rows, channels in _same_rows(columns):
+        part = columns[np.ix_(rows, channels)]
+        out[np.ix_(rows, channels)] = _per_flight(part, times[rows], codes[rows], cutoff, joint, derivative, remarks)
+    for remark in sorted(remarks):
+        warnings.warn(remark, stacklevel=2)
+    return out.reshape(np.shape(values))
 
 
-def differentiate(
-    values: ArrayLike,
-    time: ArrayLike,
-    *,
-    cutoff: float | str | None = "auto",
-    flight: ArrayLike | None = None,
-    joint: bool = False,
-) -> np.ndarray:
+def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndarray:
     """Return the rate of change of the smoothed channels: the slope of the cubic spline through them.
 
-    Parameters and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a warning.
+    Options and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a warning.
     """
-    return _per_channel(values, time, flight, cutoff, joint, derivative=True)
+    return smooth(values, time, derivative=True, **options)
 
 
 class NoiseLevel(NamedTuple):
@@ -90,20 +102,6 @@ def noise_level(
         if levels:
             found[:, channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
     return NoiseLevel(*(found[:, 0] if np.ndim(values) == 1 else found))
-
-
-def _per_channel(values, time, flight, cutoff, joint, *, derivative: bool) -> np.ndarray:
-    """Return the channels filtered, in groups that were sampled at the same rows."""
-    columns, times, codes = _checked(values, time, flight)
-    _check_cutoff(cutoff)
-    out = np.full(columns.shape, np.nan)
-    remarks: set[str] = set()
-    for rows, channels in _same_rows(columns):
-        part = columns[np.ix_(rows, channels)]
-        out[np.ix_(rows, channels)] = _per_flight(part, times[rows], codes[rows], cutoff, joint, derivative, remarks)
-    for remark in sorted(remarks):
-        warnings.warn(remark, stacklevel=3)
-    return out.reshape(np.shape(values))
 
 
 def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -187,13 +185,3 @@ def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if len(columns) != len(times):
         raise ValueError(f"Got {len(columns)} rows of values and {len(times)} times, but expected as many.")
     return columns, times, codes
-
-
-def _check_cutoff(cutoff: Any) -> None:
-    if cutoff is None or (isinstance(cutoff, str) and cutoff == "auto"):
-        return
-    number = isinstance(cutoff, int | float | np.number) and not isinstance(cutoff, bool)
-    if not (number and np.isfinite(cutoff) and cutoff > 0):
-        raise ValueError(
-            f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no smoothing)."
-        )

@@ -25,7 +25,6 @@ from skdgp._flight.faults import (
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning tells
-COLUMNS = ("flight", "channel", "kind", "start", "end", "n_samples", "message")
 
 
 def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.DataFrame:
@@ -76,13 +75,12 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
 
 
 class FlightCheck(TableTransformer):
-    """Remove the faults of a flight log, and interpolate short gaps.
+    """Remove the faults of a flight log, and interpolate short gaps: the first step of a pipeline.
 
-    Use it as the first step of a pipeline. Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN.
-    Gaps up to ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones stay NaN,
-    which :class:`RegressorSelector` refuses. A flight whose clock restarted becomes several, ``name``, ``name#2``.
-    ``transform`` reports all faults except gaps in time in one warning. Raises ValueError if ``time`` is missing; if it
-    goes back and rows are not in order, or there is no column ``flight`` to name the parts in.
+    Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to ``bridge`` are interpolated
+    linearly, in channels with a value in nearly every row; longer ones stay NaN, which :class:`RegressorSelector`
+    refuses. A flight whose clock restarted becomes several, ``name``, ``name#2``. Raises ValueError if ``time`` is
+    missing; if it goes back and rows are not in order, or there is no column ``flight`` to name the parts in.
 
     Parameters
     ----------
@@ -94,12 +92,12 @@ class FlightCheck(TableTransformer):
     Attributes
     ----------
     findings_ : DataFrame
-        Faults of the table seen in ``fit``, as from :func:`inspect_flight`.
+        :func:`inspect_flight` of the table of ``fit``.
 
     Warns
     -----
     FlightDataWarning
-        In ``transform``, if the log has faults.
+        In ``transform``, if the log has faults other than gaps in time; one warning of all.
 
     Examples
     --------
@@ -136,14 +134,11 @@ class FlightCheck(TableTransformer):
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
             warnings.warn(faults_message(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)
-        return self._interpolate_gaps(without_faults(table, findings))
-
-    def _interpolate_gaps(self, table):
-        """Return the table with short gaps of its measured channels interpolated."""
-        names = [name for name in POSSIBLE if name in table and name not in self.ignore]
+        table = without_faults(table, findings)
+        names = [name for name in POSSIBLE if self.bridge and name in table and name not in self.ignore]
         names = [name for name in names if pd.api.types.is_numeric_dtype(table[name]) and table[name].isna().any()]
         time, flight, new = numeric(table, ["time"])[:, 0], table.get("flight"), {}
-        for name in names if self.bridge else []:
+        for name in names:
             values = unwrapped(table, [name])[:, 0]
             for run in flight_segments(time, flight):
                 values[run] = _interpolated(time[run], values[run], self.bridge)
@@ -173,7 +168,7 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> tuple[pd.DataFrame, 
 
 def _as_table(findings: list[Finding]) -> pd.DataFrame:
     rows = [(*finding[:5], len(finding.rows), finding.message) for finding in findings]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
 
 
 def _interpolated(time: Vector, values: Vector, longest: float) -> Vector:

@@ -24,9 +24,8 @@ class ElevonSplitter(TableTransformer):
     elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and aileron change sign.
 
     A table with the controls but without the surfaces (a conventional aircraft, a simulation) does not change. With
-    both, the controls are computed from the surfaces, with a warning if the logged controls differ by more than 0.001
-    rad. The surfaces stay in the table. Raises ValueError if the table has neither the surfaces nor the controls, or
-    the mixing has another shape.
+    both, the controls are computed from the surfaces, with a warning if the logged ones differ by more than 0.001 rad.
+    Raises ValueError if the table has neither, or the mixing has another shape.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.sklearn_compat import Interval, StrOptions
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Indices, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.checks import check_columns, check_radians
 from skdgp._flight.clock import flight_codes
@@ -159,11 +159,10 @@ class FlightPathReconstruction(TableTransformer):
         self.inconsistent = inconsistent
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the constants of each flight, estimated from that flight alone, and their observability.
+        """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
 
-        The table has a row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std``,
-        ``observable`` (std below half of prior_std), ``confounded_with`` (the constant whose error is most correlated)
-        and ``correlation`` with it.
+        Columns are ``estimate``, ``std``, ``prior_std``, ``observable`` (std below half of prior_std),
+        ``confounded_with`` (the constant whose error is most correlated) and ``correlation`` with it.
         """
         check_is_fitted(self)
         table = self._as_table(X)
@@ -176,11 +175,16 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_table(self, table):
         errors = self._error_names()
         self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
-        (self.used_, self.reason_), self.errors_ = _of_missing(self.missing_), None
+        self.used_, self.errors_, self.reason_ = not self.missing_, None, "asked for, without a check"
         if self.missing_:
+            self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
-        lags = self._clear_lags(table, errors) if self.inconsistent == "pass" else {}
+        lags: dict[str, float] = {}
+        if self.inconsistent == "pass":  # clear lags of attitude and velocity are removed first
+            of_path = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
+            clear = {name: lag for name, (lag, std) in of_path.items() if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)}
+            lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
         samples = [len(log.time) for _, _, log, _ in estimates]
@@ -191,23 +195,19 @@ class FlightPathReconstruction(TableTransformer):
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(estimates, errors)
         self.calibration_ = _calibration(estimates, errors)
-        if not isinstance(self.calibrate, str):
-            self._warn_unobservable()
+        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
+        if not isinstance(self.calibrate, str) and not shown.all():
+            warnings.warn(
+                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
+                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
+                stacklevel=3,
+            )
         if self.inconsistent == "pass":
             self._decide(table, estimates, lags)
 
-    def _clear_lags(self, table: pd.DataFrame, errors: list[str]) -> dict[str, float]:
-        """Return the lags of attitude and velocity that are known, late and not negligible."""
-        of_path = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
-        return {
-            name: lag
-            for name, (lag, std) in of_path.items()
-            if name not in errors and lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
-        }
-
     def _decide(self, table: pd.DataFrame, estimates: Flights, lags: dict[str, float]) -> None:
         """Set whether the reconstruction is used, and why."""
-        if not all(name in table and has_values(table, name) for name in AIR_DATA):
+        if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
@@ -273,15 +273,6 @@ class FlightPathReconstruction(TableTransformer):
             estimates.append((name, rows, log, each))
         return estimates
 
-    def _warn_unobservable(self):
-        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
-        if not shown.all():
-            warnings.warn(
-                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
-                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
-                stacklevel=4,
-            )
-
 
 def kinematic_lags(table: pd.DataFrame, **options: Any) -> dict[str, tuple[float, float]]:
     """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
@@ -299,28 +290,17 @@ def kinematic_lags(table: pd.DataFrame, **options: Any) -> dict[str, tuple[float
     return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
 
 
-def _of_missing(missing: list[str]) -> tuple[bool, str]:
-    """Return whether flights that lack these channels are reconstructed, and why."""
-    return not missing, f"the flights lack {', '.join(missing)}" if missing else "asked for, without a check"
-
-
 def _channels(path: FlightPath, log: Log, rates: str) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log) if rates == "steady" else _derivatives(air, path, log)
-    parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
-    return dict(zip(MADE, np.column_stack(parts).T, strict=True))
-
-
-def _derivatives(air: Matrix, path: FlightPath, log: Log) -> Matrix:
-    """Return derivatives of the splines through air data (n, 3), by segment; of single samples in steady air."""
-    rates = air_data_rates(path, log)
-    for segment in np.unique(log.segment):
+    dots = air_data_rates(path, log)  # in steady air: of single samples, and on request
+    for segment in np.unique(log.segment) if rates == "air" else ():
         rows = log.segment == segment
         if rows.sum() > 1:
-            rates[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
-    return rates
+            dots[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
+    parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
+    return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
 def _gust(solved: Estimate) -> float:
@@ -344,12 +324,11 @@ def _pooled(estimates: Flights, errors: list[str]) -> dict[str, float]:
 def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
     """Return a row per flight and constant."""
     names = [*errors, *MEAN_WIND]
-    parts = []
+    prior, parts = np.array([CONSTANTS[name] for name in names]), []
     for flight, _, _, each in estimates:
         std = np.sqrt(np.diag(each.covariance))
         correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
         partner = np.abs(correlation).argmax(axis=1)
-        prior = np.array([CONSTANTS[name] for name in names])
         part = {"flight": flight, "constant": names, "estimate": each.path.constant(*names), "std": std}
         part |= {"prior_std": prior, "observable": std < OBSERVABLE * prior}
         part |= {"confounded_with": np.array(names)[partner], "correlation": correlation[range(len(names)), partner]}

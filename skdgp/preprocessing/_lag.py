@@ -32,6 +32,7 @@ from skdgp.preprocessing._path_equations import NEEDED
 from skdgp.preprocessing._table import TableTransformer, has_values, interpolate_missing, with_columns, wrapped_near
 
 GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}
+INERTIAL = (*SPECIFIC_FORCE, *RATES)
 CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
@@ -110,16 +111,26 @@ class LagCorrector(TableTransformer):
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
-            check_columns(table, [*SPECIFIC_FORCE, *RATES])
-            self.lags_ = _lag_table({group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()})
+            check_columns(table, INERTIAL)
+            rows = {group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()}
         else:
-            self.lags_ = _given(self.lags or {}, table)
+            lags = self.lags or {}
+            unknown = [name for name in lags if name not in GROUPS and name not in table]
+            if unknown:
+                raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
+            wrong = {
+                name: each for name, each in lags.items() if not (isinstance(each, Real) and np.isfinite(float(each)))
+            }
+            if wrong:
+                raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
+            rows = {name: (float(each), np.nan, np.nan, float(each), "given") for name, each in lags.items()}
+        columns = [*Lag._fields, "applied", "remark"]
+        self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
         time, new = numeric(table, ["time"])[:, 0], {}
-        lags: dict[Any, float] = self.lags_["applied"].to_dict()
-        for group, lag in lags.items():
+        for group, lag in self.lags_["applied"].items():
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
                     values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
@@ -168,7 +179,7 @@ def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
     flights = flights_of(table)
     surfaces = surface_lag(flights)
     lags = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    if flights and all(has_values(table, name) for name in NEEDED):
+    if flights and has_values(table, *NEEDED):
         of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
         lags |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
     return lags
@@ -185,21 +196,6 @@ def _applied(estimate: Lag) -> tuple[float, str]:
     return (0.0, "negligible") if abs(estimate.lag) < MIN_LAG else (estimate.lag, "removed")
 
 
-def _given(lags: dict, table: pd.DataFrame) -> pd.DataFrame:
-    unknown = [name for name in lags if name not in GROUPS and name not in table]
-    if unknown:
-        raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
-    wrong = {name: lag for name, lag in lags.items() if not isinstance(lag, Real) or not np.isfinite(float(lag))}
-    if wrong:
-        raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
-    return _lag_table({name: (float(lag), np.nan, np.nan, float(lag), "given") for name, lag in lags.items()})
-
-
-def _lag_table(rows: dict[str, tuple]) -> pd.DataFrame:
-    columns = [*Lag._fields, "applied", "remark"]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
-
-
 class Segment:
     """A gap-free segment on a uniform clock: scaled accelerations, and channels that can be shifted."""
 
@@ -207,8 +203,7 @@ class Segment:
         self.time = uniform_grid(time)[0]
         self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
         self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
-        wanted = (*SPECIFIC_FORCE, *RATES, *VANES, *ALL_SURFACES, "airspeed")
-        names = [name for name in wanted if has_values(table, name)]
+        names = [name for name in (*INERTIAL, *VANES, *ALL_SURFACES, "airspeed") if has_values(table, name)]
         values = interpolate_missing(time, numeric(table, names))
         self.splines = {name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)}
         speed = np.ones((len(time), 1))
@@ -256,9 +251,8 @@ def flights_of(table: pd.DataFrame) -> Flights:
     time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     flights = []
     for runs in runs_by_flight(time, codes):
-        long = [run for run in runs if time[run][-1] - time[run][0] > SHORTEST]
-        whole = [run for run in long if all(has_values(table.iloc[run], name) for name in (*SPECIFIC_FORCE, *RATES))]
-        flights.append([Segment(time[run], table.iloc[run]) for run in whole])
+        long = [run for run in runs if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)]
+        flights.append([Segment(time[run], table.iloc[run]) for run in long])
     return [flight for flight in flights if flight]
 
 
@@ -291,7 +285,7 @@ def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation
         return UNKNOWN
 
     def residuals(lag: float) -> list[Matrix]:
-        return [_residual([equation(segment, lag) for segment in flight], flight) for flight in flights]
+        return [_residual(flight, equation, lag) for flight in flights]
 
     def squares(columns: list[Matrix]) -> Vector:
         return np.sum([np.sum(part**2, axis=0) for part in columns], axis=0)
@@ -307,12 +301,10 @@ def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation
     return Lag(lag, _standard_deviation(final, slopes, blocks), explained)
 
 
-def _residual(equations: Sequence[tuple[Matrix, Matrix]], flight: list[Segment]) -> Matrix:
+def _residual(flight: list[Segment], equation: Equation, lag: float) -> Matrix:
     """Return the residuals of the responses over a flight's segments, by least squares."""
-    response, predictors = (
-        np.concatenate([segment.inner(part) for segment, part in zip(flight, parts, strict=True)])
-        for parts in zip(*equations, strict=True)
-    )
+    sides = [[segment.inner(side) for side in equation(segment, lag)] for segment in flight]
+    response, predictors = map(np.concatenate, zip(*sides, strict=True))
     scale = np.linalg.norm(predictors, axis=0)
     Q, R, _ = linalg.qr(predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
     Q = Q[:, np.abs(np.diag(R)) > RANK_TOLERANCE]
@@ -326,14 +318,13 @@ def _minimum(objective: Callable[[float], float]) -> float | None:
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
         return None
-    lag = steps[place] + _vertex(values[place - 1 : place + 2], COARSE)
+    lag = steps[place] + _vertex(*values[place - 1 : place + 2], COARSE)
     for _ in range(2):
-        lag += _vertex([objective(lag - FINE), objective(lag), objective(lag + FINE)], FINE)
+        lag += _vertex(objective(lag - FINE), objective(lag), objective(lag + FINE), FINE)
     return float(lag)
 
 
-def _vertex(values: Sequence[float], step: float) -> float:
-    before, here, after = values
+def _vertex(before: float, here: float, after: float, step: float) -> float:
     curvature = before - 2 * here + after
     return float(np.clip(step * (before - after) / (2 * curvature), -step, step)) if curvature > 0 else 0.0
 

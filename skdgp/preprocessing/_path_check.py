@@ -29,7 +29,9 @@ UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg"
 FOLLOWS = {
     "gyro": ("the attitude does not follow the gyros", "deg/s", 180 / np.pi),
     "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+    **{name: (f"{name} does not follow the motion", *unit) for name, unit in UNITS.items()},
 }
+"""What contradicts itself if the residual of a sensor is large, its unit, and the factor to that unit."""
 
 Flights = Sequence[tuple[Any, Indices, Log, Estimate]]
 
@@ -87,18 +89,10 @@ def decision(errors: pd.DataFrame) -> tuple[bool, str]:
     path, smoothing = (float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing"))
     used = path <= MAX_RATIO * smoothing
     words = [f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"]
-    if not used:
-        words += [
-            f"{what} (residual {factor * errors.residual[name]:.2g} {unit}, noise {factor * errors.noise[name]:.2g})"
-            for name, (what, unit, factor) in FOLLOWS.items()
-            if errors.residual[name] > MAX_INERTIAL_NOISE * errors.noise[name]
-        ]
-        words += [
-            f"{name} does not follow the motion (residual {factor * air.residual[name]:.2g} {unit}, noise "
-            f"{factor * air.noise[name]:.2g})"
-            for name, (unit, factor) in UNITS.items()
-            if air.residual[name] > MAX_AIR_NOISE * air.noise[name]
-        ]
+    for name, (what, unit, factor) in FOLLOWS.items() if not used else ():
+        residual, noise = factor * errors.residual[name], factor * errors.noise[name]
+        if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
+            words.append(f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})")
     return used, "; ".join(words)
 
 

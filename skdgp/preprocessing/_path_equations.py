@@ -6,7 +6,6 @@ relate a state to airspeed, alpha, beta, GPS velocity and attitude at one sample
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,17 +26,12 @@ VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
 """Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust."""
 
 INERTIAL = {
-    **dict.fromkeys(("ax_bias", "ay_bias", "az_bias"), 0.3),
-    **dict.fromkeys(("p_bias", "q_bias", "r_bias"), 0.02),
-}
+    "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
+}  # fmt: skip
 SENSORS = {
-    "airspeed_scale": 0.1,
-    "alpha_bias": 0.03,
-    "alpha_scale": 0.2,
-    "beta_bias": 0.03,
-    "beta_scale": 0.2,
-    **dict.fromkeys(("airspeed_lag", "vane_lag", "velocity_lag", "attitude_lag"), 0.1),
-}
+    "airspeed_scale": 0.1, "alpha_bias": 0.03, "alpha_scale": 0.2, "beta_bias": 0.03, "beta_scale": 0.2,
+    "airspeed_lag": 0.1, "vane_lag": 0.1, "velocity_lag": 0.1, "attitude_lag": 0.1,
+}  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
 CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
 """Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
@@ -149,12 +143,8 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the needed channels that are absent, or have no value in some flight."""
     absent = [name for name in ("time", *NEEDED) if name not in table]
     rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
-    empty = {name for part in rows for name in _empty_channels(table.iloc[part], absent)}
-    return absent + sorted(empty, key=NEEDED.index)
-
-
-def _empty_channels(table: pd.DataFrame, absent: Collection[str] = ()) -> list[str]:
-    return [name for name in NEEDED if name not in absent and not has_values(table, name)]
+    there = [name for name in NEEDED if name not in absent]
+    return absent + [name for name in there if not all(has_values(table.iloc[part], name) for part in rows)]
 
 
 def first_guess(log: Log, constants: Vector) -> FlightPath:
@@ -164,8 +154,7 @@ def first_guess(log: Log, constants: Vector) -> FlightPath:
 
 
 def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) -> Log:
-    empty = _empty_channels(table)
-    if empty:
+    if empty := [name for name in NEEDED if not has_values(table, name)]:
         flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(
             f"Got no value of {', '.join(empty)} in {flight}, but expected some: a path cannot be reconstructed "
@@ -182,10 +171,7 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
 
 
 def air_data_rates(path: FlightPath, log: Log) -> Matrix:
-    """Return the rates of change of airspeed, alpha, beta (n, 3) in air of constant velocity.
-
-    With v the velocity through the air in body axes, v' = f - omega x v + R^T g.
-    """
+    """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
     velocity = path.air_velocity()
     acceleration = path.force(log) + path.attitude.inv().apply(_gravity(log)) - np.cross(path.rate(log), velocity)
     return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
@@ -247,7 +233,8 @@ def measurement_equations(path: FlightPath, log: Log) -> Equations:
     later, offset = _lagged_rows(log, path.constant(*LAGS))
     scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
     bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
-    rates = _measurement_rates(path, log, scale)
+    acceleration, turning = path.attitude.apply(path.force(log)) + _gravity(log), path.attitude.apply(path.rate(log))
+    rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
     residual, d_state, d_constants = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, 9, len(CONSTANTS)))
 
     air = air_data_equations(path)
@@ -278,13 +265,6 @@ def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
     inside = np.clip(later, 0, len(log.time) - 1)
     offset = log.time[inside] - log.time[:, None] - lag
     return inside, np.where((inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan)
-
-
-def _measurement_rates(path: FlightPath, log: Log, scale: Vector) -> Matrix:
-    """Return the rates of change of the nine measurements, (n, 9)."""
-    R = path.attitude
-    velocity = R.apply(path.force(log)) + _gravity(log)
-    return np.concatenate([scale * air_data_rates(path, log), velocity, R.apply(path.rate(log))], axis=1)
 
 
 def _log_gradient(angle: Matrix) -> Array:

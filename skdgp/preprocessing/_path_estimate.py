@@ -23,16 +23,9 @@ from skdgp.preprocessing._path_equations import (
 )
 
 NOISE = {
-    "accelerometer": 0.05,
-    "gyro": 0.003,
-    "airspeed": 0.5,
-    "alpha": 0.01,
-    "beta": 0.01,
-    "v_horizontal": 0.2,
-    "v_down": 0.2,
-    "tilt": 0.01,
-    "heading": 0.02,
-}
+    "accelerometer": 0.05, "gyro": 0.003, "airspeed": 0.5, "alpha": 0.01, "beta": 0.01, "v_horizontal": 0.2,
+    "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
+}  # fmt: skip
 """Initial noise of the sensors: standard deviation of a sample, SI."""
 GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
 """Initial gusts: standard deviation of their change in one second [m/s]."""
@@ -117,8 +110,9 @@ def estimate(
         offset = (path.constants - start.constants)[places]
         pull = _scale_gradient(path, sums)[places]
         before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))
-        converged = step > 0 and all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
-        converged = converged and _is_small(posterior)
+        steady = all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
+        moved, spread = (np.mean(np.square(each), axis=0) for each in (posterior.states, posterior.state_draws))
+        converged = step > 0 and steady and bool(np.all(moved < TOLERANCE**2 * spread.mean(axis=-1)))
         if converged:
             break
     noise = noise | {kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)}
@@ -329,12 +323,6 @@ def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
         place = PLACE[f"{name}_scale"]
         gradient[place] = sums[name].trace / (1 + path.constants[place])
     return gradient
-
-
-def _is_small(posterior: Posterior) -> bool:
-    """Return whether the step is small compared with the uncertainty of the states."""
-    step = np.sqrt(np.mean(posterior.states**2, axis=0))
-    return bool(np.all(step < TOLERANCE * np.sqrt(np.mean(posterior.state_draws**2, axis=(0, 2)))))
 
 
 def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:

@@ -116,9 +116,9 @@ class TableTransformer(  # type: ignore[call-arg]
         return tags
 
 
-def has_values(table: pd.DataFrame, name: str) -> bool:
-    """Return whether the table has the column, with a finite value."""
-    return name in table and bool(np.isfinite(numeric(table, [name])).any())
+def has_values(table: pd.DataFrame, *names: str) -> bool:
+    """Return whether the table has all these columns, each with a finite value."""
+    return all(name in table and np.isfinite(numeric(table, [name])).any() for name in names)
 
 
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:

@@ -8,17 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import inv_boxcox
 
-GAS_CONSTANT = 287.05287
-"""Of dry air [J/(kg K)]."""
+GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 HEAT_RATIO = 1.4
 STANDARD_GRAVITY = 9.80665
 LOWEST, HIGHEST = -5000.0, 32000.0
-SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0
-"""[kg/m^3, Pa]."""
-BASE = np.array([0.0, 11000.0, 20000.0])
-"""Where the layers begin [m]; the first one reaches down to `LOWEST`."""
-LAPSE = np.array([-0.0065, 0.0, 0.001])
-"""Of the temperature in each layer [K/m]."""
+SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0  # [kg/m^3, Pa]
+BASE = np.array([0.0, 11000.0, 20000.0])  # where the layers begin [m]; the first one reaches down to `LOWEST`
+LAPSE = np.array([-0.0065, 0.0, 0.001])  # of the temperature in each layer [K/m]
 
 
 class Atmosphere(NamedTuple):

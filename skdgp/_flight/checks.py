@@ -16,22 +16,16 @@ from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
-ANGLE_NOISE = 0.05
-"""Noise that may carry an angle over its largest value [rad]."""
-GYROS = {"phi": RATES, "psi": ("q", "r")}
-"""Angles that go round, and the rates that turn them."""
-CLEARLY_FASTER = 57.3**0.5
-"""An angle that changes by so many times what the gyros turn is in degrees."""
-NO_TURN = 0.1
-"""Change in a second [rad] that needs no turn."""
+ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
+GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
+CLEARLY_FASTER = 57.3**0.5  # an angle that changes by so many times what the gyros turn is in degrees
+NO_TURN = 0.1  # change in a second [rad] that needs no turn
 FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
 """Largest rate of nine tenths of a flight [rad/s]: gyros that turn faster are in degrees, too."""
 SLOW_TURN, MOST_TURNS = 1.0, 10.0
 """Largest rate [rad/s] of nine tenths of a flight, and largest angle [turns], of an unwrapped angle without gyros."""
-ENOUGH = 5
-"""Least number of changes from which an angle is judged."""
-FASTEST_RATE = 50.0
-"""Rates beyond this [rad/s], eight turns a second, are in other units."""
+ENOUGH = 5  # least number of changes from which an angle is judged
+FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
 LARGEST_DEFLECTION = 0.7
 """Surfaces that go beyond it [rad], 40 degrees, may be commands from -1 to 1; the largest of seven logs is 0.31."""
 

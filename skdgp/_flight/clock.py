@@ -8,10 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-GAP = 2.5
-"""A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
-JITTER = 0.02
-"""Samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)."""
+GAP = 2.5  # a step longer than this many median steps starts a new segment (one lost sample is bridged)
+JITTER = 0.02  # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
 SHORTEST_PART = 10
 """A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
 

@@ -50,35 +50,24 @@ POSSIBLE = {
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
 """Outside of these nothing can have been measured."""
-RARE = 0.05
-"""Impossible values more frequent than this are of another unit: the checks of units name it."""
+RARE = 0.05  # impossible values more frequent than this are of another unit: the checks of units name it
 LONG_GAP = 1.0
 """Missing samples over more seconds than this are findings of their own, shorter ones are one finding together."""
-MOST_SHOWN = 8
-"""Findings that a warning names one by one."""
-WARNING_START = "Faults in the log"
-"""First words of the warning, by which it is filtered."""
-ENOUGH = 50
-"""Least number of samples from which the usual length of runs is known."""
-IMPROBABLE = 1e-4
-"""Expected number of such runs in a flight below which chance is ruled out."""
-LEAST_HOLD = 0.3
-"""Shorter holds [s] are no fault."""
-LEAST_STOP = 0.5
-"""Seconds at the extreme value from which a surface is at its stop."""
-STANDS = 3.0
-"""A surface stands still where a run of equal values is so many times as long as usual."""
-FEWEST_LEVELS = 20
-"""A surface with fewer values between its extremes is a command in steps."""
+MOST_SHOWN = 8  # findings that a warning names one by one
+WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
+ENOUGH = 50  # least number of samples from which the usual length of runs is known
+IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
+LEAST_HOLD = 0.3  # shorter holds [s] are no fault
+LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
+STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
+FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
 MOST_HELD = 4.0
 """A surface that is so many times as long at its extremes as it moves between them is not stopped, but switched."""
-SPIKE = 8.0
-"""A spike stands out from its neighbours by so many times what all but 0.5 % of samples do."""
+SPIKE = 8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
 WIDEST_SPIKE = 3
 SMOOTH = 0.5
 """Steps that change by less than this share of themselves are those of a channel without noise (with noise: 1.7)."""
-MISSING = 1.5
-"""A sample is missing where the next comes later than so many usual spacings."""
+MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
 NOT_MEASURED = ("stuck", "impossible", "spike")
 REMEDY = {
@@ -93,8 +82,7 @@ REMEDY = {
 }
 
 
-Fault = tuple[str, str, np.ndarray, str]
-"""Channel, kind, rows, description."""
+Fault = tuple[str, str, np.ndarray, str]  # channel, kind, rows, description
 
 
 class FlightDataWarning(UserWarning):

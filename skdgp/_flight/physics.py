@@ -41,12 +41,10 @@ from skdgp._flight.channels import (
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
 
-RATE = 20.0
-"""Rows are averaged to about this rate [Hz]."""
+RATE = 20.0  # rows are averaged to about this rate [Hz]
 LONG, SHORT = 1.0, 0.1
 """Windows [s] over which signals are integrated, of kinematics and of the effects of angles and surfaces."""
-IMPROVEMENT, WORSE = 0.5, 0.3
-"""Least improvement of an agreement by a correction, and most that another may lose."""
+IMPROVEMENT, WORSE = 0.5, 0.3  # least improvement of an agreement by a correction, and most that another may lose
 AGREES, LEAST_T = 0.3, 4.0
 """Least agreement and t value after a correction. Signals that agree less contradict, and slopes with t below -4."""
 PARALLEL, MULTIPLE = 0.9, 1.5
@@ -55,14 +53,10 @@ EXTRA_CHANNEL, TIE = 0.02, 0.01
 """Agreement that each further channel of a correction must gain; causes nearer than this are as probable."""
 CONTROL = ("Cl", "Cm", "Cn")
 """Relations that may get worse by a correction: the signs of surfaces are judged after those of the axes."""
-ENOUGH = 40
-"""Least number of windows."""
-LONG_FLIGHT = 30.0
-"""Shorter flights [s] are only judged together with others."""
-MOST = 8
-"""Most findings of one table."""
-FLYING = 0.5
-"""Rows slower than this share of the median airspeed do not count."""
+ENOUGH = 40  # least number of windows
+LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
+MOST = 8  # most findings of one table
+FLYING = 0.5  # rows slower than this share of the median airspeed do not count
 
 CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))

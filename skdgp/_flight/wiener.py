@@ -18,8 +18,7 @@ from scipy import ndimage, optimize, signal
 WINDOW_SECONDS = 6.4
 SHORTEST_WINDOW = 32
 LEAST_SAMPLES = 4 * SHORTEST_WINDOW
-EVIDENCE = 2.0
-"""Least gain in log likelihood for which a spectrum is given white noise."""
+EVIDENCE = 2.0  # least gain in log likelihood for which a spectrum is given white noise
 
 
 class Spectrum(NamedTuple):

@@ -40,8 +40,7 @@ from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import FlightResult
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-STD_ROWS = 3000
-"""Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
+STD_ROWS = 3000  # rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
 STATES = (*HORIZONTAL, *EARTH_VELOCITY, *EULER, *RATES)
 
 

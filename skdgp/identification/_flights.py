@@ -23,13 +23,10 @@ from skdgp.preprocessing import FlightCheck
 
 Flights = dict[str, pd.DataFrame]
 
-MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
-"""Columns that the coefficients follow from."""
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)  # columns that the coefficients follow from
 FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
-ENGINE = ("throttle", "propeller_speed")
-"""Columns that an unknown thrust depends on."""
-INTERCHANGEABLE = (*MIXED, *ELEVONS)
-"""Elevons may stand for elevator and aileron, and the other way round."""
+ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
+INTERCHANGEABLE = (*MIXED, *ELEVONS)  # elevons may stand for elevator and aileron, and the other way round
 AIRSPEED_ERROR = "relative error of airspeed"
 """Attribute of tables whose airspeed is that of their turns: its standard deviation, root mean square."""
 

@@ -34,8 +34,7 @@ from skdgp.preprocessing import (
 DIFFERENTIATED = (*VANES, *RATES)
 LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
 """Regressors and coefficients whose sign changes in a mirror at the x-z plane."""
-LEAST_ROWS, MOST_ROWS = 5, 20000
-"""Fewest rows for each term of the polynomial that is fitted, and most rows in all."""
+LEAST_ROWS, MOST_ROWS = 5, 20000  # fewest rows for each term of the polynomial that is fitted, and most rows in all
 
 
 def make_identification_pipeline(

@@ -12,10 +12,8 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.identification._evaluation import Evaluation, scores
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
-CONTROLS = {"Cm": "elevator", "Cl": "aileron", "Cn": "rudder"}
-"""The control that each moment is for."""
-FAST_MODES = ("short period", "Dutch roll", "roll")
-"""Modes that a controller of attitude works in."""
+CONTROLS = {"Cm": "elevator", "Cl": "aileron", "Cn": "rudder"}  # the control that each moment is for
+FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
 
 

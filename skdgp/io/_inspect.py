@@ -42,8 +42,7 @@ ADVICE = {
 }
 STEADY, SHORT = 0.5, 1.0
 """A topic with fewer messages than this share of rate times duration, or of fewer seconds, has no rate."""
-MOST_FLIGHTS = 6
-"""More flights are summed up in one line."""
+MOST_FLIGHTS = 6  # more flights are summed up in one line
 WIDTH = 110
 
 

@@ -26,8 +26,7 @@ LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
 MATRIX, COMPRESSED = 14, 15
 CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
 COMPLEX = 0x0800
-DEEPEST = 8
-"""Levels of structs and cells."""
+DEEPEST = 8  # levels of structs and cells
 
 
 def read_mat(path: Path) -> pd.DataFrame:

@@ -12,8 +12,7 @@ from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import FlightReadError, base_name, check_names, check_room, check_width, room_for
 
-INDEX = "__index_level_"
-"""Begin of the name that pandas gives to an index without one."""
+INDEX = "__index_level_"  # begin of the name that pandas gives to an index without one
 
 
 def read_parquet(path: Path) -> pd.DataFrame:

@@ -24,14 +24,10 @@ BODY = {"FRD": UPRIGHT, "FLU": TURNED}
 FRAMES = {f"{earth}/{body}": (EARTH[earth], BODY[body]) for earth in EARTH for body in BODY}
 """Earth and body axes of the poses: their rotations to north-east-down and from forward-right-down."""
 GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
-UNIT = 1e-2
-"""Quaternions are of length 1 but for this."""
-MOST_REPEATS = 0.3
-"""Share of rows that repeat the one before, from which poses are those of a slower sensor."""
-LARGEST_FORCE = 300.0
-"""Median of specific force [m/s^2] beyond which positions are not in metres."""
-SLOW = 1.0
-"""Mean speed [m/s] below which nothing flies."""
+UNIT = 1e-2  # quaternions are of length 1 but for this
+MOST_REPEATS = 0.3  # share of rows that repeat the one before, from which poses are those of a slower sensor
+LARGEST_FORCE = 300.0  # median of specific force [m/s^2] beyond which positions are not in metres
+SLOW = 1.0  # mean speed [m/s] below which nothing flies
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
 UNSURE = 0.05

@@ -14,8 +14,7 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
 
 MOST_COLUMNS = 10_000
-ROOM, ROOM_PER_BYTE = 2**28, 100
-"""Bytes that any file may take when unpacked, and bytes more for each byte of it."""
+ROOM, ROOM_PER_BYTE = 2**28, 100  # bytes that any file may take when unpacked, and bytes more for each byte of it
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),

@@ -41,8 +41,7 @@ BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, bet
 STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
 SHORTEST = 20.0  # least length of a segment [s]
-RANGE, COARSE, FINE = 0.5, 0.04, 0.01
-"""Largest lag, step of the scan, and step of the parabolas [s]."""
+RANGE, COARSE, FINE = 0.5, 0.04, 0.01  # largest lag, step of the scan, and step of the parabolas [s]
 RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
 BLOCK = 5.0  # seconds over which residuals may be correlated
 

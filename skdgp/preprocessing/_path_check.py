@@ -17,8 +17,7 @@ from skdgp.preprocessing._path_equations import MIN_AIRSPEED, Log
 from skdgp.preprocessing._path_estimate import Estimate
 from skdgp.preprocessing._smoother import FlightSmoother
 
-MAX_RATIO = 1.05
-"""Largest error of reconstruction, relative to that of smoothing, with which it is used."""
+MAX_RATIO = 1.05  # largest error of reconstruction, relative to that of smoothing, with which it is used
 MAX_AIR_NOISE = 1.4
 """Residual of an air data sensor, relative to its own noise, above which the sensor counts as free of noise."""
 MAX_INERTIAL_NOISE = 4.0

@@ -33,16 +33,13 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".tlog": read_tlog,
 }
 """Readers of logs by suffix; another format is one more entry."""
-RATE_CUTOFF = 0.2
-"""Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
+RATE_CUTOFF = 0.2  # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
 AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0
 """Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
-CLEAR = 0.5
-"""Height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess."""
+CLEAR = 0.5  # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
 LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0
 """Slower for less than this is still flight [s]; faster for less than this is none [s]."""
-LONGEST_EDGE = 1.0
-"""Channels begin and end within this of each other [s]."""
+LONGEST_EDGE = 1.0  # channels begin and end within this of each other [s]
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 
 

@@ -15,25 +15,16 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import GAP
 from skdgp.io._autopilot.formats import Topic
 
-BLOCK_SIZE = 25
-"""Messages whose median time is compared with that of the next."""
-RESTART_STEP = 5.0
-"""A clock that goes back by more than this was restarted [s]; messages out of order are less late."""
-STAMP_MARGIN = 5.0
-"""Distance of valid stamps from the medians of a part [s]."""
-LARGEST_STEP = 60.0
-"""Longest step between medians that widens this margin [s]."""
+BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
+RESTART_STEP = 5.0  # a clock that goes back by more than this was restarted [s]; messages out of order are less late
+STAMP_MARGIN = 5.0  # distance of valid stamps from the medians of a part [s]
+LARGEST_STEP = 60.0  # longest step between medians that widens this margin [s]
 FILTER_ORDER = 4
-CUTOFF = 0.4
-"""Corner of the low-pass in parts of the new rate: gain 1/2 there."""
-LEAST_RATIO = 1.2
-"""Ratio of rates from which a channel is low-passed."""
-LONGEST_PAUSE = (5.0, 50.0)
-"""In longer pauses, [s] and [usual steps], the clock has no rows."""
-MOST_ROWS_PER_SAMPLE = 20.0
-"""Of the clock, per sample of the channel that it follows."""
-LEAST_GAP = 0.5
-"""Seconds of a gap that is worth a remark."""
+CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
+LEAST_RATIO = 1.2  # ratio of rates from which a channel is low-passed
+LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
+MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
+LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:

@@ -19,8 +19,7 @@ from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, QUATERNION, Log, Ru
 from skdgp.io._autopilot.servos import Mixture, Servo
 from skdgp.io._tables import FlightReadError
 
-LEAST_RATE = 5.0
-"""A source slower than this [Hz] gives way to a faster one further down."""
+LEAST_RATE = 5.0  # a source slower than this [Hz] gives way to a faster one further down
 HIGHEST_RATE = 50.0
 """The clock follows the gyros, but not beyond this [Hz]: rigid aircraft and surfaces move slower than 20 Hz."""
 

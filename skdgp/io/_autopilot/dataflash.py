@@ -37,8 +37,7 @@ TYPES = {
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
-DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
-"""Messages that describe the log, and are no topics."""
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")  # messages that describe the log, and are no topics
 INSTANCES = ("I", "Instance", "C")
 """Fields that number the instances of a sensor or filter, in logs that do not say which field does."""
 VEHICLES = {

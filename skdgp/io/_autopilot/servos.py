@@ -38,8 +38,7 @@ FULL_THROW = "full throw"
 REVERSED = ", reversed "
 NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
-NO_PULSE = 500.0
-"""Pulses shorter than this [us] move no servo: an output that is switched off."""
+NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 TEMPLATE = """\
 # Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
 # elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.

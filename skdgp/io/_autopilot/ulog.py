@@ -31,15 +31,11 @@ TYPES = {
     **{f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
     "float": "<f4", "double": "<f8", "bool": "u1", "char": "u1",
 }  # fmt: skip
-LARGEST = 2**16
-"""A message cannot be longer [bytes]: its length is 16 bits."""
+LARGEST = 2**16  # a message cannot be longer [bytes]: its length is 16 bits
 LONGEST_TEXT = 2000
-LATEST = 1_000_000
-"""Microseconds from sampling to publishing, at most."""
-DEEPEST = 8
-"""Levels of nested messages."""
-RELEASED = 64
-"""The last byte of a version from which it is an alpha, beta or release, not a state of development."""
+LATEST = 1_000_000  # microseconds from sampling to publishing, at most
+DEEPEST = 8  # levels of nested messages
+RELEASED = 64  # the last byte of a version from which it is an alpha, beta or release, not a state of development
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),

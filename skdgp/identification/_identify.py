@@ -46,10 +46,9 @@ def identify(
     """Learn a model of the six coefficients from flights, and judge it on others.
 
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`) learns them from
-    the training flights. The model then predicts the test flights, and its predictions are scored and replayed.
-
-    Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
-    "transforming", "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
+    the training flights, and predicts the test flights; predictions are scored and replayed. Listeners of
+    `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``: "reading", "coefficients", "transforming",
+    "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
 
     Parameters
     ----------
@@ -70,12 +69,11 @@ def identify(
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     thrust, external_forces
         As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
-        propeller among the regressors, best with the airspeed, unless the aircraft glides. With "auto" it is so by
-        itself where the flights have a throttle and nothing gives the thrust.
+        propeller among the regressors, best with the airspeed, unless the aircraft glides; so does "auto" by itself
+        where the flights have a throttle and nothing gives the thrust.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
-        show that are held out in turn. It takes one more fit for each of up to 5 groups of flights. Not with a
-        symmetric pipeline.
+        show that are held out in turn: up to 5 more fits. Not with a symmetric pipeline.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
@@ -84,7 +82,6 @@ def identify(
     Returns
     -------
     Identification
-        The model, its scores and how it came about.
 
     Raises
     ------
@@ -222,14 +219,10 @@ def validate(
     ----------
     model : Bunch
         As of :func:`load_model`.
-    flights : as of :func:`identify`
-        The flights to predict and replay.
+    flights, horizons, reading
+        As of :func:`identify`; logs are read with the model's servos by default.
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
-    horizons : sequence of float
-        Seconds from restart to restart of the replay.
-    reading : mapping of str to object, optional
-        Options of :func:`skdgp.io.read_flight` for paths of logs of autopilots; by default with the model's servos.
     **loads
         ``thrust`` and ``external_forces``, where they differ from those of the model's fit.
 

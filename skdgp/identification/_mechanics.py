@@ -48,7 +48,7 @@ def flight_mechanics(
     derivatives are at the median of what was flown, and ``note`` says why. The simulation is of the test flights.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
-    thrust: Any = None if settings["thrust"] in (None, "none") else "auto"
+    thrust = _thrust(settings)
     conditions: dict[str, Any] = {"thrust": thrust, "density": float(flown["density"])}
     n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
     drawn: dict[str, Any] = {"n_paths": n_paths, "random_state": 0, **conditions}
@@ -60,7 +60,9 @@ def flight_mechanics(
     except ValueError:
         where = f"{flown['airspeed']:.3g} m/s"
         found["note"] = f"No steady flight was found at {where}: derivatives are at the median state, without modes."
-        at = _middle(flown)
+        state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))  # wings level
+        state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
+        at = state, {str(name): float(value) for name, value in flown.items()}
     try:
         found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **drawn)
         if "least_squares_std" in fit:
@@ -78,11 +80,8 @@ def flight_mechanics(
     return FlightMechanics(**found)
 
 
-def _middle(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
-    """Return state and controls of the median of what was flown, wings level."""
-    state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))
-    state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
-    return state, {str(name): float(value) for name, value in flown.items()}
+def _thrust(settings: dict) -> Any:
+    return None if settings["thrust"] in (None, "none") else "auto"
 
 
 def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
@@ -97,15 +96,19 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
     def values(X):
         return intercept + X @ weights.T
 
-    def slopes(X):
-        return np.broadcast_to(weights, (*X.shape[:-1], *weights.shape))
-
     def sampler(n_paths, random_state):
         drawn = weights + std * np.random.default_rng(random_state).standard_normal((n_paths, *weights.shape))
         return values, lambda X: np.broadcast_to(drawn[:, None], (*X.shape[:-1], *weights.shape))
 
-    lengths: dict[str, Any] = {"span": known.span, "chord": known.chord, "mixing": known.mixing}
-    return Aerodynamics(values, known.regressors, gradient=slopes, sampler=sampler, **lengths)
+    return Aerodynamics(
+        values,
+        known.regressors,
+        gradient=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
+        sampler=sampler,
+        span=known.span,
+        chord=known.chord,
+        mixing=known.mixing,
+    )
 
 
 def simulation_errors(
@@ -124,8 +127,6 @@ def simulation_errors(
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     starts, parts = _windows(tables, max(settings["horizons"]))
-    density = float(np.median(np.concatenate([part["density"] for part in parts])))
-    duration = min(float(part["time"].iloc[-1]) for part in parts)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # an end is an error without bound
         flown = simulate(
@@ -134,9 +135,9 @@ def simulation_errors(
             starts,
             [part.drop(columns=[*STATES, "flight"], errors="ignore") for part in parts],
             dt=FLIGHT_STEP,
-            duration=duration,
-            thrust=None if settings["thrust"] in (None, "none") else "auto",
-            density=density,
+            duration=min(float(part["time"].iloc[-1]) for part in parts),
+            thrust=_thrust(settings),
+            density=float(np.median(np.concatenate([part["density"] for part in parts]))),
         )
     each = [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
     elapsed = each[0]["time"].to_numpy()

@@ -75,14 +75,12 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights if
-        they hold all that this needs, and if their air data become more accurate than by smoothing alone. Else it
-        leaves them to the smoother.
+        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights
+        where their air data become more accurate than by smoothing alone.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
-        What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
-        elevator or an aileron.
+        By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an aileron.
     regressor : estimator, optional
         By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will do.
     memory : str or joblib.Memory, optional
@@ -148,18 +146,16 @@ def check_aircraft(aircraft) -> Aircraft:
 
 
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
-    r"""Return the regressors of a flight, (n, d), and how much noisier they are than those of the fit, (n,).
-
-    The flight, or several, is at its full rate; the regressors are what the last step of the pipeline predicts from.
+    r"""Return the regressors (n, d) that a pipeline predicts flights from, and how much noisier they are than the fit's.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
     of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of the
-    flight from its own sensors, and the ratio of variances is
+    flight from its own sensors, and the ratio of variances (n,) is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1. It is 1 too where the
-    pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1, also where the pipeline
+    ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
     """
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
@@ -339,10 +335,10 @@ def flight_noise(
 ) -> pd.DataFrame | None:
     r"""Return the noise of measured coefficients at the frequencies of the motion: what decides errors of derivatives.
 
-    The noise of smoothed channels is not white. A smoother removes it between the frequencies of the motion and leaves
-    it there, where it has its full effect on the derivatives, and where the fit takes up a part of it. With the columns
-    Q of an orthonormal basis of a polynomial of second order, :math:`Q_1` of its linear part, the residuals
-    :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the variance of one row is
+    A smoother leaves noise at the frequencies of the motion, where it has its full effect on the derivatives, and where
+    the fit takes up a part of it. With an orthonormal basis Q of a polynomial of second order, :math:`Q_1` of its
+    linear part, the residuals :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the
+    variance of one row is
 
     .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
 

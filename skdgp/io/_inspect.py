@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, SURFACES
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
@@ -97,8 +97,7 @@ class LogSummary:
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
-        Damage, gaps, faults of the clock, channels of no use; of a table, the faults of its channels, as from
-        :func:`skdgp.preprocessing.inspect_flight`, and channels that contradict each other by physics.
+        Damage, gaps, faults of clock and channels, and channels that contradict each other by physics.
     """
 
     path: str
@@ -120,20 +119,19 @@ class LogSummary:
     def __str__(self) -> str:
         lines = [
             f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, {self.duration:.1f} s",
-            "",
-            *self._flight_lines(),
-            "",
-            f"  {'columns':<22}{'rate':>9}  from",
-            *self._column_lines(),
-            "",
-            *(
-                _hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20)
-                for step, names in self.missing.items()
-            ),
-            *(f"  {'':<18}- {advice}" for advice in self._advice()),
-            *self._remark_lines(),
-            *self._topic_lines(),
+            *("", *self._flight_lines(), "", f"  {'columns':<22}{'rate':>9}  from", *self._column_lines(), ""),
         ]
+        for step, names in self.missing.items():
+            lines.append(_hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20))
+        lacking = {name for names in self.missing.values() for name in names}
+        surfaces = {"servos"} if any(name.startswith(SURFACES) for name in lacking) else set()
+        lines += [f"  {'':<18}- {words}" for name, words in ADVICE.items() if name in lacking | surfaces]
+        lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)] if self.remarks else []
+        if self.topics:
+            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
+            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
+            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
+            lines += ["", _hanging(f"topics: {', '.join(words)}", 4)]
         return "\n".join(lines)
 
     def _flight_lines(self):
@@ -154,25 +152,6 @@ class LogSummary:
             *above, names = wrap(" ".join(column.name for column in columns), WIDTH - 40, break_long_words=False)
             yield from (f"  {line}" for line in above)
             yield f"  {names:<21} {rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
-
-    def _advice(self):
-        lacking = {name for names in self.missing.values() for name in names}
-        if any(name.startswith(("elevator", "aileron", "rudder")) for name in lacking):
-            yield ADVICE["servos"]
-        yield from (words for name, words in ADVICE.items() if name in lacking)
-
-    def _remark_lines(self):
-        if self.remarks:
-            yield ""
-        yield from (_hanging(f"! {remark}", 4) for remark in self.remarks)
-
-    def _topic_lines(self):
-        if self.topics:
-            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
-            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
-            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
-            yield ""
-            yield _hanging(f"topics: {', '.join(words)}", 4)
 
 
 def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:

@@ -53,11 +53,10 @@ def flight_from_poses(
     .. math:: f = R^T (\dot v - g), \qquad v_a = R^T (v - W),
 
     f is the specific force, and the velocity through the air :math:`v_a` gives airspeed, alpha and beta. Each flight,
-    and each part between gaps, is differentiated by itself. The first and last 0.1 s are two to four times less
-    accurate than the rest. Raises ValueError if shapes do not match, a value is not finite, time does not increase,
-    quaternions are not of length 1, a flight has fewer than 10 samples between gaps, poses repeat or leap as where
-    markers are hidden, positions are not in metres, or the motion contradicts the frame: lift does not act upward, the
-    aircraft does not fly forward, or it does not turn to the side to which it banks.
+    and each part between gaps, is differentiated by itself; the first and last 0.1 s are two to four times less
+    accurate. Raises ValueError if shapes do not match, a value is not finite, time does not increase, quaternions are
+    not of length 1, a flight has fewer than 10 samples between gaps, poses repeat or leap, positions are not in metres,
+    or the motion contradicts the frame: lift, forward flight, or the side to which it turns.
 
     Parameters
     ----------
@@ -83,9 +82,8 @@ def flight_from_poses(
     Returns
     -------
     DataFrame
-        Columns ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler
-        angles, position, altitude, density of the standard atmosphere, and those of ``controls``. In
-        ``attrs["pose_noise"]`` stand the standard deviations of the noise of position [m] and attitude [rad].
+        ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler angles,
+        position, altitude, density, and ``controls``. ``attrs["pose_noise"]``: noise of position [m], attitude [rad].
 
     Examples
     --------

@@ -43,14 +43,12 @@ def read_flight(
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
     A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are converted. Columns that
-    the vocabulary does not know are kept and listed in ``table.attrs["unknown_columns"]``, with a warning where one
-    looks misspelt. A table that has u, v, w but neither airspeed, alpha nor beta gets them: relative to the wind if it
-    has the wind and the attitude, else of still air, with a warning.
+    the vocabulary does not know are kept, ``table.attrs["unknown_columns"]``. A table that has u, v, w but neither
+    airspeed, alpha nor beta gets them: relative to the wind if it has wind and attitude, else of still air.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
-    and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what is
-    missing. Warns with FlightDataWarning if a log is damaged, has gaps, its clock jumped, channels were never valid, or
-    columns are left out.
+    and cut into flights; ``table.attrs["sources"]`` names the message of each column. Warns with FlightDataWarning if
+    a log is damaged, has gaps, its clock jumped, channels were never valid, or columns are left out.
 
     Parameters
     ----------
@@ -63,17 +61,15 @@ def read_flight(
         Flight identifier. By default the file's column ``flight``, or without one the name of the file; further flights
         in a log of an autopilot are ``name#2``, ``name#3``.
     rate : float, optional
-        Rate of the clock [Hz]; autopilots only. By default that of the gyros, at most 50 Hz.
+        Rate of the clock [Hz]. By default that of the gyros, at most 50 Hz. This and the following: autopilots only.
     servos : path or mapping, optional
-        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the
-        table has no surfaces. ``"full throw"``: surfaces from -1 to 1, parts of their full throw, of the servos that
-        the autopilot's parameters name. Autopilots only.
+        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the table has no
+        surfaces. ``"full throw"``: parts of their full throw, -1 to 1, of the servos that the parameters name.
     airborne : bool or float, default=True
         Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8 m/s if none is), or
-        above this number [m/s], and not landed by the autopilot's own account. False keeps all; autopilots only.
+        above this number [m/s], and not landed by the autopilot's own account. False keeps all.
     imu_position : sequence of 3 floats, optional
-        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity;
-        autopilots only.
+        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity.
 
     Returns
     -------
@@ -83,9 +79,8 @@ def read_flight(
     Raises
     ------
     FlightReadError
-        If the file is empty, damaged, no table or log, or too large when unpacked; has no ``time``, text among numbers,
-        rows of unequal length or without a flight; time does not increase within a flight; the numbers are not in SI
-        and radians; a log holds no flight; or an option makes no sense.
+        If the file is damaged or no table or log; has no ``time``, or one that does not increase within a flight, text
+        among numbers, or numbers that are not in SI and radians; a log holds no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError

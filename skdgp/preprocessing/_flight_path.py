@@ -58,11 +58,11 @@ class FlightPathReconstruction(TableTransformer):
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
     and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
-    chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
-    gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
-    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts separately for each flight.
-    Raises ValueError if one of time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed is
-    missing, or has no value throughout a flight; if time does not increase within a flight; if angles are not radians.
+    chapter 10), as one sparse least-squares problem. Vanes are optional. ``fit`` learns the noise of each sensor, by
+    maximum likelihood, and, on request, scale factors, biases and lags. ``transform`` uses these, and estimates biases
+    of inertial sensors, wind and gusts separately for each flight. Raises ValueError if time, a rate, specific force,
+    attitude, v_north, v_east, v_down or airspeed is missing, or has no value throughout a flight; if time does not
+    increase within a flight; if angles are not radians.
 
     Parameters
     ----------
@@ -90,22 +90,19 @@ class FlightPathReconstruction(TableTransformer):
 
     Attributes
     ----------
-    used_ : bool
-        Whether ``transform`` reconstructs flights; False: they pass unchanged.
-    reason_ : str
-        Why, in words.
+    used_, reason_ : bool, str
+        Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
     errors_ : DataFrame or None
         Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise learned with the
         path), and of air data the expected errors of ``reconstruction`` and ``smoothing``, and their ``deviation``.
     missing_ : list of str
-        Missing channels of the flights of ``fit``, which then pass unchanged; empty where they are reconstructed.
+        Missing channels of the flights of ``fit``, which then pass unchanged.
     noise_std_ : dict of str to float
-        Standard deviation of each sensor's noise: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
-        tilt (roll and pitch), heading.
+        Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down, tilt, heading.
     error_std_ : dict of str to float
-        Expected error of reconstructed airspeed, alpha and beta: root mean square of their standard deviations.
+        Expected error of reconstructed airspeed, alpha and beta.
     gust_std_ : float
-        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``. The column
+        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``; the column
         ``gust`` of the transformed table holds that of each flight.
     sensors_ : dict of str to float
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.

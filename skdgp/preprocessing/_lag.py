@@ -71,11 +71,9 @@ class LagCorrector(TableTransformer):
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares: the maximum of the profile likelihood
-    (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its standard
-    deviation allows for residuals that are correlated within 5 s (Liang & Zeger 1986).
-
-    Lags of throttle and propeller speed can be given. They are not estimated, because engines respond slowly. Raises
+    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares, the maximum of the profile likelihood
+    (Jategaonkar 2006, chapter 10). Its standard deviation allows for residuals that are correlated within 5 s (Liang &
+    Zeger 1986). Lags of throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
     ValueError if ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is
     not finite.
 
@@ -159,10 +157,10 @@ def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bo
 
 
 def _advanced(values: Vector, steps: float) -> Vector:
-    """Return equidistant values a fraction of steps later, by an all-pass filter, which keeps white noise white.
+    """Return equidistant values a fraction of steps later: every frequency's phase is shifted, white noise stays white.
 
-    The phase of every frequency is shifted (Oppenheim & Schafer 2010, section 4.5). The values are continued oddly
-    beyond both ends, and the line between these is shifted separately, so that the periodic signal is continuous.
+    They are continued oddly beyond both ends, and the line between these is shifted by itself, so that the periodic
+    signal is continuous (Oppenheim & Schafer 2010, section 4.5).
     """
     margin = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
     padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
@@ -211,9 +209,8 @@ class Segment:
             speed = np.maximum(speed, 0.1 * np.median(speed))
         rates = self.channels(RATES)
         acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
-        self.force = self.filtered(self.channels(SPECIFIC_FORCE) / speed**2)
-        self.rate = self.filtered(rates / speed)
-        self.acceleration = self.filtered(acceleration / speed**2)
+        self.force = self._within_band(self.channels(SPECIFIC_FORCE) / speed**2)
+        self.rate, self.acceleration = self._within_band(rates / speed), self._within_band(acceleration / speed**2)
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
@@ -225,8 +222,11 @@ class Segment:
         later = np.clip(self.time + lag, self.time[0], self.time[-1])
         return np.column_stack([self.splines[name](later) for name in names]) if names else np.empty((len(later), 0))
 
-    def filtered(self, columns: Matrix) -> Matrix:
-        """Return columns within the band, with zero phase."""
+    def filtered(self, names: Sequence[str], lag: float) -> Matrix:
+        """Return those of the channels that the segment has without their lag, within the band."""
+        return self._within_band(self.channels(self.present(names), lag))
+
+    def _within_band(self, columns: Matrix) -> Matrix:
         sections = signal.butter(2, self.band, "bandpass", fs=self.rate_hz, output="sos")
         return signal.sosfiltfilt(sections, columns, axis=0) if columns.shape[1] else columns
 
@@ -259,8 +259,7 @@ def surface_lag(flights: Flights) -> Lag:
     """Return the lag of surfaces: angular acceleration / V^2 from surfaces, rates / V and specific force / V^2."""
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        surfaces = segment.filtered(segment.channels(segment.present(ALL_SURFACES), lag))
-        return segment.acceleration, np.hstack([surfaces, segment.rate, segment.force])
+        return segment.acceleration, np.hstack([segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force])
 
     return _profile_estimate(flights, ALL_SURFACES, equation)
 
@@ -269,9 +268,8 @@ def air_lag(flights: Flights, surfaces: float) -> Lag:
     """Return the lag of vanes: alpha, beta from specific force / V^2, rates / V and surfaces of a known lag."""
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        vanes = segment.filtered(segment.channels(segment.present(VANES), lag))
-        moved = segment.filtered(segment.channels(segment.present(ALL_SURFACES), surfaces))
-        return vanes, np.hstack([segment.force, segment.rate, moved])
+        moved = segment.filtered(ALL_SURFACES, surfaces)
+        return segment.filtered(VANES, lag), np.hstack([segment.force, segment.rate, moved])
 
     return _profile_estimate(flights, VANES, equation)
 
@@ -329,10 +327,9 @@ def _vertex(before: float, here: float, after: float, step: float) -> float:
 
 
 def _standard_deviation(residuals: list[Matrix], slopes: list[Matrix], blocks: list[int]) -> float:
-    """Return the standard deviation of a lag for residuals correlated within blocks: sqrt(sum_b S_b^2) / H.
+    """Return the standard deviation of a lag, sqrt(sum_b S_b^2) / H (Liang & Zeger 1986).
 
-    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum over a block of g e / s^2 and H = sum
-    g^2 / s^2 (Liang & Zeger 1986).
+    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum_b g e / s^2 and H = sum g^2 / s^2.
     """
     variance = sum(np.sum(e**2, axis=0) for e in residuals) / sum(len(e) for e in residuals)
     scores = [np.sum(g * e / variance, axis=1) for g, e in zip(slopes, residuals, strict=True)]

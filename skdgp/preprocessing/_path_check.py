@@ -44,14 +44,10 @@ def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str,
 
     without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over that of the noise; the
     slope of the smoother follows from a small random change of the samples (Ramani, Blu & Unser 2008). A constant
-    error of a sensor, or a lag, is not seen. Third differences contain a little motion, so the noise of a sensor that
-    is more exact than the path would be too large: where the residual exceeds 1.4 times the noise,
-    :math:`\sigma` is zero. Of n samples the first term has the standard error :math:`\sigma^2 \sqrt{2 / n}`, and the
-    mean squared error is at least this: less cannot be told from zero.
-
-    Rows are airspeed, alpha, beta, gyro, accelerometer; columns ``noise`` (of the sensor by itself), ``residual`` (the
-    noise learned with the path), ``deviation`` (of the channel), and of air data the expected root mean square errors
-    ``reconstruction`` and ``smoothing``.
+    error of a sensor, or a lag, is not seen. Third differences contain a little motion, so :math:`\sigma` is zero where
+    the residual exceeds 1.4 times the noise. Of n samples the first term has the standard error
+    :math:`\sigma^2 \sqrt{2 / n}`: a mean squared error below it cannot be told from zero. Columns are those of
+    ``FlightPathReconstruction.errors_``.
     """
     raw = numeric(table, AIR_DATA)
     path, slope = _path_air(raw.shape, estimates)
@@ -80,8 +76,7 @@ def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str,
 def decision(errors: pd.DataFrame) -> tuple[bool, str]:
     """Return whether the reconstruction is used, and why, in words.
 
-    It is, unless the root mean square over airspeed, alpha and beta of expected error / standard deviation of the
-    channel is more than 1.05 times that of smoothing.
+    It is if the mean square of expected error / deviation of airspeed, alpha, beta is at most 1.05^2 that of smoothing.
     """
     air = errors.loc[list(AIR_DATA)]
     weights = np.divide(1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0)

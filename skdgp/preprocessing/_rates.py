@@ -24,8 +24,8 @@ class RateNondimensionalizer(TableTransformer):
         \hat{\dot r} = \frac{\dot r b^2}{4V^2},
 
     the usual normalisation of stability derivatives. Each rate in the table gets a column with the suffix ``_hat``
-    (``p_hat``, ``alpha_dot_hat``, ``p_dot_hat``). The named sets of :class:`RegressorSelector` use it in place of the
-    measured rate. Raises ValueError if ``airspeed`` is missing or not positive, or the table has no rate.
+    (``alpha_dot_hat``), which named sets of :class:`RegressorSelector` use in its place. Raises ValueError if
+    ``airspeed`` is missing or not positive, or the table has no rate.
 
     Parameters
     ----------
@@ -50,10 +50,7 @@ class RateNondimensionalizer(TableTransformer):
     """
 
     in_simulation = "rates"
-    _parameter_constraints: dict = {
-        "span": [Interval(Real, 0, None, closed="neither")],
-        "chord": [Interval(Real, 0, None, closed="neither")],
-    }
+    _parameter_constraints: dict = dict.fromkeys(("span", "chord"), [Interval(Real, 0, None, closed="neither")])
 
     def __init__(self, span: float, chord: float) -> None:
         self.span = span
@@ -69,8 +66,7 @@ class RateNondimensionalizer(TableTransformer):
         return with_columns(table, self._non_dimensional(table))
 
     def _columns_out(self, names):
-        added = [name + HAT for name in self.rates_]
-        return names + [name for name in added if name not in names]
+        return names + [name + HAT for name in self.rates_ if name + HAT not in names]
 
     def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])

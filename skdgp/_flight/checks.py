@@ -50,8 +50,9 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     lacking = _lacking(needed, [str(column) for column in table.columns])
     if lacking:
+        names = table["flight"].astype(str).unique() if what == "flight" and "flight" in table else ()
         raise ValueError(
-            f"The {_named(table, what)} lacks the columns {lacking}. "
+            f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns {lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."
         )
 
@@ -126,14 +127,6 @@ def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueE
     """Return the error of an angle or a rate that is too large for radians."""
     wrap = f" If it is unwrapped, use numpy.angle(numpy.exp(1j * {name}))." if angle in GYROS else ""
     return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}")
-
-
-def _named(table: pd.DataFrame, what: str) -> str:
-    """Return what a table is, with the name of the flight where it holds one."""
-    if what != "flight" or "flight" not in table:
-        return what
-    names = table["flight"].astype(str).unique()
-    return f"flight {names[0]!r}" if len(names) == 1 else what
 
 
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:

@@ -130,47 +130,29 @@ def control_units(servos: Any) -> dict[str, str]:
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
     """Return what was assumed, and which measurements would narrow what follows from it most, in a line each."""
-    lines = _of_sizes(aircraft) + _of_causes(aircraft)
-    full_throws = reversed_of(servos) is not None
-    lines += [FULL_THROWS] * full_throws
-    lines += [THRUST_IN_COEFFICIENTS] if thrust_unknown else []
-    thrust_unknown = thrust_unknown or "thrust" in (aircraft.deviations or {})
-    remedies = _remedies(aircraft) + [THROWS] * full_throws + [THRUST] * thrust_unknown
-    if remedies:
-        lines.append("An hour each, most useful first: " + "; ".join(remedies) + ".")
-    return lines
-
-
-def _of_sizes(aircraft: Aircraft) -> list[str]:
-    """Return a line of the sizes that are uncertain, with what errors of all causes make of them."""
-    moments = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True))
-    units = QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")
-    words = []
-    for name, unit in units.items():
-        parts = [each.std * each.powers.get(name, 0.0) for each in (aircraft.deviations or {}).values()]
-        if std := float(np.linalg.norm(parts)):
+    lines, deviations, full_throws = [], aircraft.deviations or {}, reversed_of(servos) is not None
+    # The sizes that are uncertain, with what errors of all causes make of them.
+    moments, sizes = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)), []
+    for name, unit in (QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")).items():
+        if std := float(np.linalg.norm([each.std * each.powers.get(name, 0.0) for each in deviations.values()])):
             value = moments[name] if name in moments else getattr(aircraft, name)
-            words.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
-    return [f"Of the aircraft: {', '.join(words)}; what this makes of derivatives is std_aircraft."] if words else []
-
-
-def _of_causes(aircraft: Aircraft) -> list[str]:
-    """Return a line of the rules that the sizes were estimated by, each source with all that is from it."""
+            sizes.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
+    if sizes:
+        lines.append(f"Of the aircraft: {', '.join(sizes)}; what this makes of derivatives is std_aircraft.")
+    # The rules that they were estimated by, each source with all that is from it.
     by_source: dict[str, list[str]] = {}
-    for name, each in (aircraft.deviations or {}).items():
+    for name, each in deviations.items():
         by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
-    rules = [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]
-    return [f"Estimated: {'; '.join(rules)}."] if rules else []
-
-
-def _remedies(aircraft: Aircraft) -> list[str]:
-    """Return what to measure, that first which lessens the errors of the coefficients most."""
-    deviations = aircraft.deviations or {}
+    if rules := [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]:
+        lines.append(f"Estimated: {'; '.join(rules)}.")
+    lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown
+    # What to measure, that first which lessens the errors of the coefficients most.
     errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1) if deviations else []
-    by_remedy: dict[str, float] = {}
-    for (name, _), error in zip(deviations.items(), errors, strict=True):
-        if not error:  # of products of inertia and of throws, which are not of a coefficient
-            continue
-        words = REMEDIES.get(name, f"measure the {name}")
-        by_remedy[words] = by_remedy.get(words, 0.0) + float(error)
-    return sorted(by_remedy, key=lambda words: -by_remedy[words])[:LISTED]
+    gains: dict[str, float] = {}
+    for name, error in zip(deviations, errors, strict=True):
+        if error:  # none of products of inertia and of throws, which are not of a coefficient
+            remedy = REMEDIES.get(name, f"measure the {name}")
+            gains[remedy] = gains.get(remedy, 0.0) + float(error)
+    remedies = sorted(gains, key=lambda remedy: -gains[remedy])[:LISTED] + [THROWS] * full_throws
+    remedies += [THRUST] * (thrust_unknown or "thrust" in deviations)
+    return [*lines, f"An hour each, most useful first: {'; '.join(remedies)}."] if remedies else lines

@@ -51,12 +51,17 @@ def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str
     -------
     dict of str to DataFrame
     """
+    found: Flights = {}
     if isinstance(flights, Mapping):
-        return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
+        for name, table in flights.items():
+            parts = flights_of(check_table(table))
+            if len(parts) != 1:
+                raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
+            found[name] = _checked_columns(next(iter(parts.values())).assign(flight=name), needed)
+        return found
     items = items_of(flights)
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
-    found: Flights = {}
     origin: dict[str, str | os.PathLike | None] = {}
     for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
@@ -80,13 +85,6 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
         return {default: table.reset_index(drop=True).assign(flight=default)}
     rows = flight_rows(table["flight"])
     return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}
-
-
-def _single_flight(name, table) -> pd.DataFrame:
-    parts = flights_of(check_table(table))
-    if len(parts) != 1:
-        raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
-    return next(iter(parts.values())).assign(flight=name)
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:

@@ -219,10 +219,11 @@ def validate(
     ----------
     model : Bunch
         As of :func:`load_model`.
-    flights, horizons, reading
-        As of :func:`identify`; logs are read with the model's servos by default.
+    flights : as of :func:`identify`
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
+    horizons, reading
+        As of :func:`identify`; logs are read with the model's servos by default.
     **loads
         ``thrust`` and ``external_forces``, where they differ from those of the model's fit.
 

@@ -146,7 +146,7 @@ def check_aircraft(aircraft) -> Aircraft:
 
 
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
-    r"""Return the regressors (n, d) that a pipeline predicts flights from, and how much noisier they are than the fit's.
+    r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than those of the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
     of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of the

@@ -40,7 +40,10 @@ def read_csv(path: Path) -> pd.DataFrame:
 
 
 def _table(file, file_name):
-    above = _lines_above_header(file)
+    header = (number for number, line in enumerate(file) if line.strip(" \t\r\n,;") and not ABOVE.match(line))
+    if (above := next(header, None)) is None:
+        words = "a header line, and a row for each sample under it"
+        raise FlightReadError(f"Got a file that is empty, but expected {words}.")
     separator = _separator(file, above)
     records = _records(file, above, separator)
     names, units = _split_headings(next(records))
@@ -86,13 +89,6 @@ def _forward(file, n_lines):
 def _records(file, n_lines, separator):
     _forward(file, n_lines)
     return csv.reader(file, delimiter=separator, skipinitialspace=True)
-
-
-def _lines_above_header(file) -> int:
-    for n_lines, line in enumerate(file):
-        if line.strip(" \t\r\n,;") and not ABOVE.match(line):
-            return n_lines
-    raise FlightReadError("Got a file that is empty, but expected a header line, and a row for each sample under it.")
 
 
 def _separator(file, above) -> str:

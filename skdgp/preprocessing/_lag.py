@@ -109,7 +109,13 @@ class LagCorrector(TableTransformer):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
             check_columns(table, INERTIAL)
-            rows = {group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()}
+            flights = flights_of(table)
+            surfaces = surface_lag(flights)
+            found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
+            if flights and has_values(table, *NEEDED):
+                of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
+                found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+            rows = {group: (*lag, *_applied(lag)) for group, lag in found.items()}
         else:
             lags = self.lags or {}
             unknown = [name for name in lags if name not in GROUPS and name not in table]
@@ -169,17 +175,6 @@ def _advanced(values: Vector, steps: float) -> Vector:
     line = padded[0] + slope * np.arange(n)
     spectrum = np.fft.rfft(padded - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
     return (np.fft.irfft(spectrum, n) + line + slope * steps)[margin : n - margin]
-
-
-def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
-    """Return the lag of each group; unknown where the flights do not show it."""
-    flights = flights_of(table)
-    surfaces = surface_lag(flights)
-    lags = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    if flights and has_values(table, *NEEDED):
-        of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
-        lags |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
-    return lags
 
 
 def _applied(estimate: Lag) -> tuple[float, str]:

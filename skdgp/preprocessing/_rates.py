@@ -50,7 +50,7 @@ class RateNondimensionalizer(TableTransformer):
     """
 
     in_simulation = "rates"
-    _parameter_constraints: dict = dict.fromkeys(("span", "chord"), [Interval(Real, 0, None, closed="neither")])
+    _parameter_constraints: dict = {key: [Interval(Real, 0, None, closed="neither")] for key in ("span", "chord")}
 
     def __init__(self, span: float, chord: float) -> None:
         self.span = span

@@ -57,10 +57,12 @@ def find_sources(
         source = _source(part, rule)
         if source is None:
             continue
+        low, high = zip(*(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True)
+        wrong = ((source.values < low) | (source.values > high)).any(axis=1)
         if len(source.time) < 2:
             useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
-        elif impossible := _impossible(source):
-            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * impossible:.0f} % is impossible")
+        elif (share := wrong.mean()) > RARE:  # fewer are faults of a sensor
+            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is impossible")
         else:
             candidates.setdefault(rule.columns, []).append(source)
     found = [
@@ -140,13 +142,6 @@ def _source(log, rule: Rule) -> Source | None:
     is_array = first != last and first.endswith("[0]")
     words = f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)  # q[0..3], GyrX GyrY GyrZ
     return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
-
-
-def _impossible(source) -> float:
-    """Return the share of samples that no aircraft can have, 0 if it is small enough to be faults of a sensor."""
-    bounds = np.array([POSSIBLE.get(name, (-np.inf, np.inf)) for name in source.columns])
-    share = float(((source.values < bounds[:, 0]) | (source.values > bounds[:, 1])).any(axis=1).mean())
-    return share if share > RARE else 0.0
 
 
 def _surface(log, name, servo: Servo | Mixture) -> Source:

@@ -95,10 +95,13 @@ def read_tlog(path: Path) -> Log:
     parameters = dict(_parameter(messages[place], px4) for place in by_name.pop("PARAM_VALUE", ()))
     clocks = {name: np.array([_clock(messages[place]) for place in places]) for name, places in by_name.items()}
     delay = float(np.median(arrivals[by_name["ATTITUDE"]] - clocks["ATTITUDE"]))
-    topics = {
-        name: _topic([messages[place] for place in places], np.array(places), arrivals[places] - delay, clocks[name])
-        for name, places in sorted(by_name.items())
-    }
+    topics = {}
+    for name, places in sorted(by_name.items()):
+        found, arrived, clock = [messages[place] for place in places], arrivals[places] - delay, clocks[name]
+        time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
+        numbers = [key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)]
+        fields = {key: [getattr(each, key) for each in found] for key in numbers}
+        topics[name] = replace(Topic.of(time, **fields), order=np.array(places, dtype=float))
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
     speeds = [parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters]
     return Log(
@@ -153,10 +156,3 @@ def _parameter(message: Any, px4: bool) -> tuple[str, float]:
 def _clock(message: Any) -> float:
     """Return the time of a message by the clock of the vehicle [s], NaN where it has none."""
     return next((factor * getattr(message, name) for name, factor in CLOCKS.items() if hasattr(message, name)), np.nan)
-
-
-def _topic(messages: list[Any], order: Vector, arrived: Vector, clock: Vector) -> Topic:
-    time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
-    names = [name for name in messages[0].get_fieldnames() if not isinstance(getattr(messages[0], name), str)]
-    fields = {name: [getattr(each, name) for each in messages] for name in names}
-    return replace(Topic.of(time, **fields), order=order.astype(float))

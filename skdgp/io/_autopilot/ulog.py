@@ -203,7 +203,8 @@ class _Reader:
             elif self._read_message(kind, start, end):
                 position = end
             else:
-                following = self._next(position + 1)
+                starts = (match.start() for match in NEXT.finditer(data, position + 1))
+                following = next((start for start in starts if self._chain(start, 3)), len(data))
                 complete = end <= len(data) or kind not in KINDS
                 self.cut = self.cut or (following == len(data) and not complete)
                 self.skipped += following - position if complete else 0
@@ -227,10 +228,6 @@ class _Reader:
             if kind not in KINDS or not size or position > len(self.data):
                 return False
         return True
-
-    def _next(self, position):
-        starts = (match.start() for match in NEXT.finditer(self.data, position))
-        return next((start for start in starts if self._chain(start, 3)), len(self.data))
 
     # Each of these reads the bytes of one message from start to end, and returns whether they make sense.
 

@@ -18,16 +18,12 @@ LAPSE = np.array([-0.0065, 0.0, 0.001])  # of the temperature in each layer [K/m
 
 
 class Atmosphere(NamedTuple):
-    """State of still air, arrays of one shape."""
+    """State of still air, arrays of one shape: [kg/m^3], [Pa], [K], [m/s]."""
 
     density: np.ndarray
-    """[kg/m^3]."""
     pressure: np.ndarray
-    """[Pa]."""
     temperature: np.ndarray
-    """[K]."""
     speed_of_sound: np.ndarray
-    """[m/s]."""
 
 
 def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
@@ -47,27 +43,6 @@ def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
     >>> air.density.round(4), air.temperature.round(2)
     (array([1.225 , 0.3639, 0.0395]), array([288.15, 216.65, 221.65]))
     """
-    pressure, temperature = _pressure_and_temperature(altitude)
-    density = pressure / (GAS_CONSTANT * temperature)
-    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
-
-
-def standard_density(altitude: ArrayLike) -> np.ndarray:
-    """Return the density [kg/m^3] of the standard atmosphere at geopotential altitude [m].
-
-    rho = p / (R T), see `standard_atmosphere`.
-
-    Examples
-    --------
-    >>> from skdgp.dynamics import standard_density
-    >>> standard_density([0.0, 1000.0]).round(3)
-    array([1.225, 1.112])
-    """
-    pressure, temperature = _pressure_and_temperature(altitude)
-    return pressure / (GAS_CONSTANT * temperature)
-
-
-def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     altitude = np.asarray(altitude, dtype=float)
     if (outside := (altitude < LOWEST) | (altitude > HIGHEST)).any():
         raise ValueError(
@@ -77,7 +52,20 @@ def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarr
     layer = np.searchsorted(BASE[1:], altitude)
     temperature = _TEMPERATURE[layer] + LAPSE[layer] * (altitude - BASE[layer])
     pressure = _PRESSURE[layer] * _pressure_ratio(altitude, layer)
-    return pressure, temperature
+    density = pressure / (GAS_CONSTANT * temperature)
+    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
+
+
+def standard_density(altitude: ArrayLike) -> np.ndarray:
+    """Return the density [kg/m^3] of the `standard_atmosphere` at geopotential altitude [m].
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import standard_density
+    >>> standard_density([0.0, 1000.0]).round(3)
+    array([1.225, 1.112])
+    """
+    return standard_atmosphere(altitude).density
 
 
 def _pressure_ratio(altitude: np.ndarray, layer: np.ndarray) -> np.ndarray:

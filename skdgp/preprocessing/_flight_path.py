@@ -71,14 +71,8 @@ class FlightPathReconstruction(TableTransformer):
         "all", or a list of names: also airspeed_scale, alpha_bias, alpha_scale, beta_bias, beta_scale, and, relative to
         the inertial sensors, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is
         (1 + scale) truth + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
-    rates : {"air", "steady"}, default="air"
-        alpha_dot and beta_dot as derivatives of the reconstructed alpha and beta, with gusts; or from the kinematics in
-        air of constant velocity. "steady" has smaller errors, but contains the measured accelerations (alpha_dot - q is
-        about az / V, plus gravity), which a model of the forces then uses where alpha is uncertain.
     gust_time : float, default=10.0
         Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a vane's bias.
-    gravity : float, default=9.80665
-        [m/s^2]. An error appears as bias of the accelerometers.
     incomplete : {"raise", "pass"}, default="raise"
         For flights without a needed channel: raise ValueError, or pass them on. If flights of ``fit`` lack one
         (``missing_``), all tables pass unchanged; if only flights of ``transform`` do, `FlightSmoother` smooths them.
@@ -131,9 +125,7 @@ class FlightPathReconstruction(TableTransformer):
 
     _parameter_constraints: dict = {
         "calibrate": [StrOptions({"inertial", "all"}), list, tuple],
-        "rates": [StrOptions({"air", "steady"})],
         "gust_time": [Interval(Real, 0, None, closed="neither")],
-        "gravity": [Interval(Real, 0, None, closed="neither")],
         "incomplete": [StrOptions({"raise", "pass"})],
         "inconsistent": [StrOptions({"use", "pass"})],
     }
@@ -142,16 +134,12 @@ class FlightPathReconstruction(TableTransformer):
         self,
         *,
         calibrate: Any = "inertial",
-        rates: str = "air",
         gust_time: float = 10.0,
-        gravity: float = 9.80665,
         incomplete: str = "raise",
         inconsistent: str = "use",
     ) -> None:
         self.calibrate = calibrate
-        self.rates = rates
         self.gust_time = gust_time
-        self.gravity = gravity
         self.incomplete = incomplete
         self.inconsistent = inconsistent
 
@@ -179,7 +167,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         lags: dict[str, float] = {}
         if self.inconsistent == "pass":  # clear lags of attitude and velocity are removed first
-            of_path = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
+            of_path = kinematic_lags(table, gust_time=self.gust_time)
             clear = {name: lag for name, (lag, std) in of_path.items() if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)}
             lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
@@ -228,7 +216,7 @@ class FlightPathReconstruction(TableTransformer):
         inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
         for _, rows, log, solved in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
-            for name, values in _channels(solved.path, log, self.rates).items():
+            for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
             new["gust"][rows] = _gust(solved)
         for name in EULER:
@@ -258,7 +246,7 @@ class FlightPathReconstruction(TableTransformer):
         """Return (name, rows, log, estimate) of every flight."""
         estimates = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
-        for name, rows, log in flight_logs(table, self.gravity):
+        for name, rows, log in flight_logs(table):
             start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
             each = estimate(log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time)
             if not each.converged:
@@ -271,28 +259,28 @@ class FlightPathReconstruction(TableTransformer):
         return estimates
 
 
-def kinematic_lags(table: pd.DataFrame, **options: Any) -> dict[str, tuple[float, float]]:
+def kinematic_lags(table: pd.DataFrame, gust_time: float = 10.0) -> dict[str, tuple[float, float]]:
     """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
 
-    ``options`` are gust_time and gravity of the reconstruction. Vanes are left out, as gusts would resemble a lag.
+    Vanes are left out, as gusts would resemble a lag.
     """
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     since = table["time"] - table.groupby(codes)["time"].transform("min")
     inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], **options)
+        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], gust_time=gust_time)
         path.fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
     return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
 
 
-def _channels(path: FlightPath, log: Log, rates: str) -> dict[str, Vector]:
+def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log)  # in steady air: of single samples, and on request
-    for segment in np.unique(log.segment) if rates == "air" else ():
+    dots = air_data_rates(path, log)  # in steady air: of single samples
+    for segment in np.unique(log.segment):
         rows = log.segment == segment
         if rows.sum() > 1:
             dots[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)

@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import numeric
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
@@ -39,6 +40,7 @@ or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
 LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)
 """The lag of each of the nine measurements."""
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # NED; what it is more here is in the accelerometers' biases
 MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
 
 
@@ -72,12 +74,11 @@ class Log(NamedTuple):
     velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
     attitude: Rotation  # n attitudes, body to NED
     attitude_sampled: Mask  # (n,) where the attitude was sampled
-    gravity: float  # [m/s^2]
     delays: tuple[int, ...] = (0,) * 9  # lag of each measurement in whole samples
 
     def part(self, first: int, last: int) -> Log:
         """Return the samples from first to before last."""
-        return Log._make([*(values[first:last] for values in self[:-2]), *self[-2:]])
+        return Log._make([*(values[first:last] for values in self[:-1]), self.delays])
 
     @property
     def joined(self) -> Mask:
@@ -124,7 +125,7 @@ class FlightPath(NamedTuple):
         return log.rate - self.constant("p_bias", "q_bias", "r_bias")
 
 
-def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, Indices, Log]]:
+def flight_logs(table: pd.DataFrame) -> list[tuple[object, Indices, Log]]:
     """Return name, rows and log of every flight in the table.
 
     Raise ValueError if time does not increase, or a needed channel has no value in a flight.
@@ -135,7 +136,7 @@ def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, Indic
     for runs in runs_by_flight(time, codes):
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
         segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
-        logs.append((names[rows[0]], rows, _log(table.iloc[rows], time[rows], segment, gravity)))
+        logs.append((names[rows[0]], rows, _log(table.iloc[rows], time[rows], segment)))
     return logs
 
 
@@ -153,7 +154,7 @@ def first_guess(log: Log, constants: Vector) -> FlightPath:
     return FlightPath(velocity, log.attitude, np.zeros_like(velocity), constants)
 
 
-def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) -> Log:
+def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
     if empty := [name for name in NEEDED if not has_values(table, name)]:
         flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(
@@ -167,13 +168,13 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
     air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
     velocity = numeric(table, EARTH_VELOCITY)
-    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled, gravity)
+    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
 
 
 def air_data_rates(path: FlightPath, log: Log) -> Matrix:
     """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
     velocity = path.air_velocity()
-    acceleration = path.force(log) + path.attitude.inv().apply(_gravity(log)) - np.cross(path.rate(log), velocity)
+    acceleration = path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
     return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
 
 
@@ -201,7 +202,7 @@ def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equati
     force = path.force(log)
     force_ned = path.attitude.apply(force)
     acceleration = np.diff(path.velocity, axis=0) / step
-    residual[:, VELOCITY] = back.apply(acceleration - _gravity(log) - (force_ned[:-1] + force_ned[1:]) / 2)
+    residual[:, VELOCITY] = back.apply(acceleration - GRAVITY - (force_ned[:-1] + force_ned[1:]) / 2)
     d_next[:, VELOCITY, VELOCITY] = back.as_matrix() / step[..., None]
     d_state[:, VELOCITY, VELOCITY] = -d_next[:, VELOCITY, VELOCITY]
     d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
@@ -233,7 +234,7 @@ def measurement_equations(path: FlightPath, log: Log) -> Equations:
     later, offset = _lagged_rows(log, path.constant(*LAGS))
     scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
     bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
-    acceleration, turning = path.attitude.apply(path.force(log)) + _gravity(log), path.attitude.apply(path.rate(log))
+    acceleration, turning = path.attitude.apply(path.force(log)) + GRAVITY, path.attitude.apply(path.rate(log))
     rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
     residual, d_state, d_constants = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, 9, len(CONSTANTS)))
 
@@ -271,10 +272,6 @@ def _log_gradient(angle: Matrix) -> Array:
     """Return the derivative of Log(exp(angle) exp(x)) by x at 0, to second order in the angle: (n, 3, 3)."""
     half = cross_matrix(angle) / 2
     return np.eye(3) + half + half @ half / 3
-
-
-def _gravity(log: Log) -> Vector:
-    return np.array([0.0, 0.0, log.gravity])
 
 
 def _without(equations: Equations, missing: Mask) -> Equations:

@@ -193,11 +193,7 @@ def from_rpm(values: Array) -> Array:
 
 
 def density_at(pressure: Array) -> Array:
-    """Return the density [kg/m^3] at a pressure [Pa] of the standard atmosphere below 11 km (ISO 2533).
-
-    >>> round(float(density_at(89874.6)), 4)
-    1.1116
-    """
+    """Return the density [kg/m^3] at a pressure [Pa] of the standard atmosphere below 11 km (ISO 2533)."""
     return DENSITY * np.maximum(pressure / PRESSURE, 0.0) ** (1 - 1 / 5.25588)
 
 

@@ -50,22 +50,12 @@ TEMPLATE = """\
 class Servo(NamedTuple):
     """The channel that moves a surface, and the angles of the surface at some values of the channel."""
 
-    channel: str
-    """Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``."""
-    inputs: tuple[float, ...]
-    """Values of the channel, increasing."""
-    angles: tuple[float, ...]
-    """Angles of the surface there [rad]; straight lines between them and beyond."""
+    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
+    inputs: tuple[float, ...]  # values of the channel, increasing
+    angles: tuple[float, ...]  # of the surface there [rad]; straight lines between them and beyond
 
     def deflection(self, values: Vector) -> Vector:
-        """Return angles [rad] of values of the channel.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).deflection(np.array([1500, 1700, 0.0])).round(3)
-        array([0.  , 0.15,  nan])
-        """
+        """Return angles [rad] of values of the channel; NaN where no pulse was sent."""
         if self.inputs[0] >= NO_PULSE:
             values = np.where(values < NO_PULSE, np.nan, values)
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
@@ -76,16 +66,7 @@ class Servo(NamedTuple):
         return ((1.0, self),)
 
     def output(self, angles: Vector) -> Vector:
-        """Return the values of the channel that turn the surface to angles [rad], the inverse of `deflection`.
-
-        Raises FlightReadError if some angles belong to several values.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).output(np.array([0.0, 0.15, -0.2]))
-        array([1500., 1700., 1300.])
-        """
+        """Return the values of the channel that give angles [rad]; FlightReadError if some belong to several values."""
         sign = np.sign(self.angles[-1] - self.angles[0])
         rising = sign * np.array(self.angles)
         if not (np.diff(rising) > 0).all():
@@ -103,11 +84,10 @@ class Mixture(NamedTuple):
 
 
 class Throw(NamedTuple):
-    """The angle of a surface at full throw [rad]; the autopilot's parameters name its servos."""
+    """The angle of a surface at full throw [rad], and its deviation; the autopilot's parameters name its servos."""
 
     angle: float
     std: float = 0.0
-    """Its standard deviation [rad]."""
 
 
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw | Mixture]:
@@ -252,12 +232,6 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mix
 
     Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
     aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
-
-    Examples
-    --------
-    >>> from skdgp.io._autopilot.formats import Log, ServoChannel
-    >>> full_throws(Log("", {}, servos={"rudder": ServoChannel("RCOU.C4", 1100, 1500, 1900, turned=True)}))
-    {'rudder': Servo(channel='RCOU.C4', inputs=(1100, 1500, 1900), angles=(1.0, 0.0, -1.0))}
     """
     if not log.mixing:
         _check_names_servos(log)

@@ -26,8 +26,7 @@ EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from 
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")
-"""Two elevons move as elevator and aileron at once."""
+MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")  # which move as both at once
 THRUST_FORCES, THRUST_MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)

@@ -20,14 +20,11 @@ ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
 CLEARLY_FASTER = 57.3**0.5  # an angle that changes by so many times what the gyros turn is in degrees
 NO_TURN = 0.1  # change in a second [rad] that needs no turn
-FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
-"""Largest rate of nine tenths of a flight [rad/s]: gyros that turn faster are in degrees, too."""
-SLOW_TURN, MOST_TURNS = 1.0, 10.0
-"""Largest rate [rad/s] of nine tenths of a flight, and largest angle [turns], of an unwrapped angle without gyros."""
+FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
+SLOW_TURN, MOST_TURNS = 1.0, 10.0  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
 ENOUGH = 5  # least number of changes from which an angle is judged
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
-LARGEST_DEFLECTION = 0.7
-"""Surfaces that go beyond it [rad], 40 degrees, may be commands from -1 to 1; the largest of seven logs is 0.31."""
+LARGEST_DEFLECTION = 0.7  # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:

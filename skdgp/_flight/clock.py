@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 GAP = 2.5  # a step longer than this many median steps starts a new segment (one lost sample is bridged)
 JITTER = 0.02  # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
-SHORTEST_PART = 10
-"""A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
+SHORTEST_PART = 10  # a clock that goes back after fewer samples was not restarted: the rows are in disorder
 
 
 def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:

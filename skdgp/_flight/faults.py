@@ -28,10 +28,8 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
-"""Channels of one sensor: where one moves, all do."""
-SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
-"""Channels that noise and motion never let stand still."""
+SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)  # of one sensor
+SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))  # noise and motion never let them stand still
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -51,8 +49,7 @@ POSSIBLE = {
 }
 """Outside of these nothing can have been measured."""
 RARE = 0.05  # impossible values more frequent than this are of another unit: the checks of units name it
-LONG_GAP = 1.0
-"""Missing samples over more seconds than this are findings of their own, shorter ones are one finding together."""
+LONG_GAP = 1.0  # missing samples over more seconds are findings of their own, shorter ones one finding together
 MOST_SHOWN = 8  # findings that a warning names one by one
 WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
 ENOUGH = 50  # least number of samples from which the usual length of runs is known
@@ -61,12 +58,10 @@ LEAST_HOLD = 0.3  # shorter holds [s] are no fault
 LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
 STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
 FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
-MOST_HELD = 4.0
-"""A surface that is so many times as long at its extremes as it moves between them is not stopped, but switched."""
+MOST_HELD = 4.0  # a surface held at its extremes so many times as long as it moves is not stopped, but switched
 SPIKE = 8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
 WIDEST_SPIKE = 3
-SMOOTH = 0.5
-"""Steps that change by less than this share of themselves are those of a channel without noise (with noise: 1.7)."""
+SMOOTH = 0.5  # steps that change by less than this share of themselves show no noise (with noise: 1.7)
 MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
 NOT_MEASURED = ("stuck", "impossible", "spike")

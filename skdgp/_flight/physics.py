@@ -42,17 +42,12 @@ from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
 
 RATE = 20.0  # rows are averaged to about this rate [Hz]
-LONG, SHORT = 1.0, 0.1
-"""Windows [s] over which signals are integrated, of kinematics and of the effects of angles and surfaces."""
+LONG, SHORT = 1.0, 0.1  # windows [s] over which kinematics, and effects of angles and surfaces, are integrated
 IMPROVEMENT, WORSE = 0.5, 0.3  # least improvement of an agreement by a correction, and most that another may lose
-AGREES, LEAST_T = 0.3, 4.0
-"""Least agreement and t value after a correction. Signals that agree less contradict, and slopes with t below -4."""
-PARALLEL, MULTIPLE = 0.9, 1.5
-"""Signals with this cosine or more contradict each other if one is so many times the other."""
-EXTRA_CHANNEL, TIE = 0.02, 0.01
-"""Agreement that each further channel of a correction must gain; causes nearer than this are as probable."""
-CONTROL = ("Cl", "Cm", "Cn")
-"""Relations that may get worse by a correction: the signs of surfaces are judged after those of the axes."""
+AGREES, LEAST_T = 0.3, 4.0  # least agreement and t value after a correction; below, and at t < -4, signals contradict
+PARALLEL, MULTIPLE = 0.9, 1.5  # signals of this cosine contradict each other if one is so many times the other
+EXTRA_CHANNEL, TIE = 0.02, 0.01  # agreement that a correction's next channel must gain; nearer causes are as probable
+CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
 ENOUGH = 40  # least number of windows
 LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
 MOST = 8  # most findings of one table

@@ -25,8 +25,7 @@ USUAL = np.log([0.77, 1.0, 0.5, 0.1])
 of the airspeed, and of what is left across and along the direction of flight in the mean of a block; guesses."""
 LOG_STD = np.array([0.7, 2.0, 2.0, 2.0])  # how well these are known: gusts within a factor of two, the rest hardly
 MOST_STEPS, SETTLED = 10, 0.02  # steps of the linearisation; it ends when the wind changes by less than this [m/s]
-LEAST_TILT = 0.25
-"""In attitudes with the plane of symmetry nearer to the horizontal (sine) the direction of flight is not known."""
+LEAST_TILT = 0.25  # sine: nearer to the horizontal, the plane of symmetry does not tell the direction of flight
 LARGEST_ERROR = 0.1  # relative standard deviation of airspeeds that are of use: one of dynamic pressure of 20 %
 
 

@@ -27,8 +27,7 @@ MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)  # columns that the 
 FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 INTERCHANGEABLE = (*MIXED, *ELEVONS)  # elevons may stand for elevator and aileron, and the other way round
-AIRSPEED_ERROR = "relative error of airspeed"
-"""Attribute of tables whose airspeed is that of their turns: its standard deviation, root mean square."""
+AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables whose airspeed is that of turns
 
 
 def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any) -> Flights:

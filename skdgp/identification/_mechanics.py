@@ -27,8 +27,7 @@ from skdgp.identification._evaluation import sensor_noise
 from skdgp.report import THRESHOLDS, FlightMechanics
 
 N_PATHS = 100  # functions that give the standard deviations: these have a relative error of 1 / sqrt(2 n), 7 %
-STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)
-"""States of a simulation that depend neither on the wind nor on the heading."""
+STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # depend neither on wind nor on heading
 FLIGHT_STEP = 0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
 START = 0.25  # time over which measured states are averaged to start from [s], so that a sample's noise is not flown
 MOST_STARTS, PARTS = 60, 20  # starts that are simulated, and parts of their time over which errors are averaged

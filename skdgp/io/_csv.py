@@ -17,8 +17,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, known_unit, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
-ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)
-"""Lines that may stand above the header: remarks, and the separator as Excel writes it."""
+ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)  # above the header: remarks, and Excel's separator
 DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 

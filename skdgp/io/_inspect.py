@@ -40,8 +40,7 @@ ADVICE = {
     "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
-STEADY, SHORT = 0.5, 1.0
-"""A topic with fewer messages than this share of rate times duration, or of fewer seconds, has no rate."""
+STEADY, SHORT = 0.5, 1.0  # with fewer messages than this share of rate times duration, or seconds: no rate
 MOST_FLIGHTS = 6  # more flights are summed up in one line
 WIDTH = 110
 

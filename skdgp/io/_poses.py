@@ -30,8 +30,7 @@ LARGEST_FORCE = 300.0  # median of specific force [m/s^2] beyond which positions
 SLOW = 1.0  # mean speed [m/s] below which nothing flies
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
-UNSURE = 0.05
-"""Frames whose unexplained side forces differ by less [m/s^2] are named together, as in a steady turn; a guess."""
+UNSURE = 0.05  # frames whose unexplained side forces differ by less [m/s^2] are named together; a guess
 
 
 def flight_from_poses(

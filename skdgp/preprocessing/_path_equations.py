@@ -20,8 +20,7 @@ from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
-NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
-"""Channels that a flight table must hold; alpha and beta are optional."""
+NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")  # alpha and beta are optional
 
 VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
 """Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust."""
@@ -38,8 +37,7 @@ CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
 """Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
 or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
-LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)
-"""The lag of each of the nine measurements."""
+LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # NED; what it is more here is in the accelerometers' biases
 MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
 

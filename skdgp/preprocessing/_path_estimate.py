@@ -27,19 +27,15 @@ NOISE = {
     "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
 }  # fmt: skip
 """Initial noise of the sensors: standard deviation of a sample, SI."""
-GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
-"""Initial gusts: standard deviation of their change in one second [m/s]."""
+GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}  # initial standard deviation of a change in 1 s [m/s]
 PROCESS = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
 MEASUREMENTS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
 """The noise of each process equation and each measurement equation."""
 MIN_NOISE = 1e-9
-PRIOR_COUNT = 10
-"""Number of residuals that the initial noise of a sensor is worth; it decides where the flight has no information."""
-START_PRECISION = np.repeat([1e-4, 1.0], 3)
-"""Prior precision of the velocity [m/s] and the attitude [rad] at the first sample of a segment."""
+PRIOR_COUNT = 10  # residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
+START_PRECISION = np.repeat([1e-4, 1.0], 3)  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
 WINDOW = 4096  # samples whose equations are in memory at a time
-DELAY_STEPS = 6
-"""Gauss-Newton steps in which lags may change by whole samples; fixed delays let the later steps converge."""
+DELAY_STEPS = 6  # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
 MAX_STEPS = 40
 TOLERANCE = 0.02
 N_DRAWS = 32

@@ -38,8 +38,7 @@ TYPES = {
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")  # messages that describe the log, and are no topics
-INSTANCES = ("I", "Instance", "C")
-"""Fields that number the instances of a sensor or filter, in logs that do not say which field does."""
+INSTANCES = ("I", "Instance", "C")  # fields that number instances, in logs that do not say which field does
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -96,8 +95,7 @@ MOST_SERVOS = 16
 MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "aileron": {24: 0.5, 25: 0.5}}
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
 and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-LEFT_FLAPERON = 24
-"""Later versions of ArduPilot turn its sign. It moves with the right one or against it, which the outputs show."""
+LEFT_FLAPERON = 24  # later versions turn its sign: whether it moves with the right one the outputs show
 
 
 def read_dataflash(path: Path) -> Log:

@@ -14,10 +14,8 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
-QUATERNION = ("qw", "qx", "qy", "qz")
-"""Columns of a rule for attitude: a quaternion, body to north-east-down, of any length."""
-EQUIVALENT = "equivalent_airspeed"
-"""Column of a rule for the airspeed that a pressure difference gives at sea level; the table gets the true one."""
+QUATERNION = ("qw", "qx", "qy", "qz")  # columns of a rule for attitude: body to north-east-down, of any length
+EQUIVALENT = "equivalent_airspeed"  # column of a rule for equivalent airspeed; the table gets the true one
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ PAIRS = {
 }
 """Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
 The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns down: nose left."""
-ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}
-"""Of elevons, which are columns of their own in a flight table."""
+ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}  # columns of their own in a flight table
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"

@@ -24,8 +24,7 @@ from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, Topic
 from skdgp.io._autopilot.ulog import MAV_TYPES
 from skdgp.io._tables import FlightReadError
 
-STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13
-"""Bytes: time of arrival; of a message beside its payload, by its first byte; of a signature."""
+STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13  # bytes: of the arrival; beside a payload, by its first byte
 PX4, INT32 = 12, 6  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 LONGEST_DELAY = 5.0  # where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts

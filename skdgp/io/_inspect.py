@@ -75,7 +75,7 @@ class FlightSummary:
     airspeed: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogSummary:
     """Content of a log, and the missing columns of each step.
 
@@ -102,13 +102,13 @@ class LogSummary:
     path: str
     format: str
     firmware: str
-    vehicle: str | None
+    vehicle: str | None = None
     duration: float
-    topics: tuple[TopicSummary, ...]
+    topics: tuple[TopicSummary, ...] = ()
     columns: tuple[ColumnSummary, ...]
     missing: dict[str, tuple[str, ...]]
     flights: tuple[FlightSummary, ...]
-    no_flight: str
+    no_flight: str = ""
     remarks: tuple[str, ...]
 
     def to_dict(self) -> dict:
@@ -238,13 +238,10 @@ def _of_table(path, table) -> LogSummary:
         path=str(path),
         format="table",
         firmware=path.suffix.lstrip("."),
-        vehicle=None,
         duration=sum(each.end - each.begin for each in flights),
-        topics=(),
         columns=columns,
         missing=missing_for(columns),
         flights=flights,
-        no_flight="",
         remarks=(
             *(f"column {name!r} is not of the vocabulary" for name in unknown),
             *(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from typing import NamedTuple
@@ -28,11 +28,8 @@ from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
 from skdgp.io._tables import FlightReadError
 
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
-    ".ulg": read_ulog,
-    ".ulog": read_ulog,
-    ".bin": read_dataflash,
-    ".tlog": read_tlog,
-}
+    ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
+}  # fmt: skip
 """Readers of logs by suffix; another format is one more entry."""
 RATE_CUTOFF = 0.2  # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
 AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0  # of the slowest airspeed set, or without one this [m/s]: airborne above it
@@ -66,8 +63,7 @@ class Source(NamedTuple):
         return sampling_rate(self.time)
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """Part of a log between two restarts of its clock."""
 
     topics: dict[str, Topic]
@@ -76,8 +72,7 @@ class Part:
     segments: list[slice]
 
 
-@dataclass(frozen=True)
-class FlightLog:
+class FlightLog(NamedTuple):
     """A log resampled to one clock: its parts, the origin of each column, and remarks."""
 
     log: Log
@@ -140,8 +135,7 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
         why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
-            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) takes another "
-            "airspeed [m/s] for flight."
+            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
     names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
     return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)
@@ -252,11 +246,10 @@ def _speed(table, log):
 def _landed(time, log, topics):
     """Return whether the autopilot reported to be landed, (n,), or None where it does not say."""
     name, field, value = log.landed or ("", "", 0.0)
-    topic = topics.get(name)
-    if topic is None or field not in topic:
+    if field not in topics.get(name, ()):
         return None
-    last = np.searchsorted(topic.time, time, side="right") - 1
-    return (topic[field] == value)[np.maximum(last, 0)]
+    last = np.searchsorted(topics[name].time, time, side="right") - 1
+    return (topics[name][field] == value)[np.maximum(last, 0)]
 
 
 def _gap_remarks(parts):
@@ -311,11 +304,12 @@ def find_sources(
         for columns, sources in candidates.items()
         if not servos.keys() & set(columns)
     ]
-    surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
-    useless += [
-        f"{each.name} sends no pulse, so there is no {each.columns[0]}" for each in surfaces if len(each.time) < 2
-    ]
-    return found + [each for each in surfaces if len(each.time) > 1], list(dict.fromkeys(useless))
+    for surface in (_surface(part, name, servo) for name, servo in servos.items()):
+        if len(surface.time) > 1:
+            found.append(surface)
+        else:
+            useless.append(f"{surface.name} sends no pulse, so there is no {surface.columns[0]}")
+    return found, list(dict.fromkeys(useless))
 
 
 def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
@@ -340,34 +334,27 @@ def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.Data
     columns: dict[str, Vector] = {"time": clock}
     origin: dict[str, Origin] = {}
     for source in sources:
-        values = source.values
-        if source.columns == QUATERNION:
-            values = without_sign_changes(values)
+        names, turns = source.columns, source.columns == QUATERNION
+        values = without_sign_changes(source.values) if turns else source.values
         values = resample(source.time, values, clock, rate)
-        names = source.columns
-        if names == QUATERNION:
+        if turns:
             known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
             names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
         for name, column in zip(names, values.T, strict=True):
             columns[name] = column
             origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
-    _complete(columns, origin)
-    table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
-    table = table.where(np.isfinite(table))
-    return table, {name: origin[name] for name in table.columns if name in origin}
-
-
-def _complete(columns, origin):
-    """Add density and true airspeed where they were not logged."""
     if "density" not in columns and "altitude" in columns:
         columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
-        equivalent, (words, rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
+        equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
         known = "density" in columns
         columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if known else equivalent
         note = "equivalent; true by density" if known else "equivalent, taken for true: density unknown"
-        origin["airspeed"] = Origin(f"{words} ({note})", rate)
+        origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
+    table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
+    table = table.where(np.isfinite(table))
+    return table, {name: origin[name] for name in table.columns if name in origin}
 
 
 def _source(log, rule: Rule) -> Source | None:
@@ -397,12 +384,11 @@ def _surface(log, name, servo: Servo | Mixture) -> Source:
 
 def _channel(log, name, channel: str) -> Vector:
     """Return the values of a channel; raise FlightReadError if the log has none such."""
-    topic_name, _, field = channel.partition(".")
-    topic = log.topics.get(topic_name)
-    if topic is None or field not in topic:
+    topic, _, field = channel.partition(".")
+    if field not in log.topics.get(topic, ()):
         fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
         raise FlightReadError(
             f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
             f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
         )
-    return topic[field]
+    return log.topics[topic][field]

@@ -47,7 +47,7 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     lacking = _lacking(needed, [str(column) for column in table.columns])
     if lacking:
-        names = table["flight"].astype(str).unique() if what == "flight" and "flight" in table else ()
+        names = list(table["flight"].astype(str).unique()) if what == "flight" and "flight" in table else []
         raise ValueError(
             f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns {lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."

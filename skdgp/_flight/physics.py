@@ -130,6 +130,11 @@ class Relation(NamedTuple):
         y, x = self.pair
         return _t_value(x @ y, x * (y - x @ y / (x @ x) * x))
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the signals agree beyond chance."""
+        return not self.contradicts and self.agreement >= AGREES and self.t_value >= LEAST_T
+
 
 def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     """Return the channels of a flight table that contradict each other, with the most probable cause of each.
@@ -159,8 +164,8 @@ def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
         best = _most_probable(windows, signals)
         if best is None:
             break
-        cause, *words = best
-        found.append(Contradiction(flight, cause.channels, *words))
+        cause, message, is_sign = best
+        found.append(Contradiction(flight, cause.channels, message, is_sign))
         signals = cause.correct(signals)
     return found
 
@@ -276,12 +281,12 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     if attitude and get(*RATES):
         phi, theta, psi = attitude
         p, q, r = get(*RATES)
-        words = "the change of {} and the integral of {}".format
+        equal = "the change of {} and the integral of {}".format
         turn = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
-        yield "phi", words("phi", "p"), change(phi) - turn, integral(p)
-        yield "theta", words("theta", "q"), change(theta) + integral(r * np.sin(phi)), integral(q * np.cos(phi))
+        yield "phi", equal("phi", "p"), change(phi) - turn, integral(p)
+        yield "theta", equal("theta", "q"), change(theta) + integral(r * np.sin(phi)), integral(q * np.cos(phi))
         turn = change(psi) - integral(q * np.sin(phi) / np.cos(theta))
-        yield "psi", words("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
+        yield "psi", equal("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
     for place, rate in zip((*POSITION, "altitude"), (*EARTH_VELOCITY, "v_down"), strict=True):
         if get(place, rate):
             sign = -1.0 if place == "altitude" else 1.0
@@ -328,7 +333,7 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     speed = signals["airspeed"]
     terms = {name: speed**2 * signals[name] for name in (*VANES, *SURFACES, "throttle") if name in signals}
     terms |= {name: speed * signals[name] for name in RATES if name in signals}
-    if all(name in signals for name in ELEVONS):
+    if {*ELEVONS} <= signals.keys():
         left, right = (signals[name] for name in ELEVONS)
         terms |= {"elevator": speed**2 * (left + right) / 2, "aileron": speed**2 * (left - right) / 2}
     stand_in = {"alpha": "az", "beta": "ay"}
@@ -412,47 +417,38 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
         }
         gain = {name: value for name, value in gain.items() if np.isfinite(value)}
         total = sum(gain.values()) - EXTRA_CHANNEL * len(cause.channels)
-        better = [name for name in contradictions if gain.get(name, 0.0) >= IMPROVEMENT and _agrees(after[name])]
+        better = [name for name in contradictions if gain.get(name, 0.0) >= IMPROVEMENT and after[name].agrees]
         if better and total > 0 and all(value > -WORSE for name, value in gain.items() if name not in CONTROL):
             name = max(better, key=lambda name: gain[name])
             found.append((total, cause, before[name], after[name]))
     if not found:
         return None
-    most, cause, *relations = max(found, key=lambda each: each[0])
+    most, cause, now, then = max(found, key=lambda each: each[0])
     rivals = [each.words for total, each, *_ in found if total > most - TIE and each is not cause]
-    return cause, _message(cause, rivals, *relations), not rivals and cause.words == _wrong_sign(cause.channels)
-
-
-def _agrees(relation: Relation) -> bool:
-    return not relation.contradicts and relation.agreement >= AGREES and relation.t_value >= LEAST_T
-
-
-def _message(cause: Cause, rivals: list[str], before: Relation, after: Relation) -> str:
-    if before.pair is None:
-        figures = f"{before.words} by {before.t:.1f} standard errors now, and by {after.t:.1f} then"
-    else:
-        figures = f"{before.words} agree by {before.agreement:.2f} now, and by {after.agreement:.2f} then"
-        figures += " (equal: 1, opposite: -1)"
-    return f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
+    figures = f"{now.words} agree by {now.agreement:.2f} now, and by {then.agreement:.2f} then (equal: 1, opposite: -1)"
+    if now.pair is None:
+        figures = f"{now.words} by {now.t:.1f} standard errors now, and by {then.t:.1f} then"
+    message = f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
+    return cause, message, not rivals and cause.words == _wrong_sign(cause.channels)
 
 
 def _causes(signals: Signals) -> Iterator[Cause]:
     for name in SIGNED:
-        if name in signals and not (name in MIXED and all(elevon in signals for elevon in ELEVONS)):
+        if name in signals and not (name in MIXED and {*ELEVONS} <= signals.keys()):
             remedy = f"change it ({CHANNELS[name].meaning})"
             yield Cause((name,), _wrong_sign((name,)), remedy, _scaled([name], -1.0))
     for words, cause in SIGNS.items():
         names = tuple(name for name in words.split() if name in signals)
         if len(names) > 1:
-            remedy = f"change the signs of {_list(names)}"
+            remedy = f"change the signs of {', '.join(names)}"
             yield Cause(names, f"probably {cause}", remedy, _scaled(names, -1.0))
     for unit, (factor, groups) in UNITS.items():
         for group in groups:
             names = tuple(group.split())
             if all(name in signals for name in names):
-                words = f"{_list(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
+                words = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
                 yield Cause(names, words, f"multiply by {factor:.5g}", _scaled(names, factor))
-    if all(name in signals for name in ELEVONS):
+    if {*ELEVONS} <= signals.keys():
         for names in (*((name,) for name in ELEVONS), ELEVONS):
             yield Cause(names, _wrong_sign(names), "change it (> 0 trailing edge down)", _scaled(names, -1.0))
         sides = _exchanged(ELEVONS)
@@ -460,11 +456,10 @@ def _causes(signals: Signals) -> Iterator[Cause]:
         words, remedy = "the elevons are probably exchanged and of the wrong sign", "exchange them, change their signs"
         yield Cause(ELEVONS, words, remedy, lambda signals: sides(_scaled(ELEVONS, -1.0)(signals)))
     if all(name in signals for name in ("v_north", "v_east")):
+        exchanged, turned = _exchanged(("v_north", "v_east")), _scaled({"v_down"} & signals.keys(), -1.0)
         words = "v_north and v_east are probably exchanged"
-        yield Cause(("v_north", "v_east"), words, "exchange them", _exchanged(("v_north", "v_east")))
-        words, exchanged, down = "the velocity is probably east, north, up", _exchanged(("v_north", "v_east")), "v_down"
-        turned = _scaled([down] if down in signals else [], -1.0)
-        remedy = "exchange v_north and v_east, change the sign of v_down"
+        yield Cause(("v_north", "v_east"), words, "exchange them", exchanged)
+        words, remedy = "the velocity is probably east, north, up", "exchange v_north and v_east, change v_down's sign"
         yield Cause(EARTH_VELOCITY, words, remedy, lambda signals: turned(exchanged(signals)))
     if "psi" in signals:
         words = "psi is probably measured from east, counter-clockwise"
@@ -478,12 +473,8 @@ def _causes(signals: Signals) -> Iterator[Cause]:
         yield Cause(("theta", "psi", "v_down"), words, remedy, _turned_over, keeps_equalities=True)
 
 
-def _list(names: tuple[str, ...]) -> str:
-    return ", ".join(names)
-
-
 def _wrong_sign(names: tuple[str, ...]) -> str:
-    return f"the sign of {_list(names)} is probably wrong"
+    return f"the sign of {', '.join(names)} is probably wrong"
 
 
 def _scaled(names, factor: float) -> Callable[[Signals], Signals]:

@@ -103,7 +103,7 @@ def reconstruction_of(pipeline) -> str | None:
     return f"{'reconstructed from all sensors' if step.used_ else 'not reconstructed, only smoothed'}: {step.reason_}"
 
 
-def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[str]:
+def thrust_sources(thrust: str | None, tables: Iterable[Any]) -> list[str]:
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust != "auto":
         return [thrust or "none"]
@@ -134,16 +134,19 @@ class Evaluation(FlightResult):
     regressors: Matrix
 
 
-def evaluate_flight(
-    pipeline: Pipeline,
-    aircraft: Aircraft,
-    name: str,
-    table: pd.DataFrame,
-    horizons: Sequence[float],
-    loads: dict,
-    least_squares: dict | None = None,
-) -> Evaluation:
-    """Predict a flight and replay it; ``loads`` are as of `aerodynamic_coefficients`."""
+def evaluate_flights(
+    flights: Flights, pipeline: Pipeline, aircraft: Aircraft, settings: dict, fit: dict
+) -> list[Evaluation]:
+    """Predict flights and replay them, with the settings and facts of `identify`."""
+    evaluations = []
+    for name, table in flights.items():
+        notify(f"evaluating {name}")
+        evaluations.append(_evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares")))
+    return evaluations
+
+
+def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evaluation:
+    loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
     regressors, noise_ratio = flight_regressors(pipeline, table)
     regressor, scale = regressor_and_scale(pipeline)
@@ -153,7 +156,7 @@ def evaluate_flight(
     std = regressor.predict(regressors[rows], return_std=True, include_input_noise=noise_ratio[rows])[1]
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
     measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
-    replayed = _replay(name, table, aircraft, mean, measured_std, horizons, loads)
+    replayed = _replay(name, table, aircraft, mean, measured_std, settings["horizons"], loads)
     states: dict[str, pd.DataFrame] = {}
     if replayed is not None:
         states["measured"] = replay_errors(replayed, table)
@@ -192,7 +195,7 @@ def fit_least_squares(
     Standard deviations hold where errors are correlated within a block of consecutive rows (Liang & Zeger 1986).
     """
     table = named(pipeline, regressors)
-    names, values = list(table), table.to_numpy()
+    names, values = [str(name) for name in table], table.to_numpy()
     slopes, std = {}, {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
         seen = np.isfinite(y)
@@ -284,16 +287,6 @@ def sensor_noise(table: pd.DataFrame, states: Sequence[str] = STATES) -> dict[st
     known = np.isfinite(squares)
     bound = np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
     return dict(zip(names, np.where(np.isfinite(found), found, bound).tolist(), strict=True))
-
-
-def evaluate_flights(flights, pipeline, aircraft, settings, fit) -> list[Evaluation]:
-    """Return the evaluation of each flight, with the settings and facts of `identify`."""
-    loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
-    evaluations = []
-    for name, table in flights.items():
-        notify(f"evaluating {name}")
-        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
-    return evaluations
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:

@@ -140,7 +140,7 @@ def identify(
         thrust_unknown = _assumed.lacks_thrust(thrust, train.values(), aircraft)
         if thrust_unknown:
             _warn(_assumed.THRUST_IN_COEFFICIENTS)
-        loads = {"thrust": None if thrust_unknown else thrust, "external_forces": list(external_forces)}
+        loads: dict[str, Any] = {"thrust": None if thrust_unknown else thrust, "external_forces": list(external_forces)}
         if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
         if reversed_of(servos) is not None:
@@ -153,9 +153,8 @@ def identify(
         table = pd.concat(train.values(), ignore_index=True)
         Y = aerodynamic_coefficients(table, aircraft, **loads)
         _flights.check_known(Y, table)
-        if samples is None and regressor.inference == "exact":
-            samples = EXACT_SAMPLES
-        targets = thin_targets(Y, len(Y) if samples in (None, "all") else samples)
+        n_samples: Any = EXACT_SAMPLES if samples is None and regressor.inference == "exact" else samples
+        targets = thin_targets(Y, len(Y) if n_samples in (None, "all") else n_samples)
 
         notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
         last = CalibratedRegressor(clone(regressor)) if calibrate else regressor

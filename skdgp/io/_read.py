@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.clock import flight_codes, part_restarts, rows_back
+from skdgp._flight.clock import check_clock, flight_codes, part_restarts
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
@@ -196,14 +196,10 @@ def _as_flight(table, flight, *, overrides):
     time = table["time"].to_numpy()
     if np.isnan(time).any():
         raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
-    back = rows_back(time, flight_codes(table["flight"])[0])
-    if len(back):
-        row, before = back[0]
-        raise FlightReadError(
-            f"Got time {time[row]:.10g} s at row {row} after {time[before]:.10g} s ({len(back)} such rows), but "
-            "expected time to increase strictly within a flight: sort by time, drop repeated rows, or tell the "
-            "flights apart by a column 'flight'."
-        )
+    try:
+        check_clock(time, table["flight"])
+    except ValueError as error:
+        raise FlightReadError(*error.args) from error
     check_magnitudes(table)
     table = with_air_data(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]

@@ -133,7 +133,8 @@ class LagCorrector(TableTransformer):
     def _transform_table(self, table):
         check_columns(table, ["time"])
         time, new = numeric(table, ["time"])[:, 0], {}
-        for group, lag in self.lags_["applied"].items():
+        lags: dict[Any, float] = self.lags_["applied"].to_dict()
+        for group, lag in lags.items():
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
                     values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
@@ -310,7 +311,7 @@ def _minimum(objective: Callable[[float], float]) -> float | None:
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
         return None
-    lag = steps[place] + _vertex(*values[place - 1 : place + 2], COARSE)
+    lag = steps[place] + _vertex(values[place - 1], values[place], values[place + 1], COARSE)
     for _ in range(2):
         lag += _vertex(objective(lag - FINE), objective(lag), objective(lag + FINE), FINE)
     return float(lag)

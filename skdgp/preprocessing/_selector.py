@@ -140,7 +140,7 @@ class RegressorSelector(TableTransformer):
         return self.regressors_
 
     def _from_set(self, table):
-        names = REGRESSOR_SETS[self.regressors]
+        names = list(REGRESSOR_SETS[self.regressors])
         _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
         words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]

@@ -277,7 +277,7 @@ def _check_options(rate, airborne, imu_position):
 
 
 def _is_positive(value):
-    return isinstance(value, Real) and not isinstance(value, bool) and value > 0
+    return isinstance(value, Real) and not isinstance(value, bool) and float(value) > 0
 
 
 def find_sources(
@@ -348,9 +348,9 @@ def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.Data
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
         equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
-        known = "density" in columns
-        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if known else equivalent
-        note = "equivalent; true by density" if known else "equivalent, taken for true: density unknown"
+        dense = "density" in columns
+        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
+        note = "equivalent; true by density" if dense else "equivalent, taken for true: density unknown"
         origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
     table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
     table = table.where(np.isfinite(table))

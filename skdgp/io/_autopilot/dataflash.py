@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -96,6 +97,8 @@ MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "ailer
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
 and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
 LEFT_FLAPERON = 24  # later versions turn its sign: whether it moves with the right one the outputs show
+Outputs: TypeAlias = Topic | Mapping[str, Any]
+Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
 
 def read_dataflash(path: Path) -> Log:
@@ -131,8 +134,8 @@ def read_dataflash(path: Path) -> Log:
         slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        servos=servos_of(topics.get("RCOU", ()), parameters),
-        mixing=mixing_of(topics.get("RCOU", ()), parameters),
+        servos=servos_of(topics.get("RCOU", {}), parameters),
+        mixing=mixing_of(topics.get("RCOU", {}), parameters),
     )
 
 
@@ -248,9 +251,7 @@ class _Reader:
             yield "the file ends within a message: it was cut off"
 
 
-def servos_of(
-    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, ServoChannel]:
+def servos_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> dict[str, ServoChannel]:
     """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
     channels: dict[str, ServoChannel] = {}
     for function, n in _numbers(outputs, parameters, name):
@@ -260,12 +261,10 @@ def servos_of(
     return channels
 
 
-def mixing_of(
-    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
+def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
     """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
     by_function = dict(reversed(_numbers(outputs, parameters, name)))
-    found: dict[str, tuple[tuple[float, ServoChannel], ...]] = {}
+    found: Mixing = {}
     for control, weights in MIXES.items():
         if set(weights) <= set(by_function):
             numbers = [by_function[each] for each in weights]

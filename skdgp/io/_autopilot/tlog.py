@@ -114,8 +114,8 @@ def read_tlog(path: Path) -> Log:
         slowest_airspeed=next(iter(speeds), np.nan),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        servos=servos_of(topics.get(OUTPUTS, ()), parameters, OUTPUTS + ".servo{}_raw"),
-        mixing=mixing_of(topics.get(OUTPUTS, ()), parameters, OUTPUTS + ".servo{}_raw"),
+        servos=servos_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
+        mixing=mixing_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
     )
 
 

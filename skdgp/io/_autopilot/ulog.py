@@ -258,10 +258,10 @@ class _Reader:
         name = match[0].decode()
         if name not in self.layouts:
             self.layouts[name] = self._layout(name)
-        if self.layouts[name] is not None:
+        if (layout := self.layouts[name]) is not None:
             if number in self.subscriptions and self.subscriptions[number].starts:
                 self.finished.append(self.subscriptions[number])
-            self.subscriptions[number] = _Subscription(name, instance, *self.layouts[name], [])
+            self.subscriptions[number] = _Subscription(name, instance, layout[0], layout[1], [])
         return True
 
     def _layout(self, name):

@@ -105,14 +105,8 @@ class FlightCheck(TableTransformer):
     >>> time, rng = np.arange(0, 60, 0.025), np.random.default_rng(0)
     >>> flight = pd.DataFrame({"time": time, "alpha": 0.1 * np.sin(time) + rng.normal(0, 0.005, time.size)})
     >>> flight.loc[[500, 501], "alpha"] = -999.0
-    >>> check = FlightCheck().fit(flight)
-    >>> check.findings_.kind.tolist()
+    >>> FlightCheck().fit(flight).findings_.kind.tolist()
     ['impossible']
-    >>> import warnings
-    >>> with warnings.catch_warnings(action="ignore", category=FlightDataWarning):
-    ...     clean = check.transform(flight)
-    >>> bool(abs(clean.alpha).max() < 0.2)
-    True
     """
 
     _parameter_constraints: dict = {"bridge": [Interval(Real, 0, None, closed="left")], "ignore": [list, tuple]}

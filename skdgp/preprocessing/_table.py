@@ -29,7 +29,6 @@ class TableTransformer(  # type: ignore[call-arg]
     warning.
     """
 
-    _known = frozenset(CHANNELS)
     in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
 
     @fit_context(prefer_skip_nested_validation=True)
@@ -84,7 +83,7 @@ class TableTransformer(  # type: ignore[call-arg]
         return names
 
     def _has_known_column(self, X: Any) -> bool:
-        return any(isinstance(name, str) and name in self._known for name in getattr(X, "columns", ()))
+        return any(isinstance(name, str) and name in CHANNELS for name in getattr(X, "columns", ()))
 
     def _as_table(self, X: Any) -> pd.DataFrame:
         if self._has_known_column(X):

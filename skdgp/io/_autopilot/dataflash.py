@@ -191,10 +191,10 @@ class _Reader:
         except (KeyError, ValueError, TypeError):  # a definition that makes no sense; its messages are skipped
             return
 
-    def records(self, name) -> tuple[_Format | None, np.ndarray]:
-        """Return the messages of a name."""
+    def records(self, name, *columns) -> np.ndarray | None:
+        """Return the messages of a name, None where it has no such columns."""
         of = next((of for of in self.formats.values() if of.name == name), None)
-        return of, np.empty(0) if of is None else self._gather(of)
+        return None if of is None or not {*columns} <= {*of.names} else self._gather(of)
 
     def _gather(self, of):
         size = of.dtype.itemsize
@@ -202,17 +202,16 @@ class _Reader:
 
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
-        of, records = self.records(name)
-        if of is None or column not in of.names or of.dtype[column].kind != "S":
+        records = self.records(name, column)
+        if records is None or records.dtype[column].kind != "S":
             return []
         return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
 
     def parameters(self) -> dict[str, float]:
         """Return what was set on the autopilot."""
-        of, records = self.records("PARM")
-        if of is None or "Value" not in of.names:
-            return {}
-        return dict(zip(self.texts("PARM", "Name"), records["Value"].astype(float).tolist(), strict=False))
+        records = self.records("PARM", "Value")
+        values = [] if records is None else records["Value"].astype(float).tolist()
+        return dict(zip(self.texts("PARM", "Name"), values, strict=False))
 
     def topics(self) -> dict[str, Topic]:
         """Return what has a time, by instance."""
@@ -232,10 +231,9 @@ class _Reader:
 
     def _numbered(self) -> dict[int, str | None]:
         """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
-        of, records = self.records("FMTU")
-        if of is None or not {"FmtType", "UnitIds"} <= set(of.names):
+        records, fields = self.records("FMTU", "FmtType", "UnitIds"), {}
+        if records is None:
             return {}
-        fields = {}
         for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
             names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")

@@ -48,10 +48,9 @@ def airspeed_from_turns(flight: pd.DataFrame) -> pd.DataFrame:
 
     with a constant airspeed V_0 and its slow changes, gusts g, an offset b of the heading and sideslip epsilon. In
     turns e points everywhere, which separates the wind from the airspeed. Of the attitude, e is in the plane of
-    symmetry and sinks as fast as the aircraft; without attitude, e is the direction of v - w, of which the first
-    equation alone remains. All that is unknown is a Gaussian process in time; its standard deviations are those of
-    largest posterior density, and the posterior gives V and its deviation (Rasmussen & Williams 2006, section 2.7;
-    the equations are those of the wind estimate of Langelaan, Alley & Neidhoefer 2011, without a sensor of airspeed).
+    symmetry and sinks as fast as the aircraft; without attitude, e is the direction of v - w, and the first equation
+    alone remains. The unknowns are Gaussian processes in time, with the standard deviations of largest posterior
+    density (Rasmussen & Williams 2006, section 2.7; Langelaan, Alley & Neidhoefer 2011, without a sensor of airspeed).
 
     Parameters
     ----------

@@ -67,14 +67,9 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
     told = read_servos(servos) if reversed_of(servos) is None else {}
-    return _with_deviations(
-        aircraft,
-        {
-            f"throw of the {name}": ScaleFactor(each.std / each.angle, {name: 1.0}, "told")
-            for name, each in told.items()
-            if isinstance(each, Throw) and each.std
-        },
-    )
+    stds = {name: each.std / each.angle for name, each in told.items() if isinstance(each, Throw) and each.std}
+    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in stds.items()}
+    return _with_deviations(aircraft, factors)
 
 
 def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
@@ -104,21 +99,17 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
     shares, values = shares[known], regressors.to_numpy()[known]
     slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
     names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    added = {
-        coefficient + name: float(value)
-        for coefficient, column in zip(COEFFICIENTS, np.vstack([shares.mean(axis=0), slopes]).T, strict=True)
-        for name, value in zip(names, column, strict=True)
-    }
+    effects = np.vstack([shares.mean(axis=0), slopes]).T.ravel().tolist()
+    added = dict(zip([coefficient + name for coefficient in COEFFICIENTS for name in names], effects, strict=True))
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return _with_deviations(aircraft, {"thrust": factor})
 
 
 def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
     """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
+    propeller = aircraft.propeller
     return thrust == "auto" and all(
-        "throttle" in table
-        and not {*THRUST_FORCES} & set(table)
-        and not (aircraft.propeller is not None and knows_speed(aircraft.propeller, table))
+        "throttle" in table and not {*THRUST_FORCES} & {*table} and not (propeller and knows_speed(propeller, table))
         for table in tables
     )
 

@@ -55,19 +55,16 @@ class Identification:
 
     Attributes
     ----------
-    pipeline : Pipeline
-        Fitted: a raw flight table in, six coefficients out.
-    aircraft : Aircraft
+    pipeline, aircraft : Pipeline, Aircraft
+        Fitted: a raw flight table in, six coefficients out; and of what.
     settings, fit : dict
         What was asked for or chosen; samples, likelihood, noise and time of the fit.
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
-    messages : list of str
-        Warnings that arose.
-    held_out : str or None
-        What was held out because no test flight was named.
+    messages, held_out : list of str, str or None
+        Warnings that arose, and what was held out because no test flight was named.
     supplements : sequence
         Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics, ``summary()``, a
         list of lines, and ``section()``, HTML for the report.

@@ -41,10 +41,9 @@ def flight_mechanics(
     settings: dict,
     fit: dict,
 ) -> FlightMechanics:
-    """Return trim, derivatives and modes at the median airspeed and density of the training flights.
+    """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
 
-    ``settings`` and ``fit`` are those of `identify`. Without a thrust the flight is a glide. Where there is no trim,
-    derivatives are at the median of what was flown, and ``note`` says why. The simulation is of the test flights.
+    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of what was flown.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust = _thrust(settings)
@@ -113,12 +112,12 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
 def simulation_errors(
     pipeline: Pipeline, aircraft: Aircraft, tables: Sequence[pd.DataFrame], settings: dict
 ) -> pd.DataFrame:
-    """Return how long a simulation with the recorded controls follows flights from their measured states.
+    """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
 
-    It is in still air, from the velocity relative to the air, and started again every longest horizon. The rows are
-    states; columns: ``spread``, the standard deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times
-    that, or three times the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
-    time [s] at which the error passes the limit, at most ``horizon``. Raises ValueError if it cannot be simulated.
+    It is in still air, and started again every longest horizon. Columns: ``spread``, the standard deviation in the
+    flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that is
+    more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error passes the limit, at most
+    ``horizon``. Raises ValueError if it cannot be simulated.
     """
     if settings["external_forces"]:
         raise ValueError(f"a simulation lacks the loads {', '.join(settings['external_forces'])} of the flights")

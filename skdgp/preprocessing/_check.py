@@ -30,9 +30,8 @@ NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning t
 def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.DataFrame:
     """Return the faults of a flight log, one per row.
 
-    Limits follow from each channel: a run of equal values is a fault if the channel's noise and usual rate make it
-    improbable (expected less than once in 10,000 such flights). Sensors slower than the table, quantised sensors, and
-    controls that a pilot holds still are no faults.
+    A run of equal values is a fault if the channel's noise and usual rate make it improbable (less than once in 10,000
+    such flights). Sensors slower than the table, quantised sensors, and controls held still are no faults.
 
     ============== ===========================================================================================
     ``restart``    time goes back, as when the computer restarted

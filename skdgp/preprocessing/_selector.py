@@ -190,19 +190,14 @@ def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None
     holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
-    measured: dict[str, int] = {}
-    computed: dict[str, int] = {}
-    for name, rows in zip(names, holes.sum(axis=0), strict=True):
-        sources = _sources(name, table) if rows else {}
-        measured |= sources
-        computed |= {name: int(rows)} if rows and not sources else {}
+    computed = {name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows}
+    measured = {name: rows for each in computed for name, rows in _sources(each, table).items()}
     remedy = "leave out isolated rows between gaps, which have no rate of change"
     if measured:
         remedy = (
             "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, "
-            "as python -m skdgp identify does: keep = "
-            f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
-            "sensor to the clock of the others, leave out an empty column"
+            f"as python -m skdgp identify does: keep = np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
+            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave out an empty column"
         )
     raise ValueError(
         f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "

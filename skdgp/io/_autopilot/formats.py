@@ -148,10 +148,8 @@ class Log:
         Columns that the format knows, preferred sources first.
     parameters : dict of str to float
         Settings of the autopilot.
-    firmware : str
-        Name and version, as far as the log has them.
-    vehicle : str or None
-        ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ...; None where the log does not say.
+    firmware, vehicle : str
+        Name and version; ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ..., or None where the log does not say.
     remarks : tuple of str
         Damage of the file: bytes that could not be read, where it was cut off.
     slowest_airspeed : float
@@ -160,10 +158,9 @@ class Log:
         Topic, field, and its value while the autopilot is on the ground.
     outputs : tuple of str
         Topics that hold what was sent to servos.
-    servos : dict of str to ServoChannel
-        By surface, what the parameters say of its servo.
-    mixing : dict of str to tuple of (float, ServoChannel)
-        By control, weights of the outputs that make it together, such as those of a V-tail, each output from -1 to 1.
+    servos, mixing : dict
+        By surface, what the parameters say of its servo; by control, weights of the outputs, each from -1 to 1, that
+        make it together, such as those of a V-tail.
     """
 
     kind: str

@@ -20,8 +20,7 @@ from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS
 from skdgp.design._rehearsal import REACTION, RESPONSE
 from skdgp.design._write import ardupilot_script, surface_mixes
-from skdgp.io import servo_outputs
-from skdgp.io._autopilot.servos import read_servos
+from skdgp.io import read_servos, servo_outputs
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
 """Of a pilot's controls [rad, or 1 of the throttle]."""

@@ -8,30 +8,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import inv_boxcox
 
-GAS_CONSTANT = 287.05287
-"""Of dry air [J/(kg K)]."""
+GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 HEAT_RATIO = 1.4
 STANDARD_GRAVITY = 9.80665
 LOWEST, HIGHEST = -5000.0, 32000.0
-SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0
-"""[kg/m^3, Pa]."""
-BASE = np.array([0.0, 11000.0, 20000.0])
-"""Where the layers begin [m]; the first one reaches down to `LOWEST`."""
-LAPSE = np.array([-0.0065, 0.0, 0.001])
-"""Of the temperature in each layer [K/m]."""
+SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0  # [kg/m^3, Pa]
+BASE = np.array([0.0, 11000.0, 20000.0])  # where the layers begin [m]; the first one reaches down to `LOWEST`
+LAPSE = np.array([-0.0065, 0.0, 0.001])  # of the temperature in each layer [K/m]
 
 
 class Atmosphere(NamedTuple):
-    """State of still air, arrays of one shape."""
+    """State of still air, arrays of one shape: [kg/m^3], [Pa], [K], [m/s]."""
 
     density: np.ndarray
-    """[kg/m^3]."""
     pressure: np.ndarray
-    """[Pa]."""
     temperature: np.ndarray
-    """[K]."""
     speed_of_sound: np.ndarray
-    """[m/s]."""
 
 
 def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
@@ -51,27 +43,6 @@ def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
     >>> air.density.round(4), air.temperature.round(2)
     (array([1.225 , 0.3639, 0.0395]), array([288.15, 216.65, 221.65]))
     """
-    pressure, temperature = _pressure_and_temperature(altitude)
-    density = pressure / (GAS_CONSTANT * temperature)
-    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
-
-
-def standard_density(altitude: ArrayLike) -> np.ndarray:
-    """Return the density [kg/m^3] of the standard atmosphere at geopotential altitude [m].
-
-    rho = p / (R T), see `standard_atmosphere`.
-
-    Examples
-    --------
-    >>> from skdgp.dynamics import standard_density
-    >>> standard_density([0.0, 1000.0]).round(3)
-    array([1.225, 1.112])
-    """
-    pressure, temperature = _pressure_and_temperature(altitude)
-    return pressure / (GAS_CONSTANT * temperature)
-
-
-def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     altitude = np.asarray(altitude, dtype=float)
     if (outside := (altitude < LOWEST) | (altitude > HIGHEST)).any():
         raise ValueError(
@@ -81,7 +52,20 @@ def _pressure_and_temperature(altitude: ArrayLike) -> tuple[np.ndarray, np.ndarr
     layer = np.searchsorted(BASE[1:], altitude)
     temperature = _TEMPERATURE[layer] + LAPSE[layer] * (altitude - BASE[layer])
     pressure = _PRESSURE[layer] * _pressure_ratio(altitude, layer)
-    return pressure, temperature
+    density = pressure / (GAS_CONSTANT * temperature)
+    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
+
+
+def standard_density(altitude: ArrayLike) -> np.ndarray:
+    """Return the density [kg/m^3] of the `standard_atmosphere` at geopotential altitude [m].
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import standard_density
+    >>> standard_density([0.0, 1000.0]).round(3)
+    array([1.225, 1.112])
+    """
+    return standard_atmosphere(altitude).density
 
 
 def _pressure_ratio(altitude: np.ndarray, layer: np.ndarray) -> np.ndarray:

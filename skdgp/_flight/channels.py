@@ -21,15 +21,12 @@ VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
 HORIZONTAL = ("north", "east")
 POSITION = (*HORIZONTAL, "down")
-BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")
-"""Velocity over the ground."""
-EULER = ("phi", "theta", "psi")
-"""Attitude, in the order of its rotations from the body outward."""
+BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")  # velocity over the ground
+EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from the body outward
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")
-"""Two elevons move as elevator and aileron at once."""
+MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")  # which move as both at once
 THRUST_FORCES, THRUST_MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
@@ -99,11 +96,9 @@ COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 LONGITUDINAL = ("CX", "CZ", "Cm")
 LATERAL = ("CY", "Cl", "Cn")
 
-TRUTH_SUFFIX = "_true"
-"""Columns that end so are noise-free truth of a simulation: for scoring only."""
+TRUTH_SUFFIX = "_true"  # columns that end so are noise-free truth of a simulation: for scoring only
 
-HAT = "_hat"
-"""Ends the name of a non-dimensional rate."""
+HAT = "_hat"  # ends the name of a non-dimensional rate
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
 REGRESSOR_SETS = {
@@ -112,10 +107,8 @@ REGRESSOR_SETS = {
     "paper": (*(*SPECIFIC_FORCE, *RATES, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle", *SURFACES),),
 }
 """Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`."""
-LEAST_GUST = 1e-3
-"""Values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller."""
-SENSOR_GUST = 0.1
-"""The ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air."""
+LEAST_GUST = 1e-3  # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
+SENSOR_GUST = 0.1  # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
 
 
 def rate_factor(name: str, length: float, airspeed: np.ndarray) -> np.ndarray:

@@ -11,29 +11,20 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
-ANGLE_NOISE = 0.05
-"""Noise that may carry an angle over its largest value [rad]."""
-GYROS = {"phi": RATES, "psi": ("q", "r")}
-"""Angles that go round, and the rates that turn them."""
-CLEARLY_FASTER = 57.3**0.5
-"""An angle that changes by so many times what the gyros turn is in degrees."""
-NO_TURN = 0.1
-"""Change in a second [rad] that needs no turn."""
-FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
-"""Largest rate of nine tenths of a flight [rad/s]: gyros that turn faster are in degrees, too."""
-SLOW_TURN, MOST_TURNS = 1.0, 10.0
-"""Largest rate [rad/s] of nine tenths of a flight, and largest angle [turns], of an unwrapped angle without gyros."""
-ENOUGH = 5
-"""Least number of changes from which an angle is judged."""
-FASTEST_RATE = 50.0
-"""Rates beyond this [rad/s], eight turns a second, are in other units."""
-LARGEST_DEFLECTION = 0.7
-"""Surfaces that go beyond it [rad], 40 degrees, may be commands from -1 to 1; the largest of seven logs is 0.31."""
+ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
+GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
+CLEARLY_FASTER = 57.3**0.5  # an angle that changes by so many times what the gyros turn is in degrees
+NO_TURN = 0.1  # change in a second [rad] that needs no turn
+FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
+SLOW_TURN, MOST_TURNS = 1.0, 10.0  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+ENOUGH = 5  # least number of changes from which an angle is judged
+FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
+LARGEST_DEFLECTION = 0.7  # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
@@ -56,8 +47,9 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     lacking = _lacking(needed, [str(column) for column in table.columns])
     if lacking:
+        names = list(table["flight"].astype(str).unique()) if what == "flight" and "flight" in table else []
         raise ValueError(
-            f"The {_named(table, what)} lacks the columns {lacking}. "
+            f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns {lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."
         )
 
@@ -134,14 +126,6 @@ def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueE
     return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}")
 
 
-def _named(table: pd.DataFrame, what: str) -> str:
-    """Return what a table is, with the name of the flight where it holds one."""
-    if what != "flight" or "flight" not in table:
-        return what
-    names = table["flight"].astype(str).unique()
-    return f"flight {names[0]!r}" if len(names) == 1 else what
-
-
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     """Return the segments without gaps of a flight table that has the ``needed`` columns in SI units.
 
@@ -149,9 +133,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     positive, or values are impossible in SI units. Warns of values that are probably of another unit or sign.
     """
     check_columns(check_table(flight), needed)
-    for name in needed:
-        if not pd.api.types.is_numeric_dtype(flight[name]):
-            raise ValueError(f"Got column {name!r} of type {flight[name].dtype}, but expected numbers.")
+    numeric(flight, needed)
     segments = flight_segments(flight["time"].to_numpy(float), flight.get("flight"))
     for check in (_airspeed, _density, _angles, warn_of_commands, _rates, _accelerations):
         check(flight)
@@ -167,16 +149,17 @@ def _airspeed(flight: pd.DataFrame) -> None:
             "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
             "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
         )
-    slow = airspeed < 0.2 * np.nanmedian(airspeed) if _any_finite(airspeed) else np.array([False])
-    if slow.any():
+    if not _any_finite(airspeed):
+        return
+    middle = np.nanmedian(airspeed)
+    if (slow := airspeed < 0.2 * middle).any():
         _warn(
-            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median "
-            f"({np.nanmedian(airspeed):.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on "
-            "the ground still in the flight? Cut it, e.g. flight[flight.airspeed > 5]."
+            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median ({middle:.1f} "
+            "m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on the ground still in the "
+            "flight? Cut it, e.g. flight[flight.airspeed > 5]."
         )
     ground = np.sqrt(sum(_values(flight, name) ** 2 for name in EARTH_VELOCITY))
-    ratio = np.nanmedian(airspeed) / np.nanmedian(ground) if _any_finite(airspeed) and _any_finite(ground) else 1.0
-    if not 0.5 < ratio < 1.8:
+    if _any_finite(ground) and not 0.5 < (ratio := middle / np.nanmedian(ground)) < 1.8:
         _warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should be m/s (1.94: "
             "airspeed in knots; 3.6: in km/h). Ignore this only if the wind was that strong."
@@ -194,24 +177,22 @@ def _density(flight: pd.DataFrame) -> None:
             "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
         )
     altitude = _values(flight, "altitude")
-    if _any_finite(altitude) and LOWEST <= np.nanmedian(altitude) <= HIGHEST:
-        standard = float(standard_density(np.nanmedian(altitude)))
+    if _any_finite(altitude) and LOWEST <= (height := np.nanmedian(altitude)) <= HIGHEST:
+        standard = float(standard_density(height))
         if not 0.8 < middle / standard < 1.25:
             _warn(
                 f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of the standard "
-                f"atmosphere at the median altitude {np.nanmedian(altitude):.0f} m: check the units of both."
+                f"atmosphere at the median altitude {height:.0f} m: check the units of both."
             )
 
 
 def _angles(flight: pd.DataFrame) -> None:
     check_radians(flight, LARGEST_ANGLE)
-    for name in ("alpha", "beta"):
+    for name in VANES:
         values = np.abs(_values(flight, name))
-        if _any_finite(values) and np.nanmedian(values) > 0.7:
-            _warn(
-                f"The median |{name}| is {np.nanmedian(values):.2f} rad ({np.rad2deg(np.nanmedian(values)):.0f} "
-                "deg), but expected radians: these look like degrees."
-            )
+        if _any_finite(values) and (middle := np.nanmedian(values)) > 0.7:
+            words = f"{middle:.2f} rad ({np.rad2deg(middle):.0f} deg)"
+            _warn(f"The median |{name}| is {words}, but expected radians: these look like degrees.")
 
 
 def warn_of_commands(flight: pd.DataFrame) -> None:
@@ -229,22 +210,15 @@ def warn_of_commands(flight: pd.DataFrame) -> None:
 
 def _rates(flight: pd.DataFrame) -> None:
     check_radians(flight, RATES)
-    turned, gyro = _roll_over_a_second(flight)
+    change = np.angle(np.exp(1j * _over_a_second(flight, _values(flight, "phi"))))
+    integral = _over_a_second(flight, _values(flight, "p"), rate=True)
+    good = np.isfinite(change) & np.isfinite(integral)
+    turned, gyro = (np.sqrt(np.mean(each[good] ** 2)) if good.any() else 0.0 for each in (change, integral))
     if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
         raise ValueError(
             f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but expected about 1: one "
             "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r as on p."
         )
-
-
-def _roll_over_a_second(flight: pd.DataFrame) -> tuple[float, float]:
-    """Return the root mean squares of the change of phi in a second, and of p integrated over it."""
-    change = np.angle(np.exp(1j * _over_a_second(flight, _values(flight, "phi"))))
-    integral = _over_a_second(flight, _values(flight, "p"), rate=True)
-    good = np.isfinite(change) & np.isfinite(integral)
-    if not good.any():
-        return 0.0, 0.0
-    return float(np.sqrt(np.mean(change[good] ** 2))), float(np.sqrt(np.mean(integral[good] ** 2)))
 
 
 def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = False) -> np.ndarray:
@@ -263,19 +237,19 @@ def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = Fal
 
 def _accelerations(flight: pd.DataFrame) -> None:
     specific = np.stack([_values(flight, name) for name in SPECIFIC_FORCE], axis=-1)
-    size = np.linalg.norm(specific, axis=-1)
-    if not _any_finite(size):
+    sizes = np.linalg.norm(specific, axis=-1)
+    if not _any_finite(sizes):
         return
-    if not 3.0 < np.nanmedian(size) < 300.0:
+    if not 3.0 < (size := np.nanmedian(sizes)) < 300.0:
         _warn(
-            f"The median specific force |(ax, ay, az)| is {np.nanmedian(size):.3g} m/s^2, but level flight gives 9.8: "
-            "multiply by 9.80665 if these are g; if gravity was subtracted from them, add it (an accelerometer "
-            "reads specific force)."
+            f"The median specific force |(ax, ay, az)| is {size:.3g} m/s^2, but level flight gives 9.8: multiply by "
+            "9.80665 if these are g; if gravity was subtracted from them, add it (an accelerometer reads specific "
+            "force)."
         )
-    elif np.nanmedian(specific[:, 2]) > 3.0:
+    elif (down := np.nanmedian(specific[:, 2])) > 3.0:
         _warn(
-            f"The median az is {np.nanmedian(specific[:, 2]):+.2f} m/s^2, but z points down and level flight gives "
-            "about -9.8: change the signs of ay and az if the sensor's z points up."
+            f"The median az is {down:+.2f} m/s^2, but z points down and level flight gives about -9.8: change the "
+            "signs of ay and az if the sensor's z points up."
         )
 
 

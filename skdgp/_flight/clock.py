@@ -8,12 +8,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-GAP = 2.5
-"""A step longer than this many median steps starts a new segment (one lost sample is bridged)."""
-JITTER = 0.02
-"""Samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)."""
-SHORTEST_PART = 10
-"""A clock that goes back sooner than after so many samples was not restarted: the rows are in disorder."""
+GAP = 2.5  # a step longer than this many median steps starts a new segment (one lost sample is bridged)
+JITTER = 0.02  # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
+SHORTEST_PART = 10  # a clock that goes back after fewer samples was not restarted: the rows are in disorder
 
 
 def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
@@ -73,29 +70,22 @@ def part_restarts(time: np.ndarray, flight: ArrayLike) -> tuple[np.ndarray, np.n
     return names, back
 
 
-def rows_back(time: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """Return rows at which time does not increase, and the row of the same flight before each: (k, 2)."""
-    order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
-    same = np.diff(codes[order]) == 0
-    back = np.flatnonzero(same & ~(time[order[1:]] > time[order[:-1]]))
-    return np.column_stack([order[back + 1], order[back]])
-
-
 def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return time (n,) as float and integer flight codes (n,)."""
+    """Return time (n,) as float and integer flight codes (n,); ValueError if time does not increase within a flight."""
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or not np.isfinite(time).all():
         raise ValueError(f"Got time of shape {time.shape}, but expected (n,), every value finite [s].")
     codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
     if len(codes) != len(time):
         raise ValueError(f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many.")
-    back = rows_back(time, codes)
+    order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
+    back = np.flatnonzero((np.diff(codes[order]) == 0) & ~(time[order[1:]] > time[order[:-1]]))
     if back.size:
-        row, before = back[0]
+        before, row = order[back[0] : back[0] + 2]
         raise ValueError(
-            f"Got time {time[row]:g} s after {time[before]:g} s at row {row}, but expected time to increase "
-            "strictly within a flight: sort the rows by flight and time, drop repeated ones, or name the "
-            "flights apart (skdgp.preprocessing.FlightCheck does where a clock was restarted)."
+            f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} ({len(back)} such rows), but "
+            "expected time to increase strictly within a flight: sort by time, drop repeated rows, or name the flights "
+            "apart in a column 'flight' (skdgp.preprocessing.FlightCheck does where a clock was restarted)."
         )
     return time, codes
 

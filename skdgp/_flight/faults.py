@@ -25,15 +25,11 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     VANES,
 )
-from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
+from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
-"""Channels of one sensor: where one moves, all do."""
-SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
-"""Channels that noise and motion never let stand still."""
-ANGLES = ("phi", "psi")
-"""Angles that go round."""
+SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)  # of one sensor
+SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))  # noise and motion never let them stand still
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -52,35 +48,21 @@ POSSIBLE = {
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
 """Outside of these nothing can have been measured."""
-RARE = 0.05
-"""Impossible values more frequent than this are of another unit: the checks of units name it."""
-LONG_GAP = 1.0
-"""Missing samples over more seconds than this are findings of their own, shorter ones are one finding together."""
-MOST_SHOWN = 8
-"""Findings that a warning names one by one."""
-WARNING_START = "Faults in the log"
-"""First words of the warning, by which it is filtered."""
-ENOUGH = 50
-"""Least number of samples from which the usual length of runs is known."""
-IMPROBABLE = 1e-4
-"""Expected number of such runs in a flight below which chance is ruled out."""
-LEAST_HOLD = 0.3
-"""Shorter holds [s] are no fault."""
-LEAST_STOP = 0.5
-"""Seconds at the extreme value from which a surface is at its stop."""
-STANDS = 3.0
-"""A surface stands still where a run of equal values is so many times as long as usual."""
-FEWEST_LEVELS = 20
-"""A surface with fewer values between its extremes is a command in steps."""
-MOST_HELD = 4.0
-"""A surface that is so many times as long at its extremes as it moves between them is not stopped, but switched."""
-SPIKE = 8.0
-"""A spike stands out from its neighbours by so many times what all but 0.5 % of samples do."""
+RARE = 0.05  # impossible values more frequent than this are of another unit: the checks of units name it
+LONG_GAP = 1.0  # missing samples over more seconds are findings of their own, shorter ones one finding together
+MOST_SHOWN = 8  # findings that a warning names one by one
+WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
+ENOUGH = 50  # least number of samples from which the usual length of runs is known
+IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
+LEAST_HOLD = 0.3  # shorter holds [s] are no fault
+LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
+STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
+FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
+MOST_HELD = 4.0  # a surface held at its extremes so many times as long as it moves is not stopped, but switched
+SPIKE = 8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
 WIDEST_SPIKE = 3
-SMOOTH = 0.5
-"""Steps that change by less than this share of themselves are those of a channel without noise (with noise: 1.7)."""
-MISSING = 1.5
-"""A sample is missing where the next comes later than so many usual spacings."""
+SMOOTH = 0.5  # steps that change by less than this share of themselves show no noise (with noise: 1.7)
+MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
 NOT_MEASURED = ("stuck", "impossible", "spike")
 REMEDY = {
@@ -95,8 +77,7 @@ REMEDY = {
 }
 
 
-Fault = tuple[str, str, np.ndarray, str]
-"""Channel, kind, rows, description."""
+Fault = tuple[str, str, np.ndarray, str]  # channel, kind, rows, description
 
 
 class FlightDataWarning(UserWarning):
@@ -123,15 +104,11 @@ class Finding(NamedTuple):
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
     """Return the faults of each flight in a table whose time increases within each, but those of columns to ignore."""
-    ignored = set(ignore)
+    ignored, time = set(ignore), table["time"].to_numpy(float)
     codes, names = flight_codes(table["flight"] if "flight" in table else np.full(len(table), "flight"))
-    time = table["time"].to_numpy(float)
-    names_here = [name for name in POSSIBLE if name in table and name not in ignored]
-    channels = {
-        name: table[name].to_numpy(float, na_value=np.nan)
-        for name in names_here
-        if pd.api.types.is_numeric_dtype(table[name])
-    }
+    used = [name for name in POSSIBLE if name in table and name not in ignored]
+    used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
+    channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
     findings = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
@@ -178,7 +155,7 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
             for rows in stuck_rows(values, step):
                 yield name, "stuck", rows, f"is stuck at {values[rows[0]]:.4g}"
                 values[rows] = np.nan
-            rows = spike_rows(values, angle=name in ANGLES)
+            rows = spike_rows(values, angle=name in WRAPPED)
             if rows.size:
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
         elif name in ALL_SURFACES:
@@ -280,7 +257,8 @@ def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
     out = np.abs(seen - around)
     far = out > SPIKE * np.quantile(out, 0.995)
     found = [np.arange(run.start, run.stop) for run in true_runs(far) if run.stop - run.start <= WIDEST_SPIKE]
-    back = [part for part in found if _returns(seen, part, out[part].max())]
+    ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)) for part in found]
+    back = [k for k, (a, b) in zip(found, ends, strict=True) if abs(seen[b] - seen[a]) < out[k].max() / 2]
     edges = np.r_[start, len(known)]
     return np.concatenate([known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]])
 
@@ -304,13 +282,8 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         return []
     if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []
-    stops = []
-    for extreme in (seen.min(), seen.max()):
-        at = long & (level == extreme)
-        if at.any():
-            parts = zip(runs.start[at], runs.length[at], strict=True)
-            stops.append(np.concatenate([rows[first : first + n] for first, n in parts]))
-    return stops
+    held_there = (long & (level == extreme) for extreme in (seen.min(), seen.max()))
+    return [rows[np.repeat(at, runs.length)] for at in held_there if at.any()]
 
 
 def missing_rows(values: np.ndarray) -> list[np.ndarray]:
@@ -328,8 +301,3 @@ def usual_spacing(values: np.ndarray) -> float:
     """Return how many rows lie between a sample and the next, but for a tenth of them."""
     known = np.flatnonzero(np.isfinite(values))
     return float(np.quantile(np.diff(known), 0.9)) if known.size > 1 else 1.0
-
-
-def _returns(seen: np.ndarray, part: np.ndarray, size: float) -> bool:
-    before, after = max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)
-    return abs(seen[after] - seen[before]) < size / 2

@@ -16,7 +16,7 @@ of the search for the next. Noise, wind and missing channels therefore cause no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -41,28 +41,17 @@ from skdgp._flight.channels import (
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
 
-RATE = 20.0
-"""Rows are averaged to about this rate [Hz]."""
-LONG, SHORT = 1.0, 0.1
-"""Windows [s] over which signals are integrated, of kinematics and of the effects of angles and surfaces."""
-IMPROVEMENT, WORSE = 0.5, 0.3
-"""Least improvement of an agreement by a correction, and most that another may lose."""
-AGREES, LEAST_T = 0.3, 4.0
-"""Least agreement and t value after a correction. Signals that agree less contradict, and slopes with t below -4."""
-PARALLEL, MULTIPLE = 0.9, 1.5
-"""Signals with this cosine or more contradict each other if one is so many times the other."""
-EXTRA_CHANNEL, TIE = 0.02, 0.01
-"""Agreement that each further channel of a correction must gain; causes nearer than this are as probable."""
-CONTROL = ("Cl", "Cm", "Cn")
-"""Relations that may get worse by a correction: the signs of surfaces are judged after those of the axes."""
-ENOUGH = 40
-"""Least number of windows."""
-LONG_FLIGHT = 30.0
-"""Shorter flights [s] are only judged together with others."""
-MOST = 8
-"""Most findings of one table."""
-FLYING = 0.5
-"""Rows slower than this share of the median airspeed do not count."""
+RATE = 20.0  # rows are averaged to about this rate [Hz]
+LONG, SHORT = 1.0, 0.1  # windows [s] over which kinematics, and effects of angles and surfaces, are integrated
+IMPROVEMENT, WORSE = 0.5, 0.3  # least improvement of an agreement by a correction, and most that another may lose
+AGREES, LEAST_T = 0.3, 4.0  # least agreement and t value after a correction; below, and at t < -4, signals contradict
+PARALLEL, MULTIPLE = 0.9, 1.5  # signals of this cosine contradict each other if one is so many times the other
+EXTRA_CHANNEL, TIE = 0.02, 0.01  # agreement that a correction's next channel must gain; nearer causes are as probable
+CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
+ENOUGH = 40  # least number of windows
+LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
+MOST = 8  # most findings of one table
+FLYING = 0.5  # rows slower than this share of the median airspeed do not count
 
 CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
@@ -106,6 +95,8 @@ class Contradiction(NamedTuple):
     flight: object
     channels: tuple[str, ...]
     message: str
+    is_sign: bool = False
+    """Whether it is the sign of the channels, and no other cause is as probable."""
 
     def __str__(self) -> str:
         return self.message if self.flight is None else f"flight {self.flight}: {self.message}"
@@ -139,6 +130,11 @@ class Relation(NamedTuple):
         y, x = self.pair
         return _t_value(x @ y, x * (y - x @ y / (x @ x) * x))
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the signals agree beyond chance."""
+        return not self.contradicts and self.agreement >= AGREES and self.t_value >= LEAST_T
+
 
 def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     """Return the channels of a flight table that contradict each other, with the most probable cause of each.
@@ -157,13 +153,8 @@ def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
 
 def reversed_surfaces(table: pd.DataFrame) -> list[str]:
     """Return the surfaces whose signs all flights of a table contradict, where nothing else is as probable a cause."""
-    return [
-        name
-        for each in find_contradictions(table)
-        if each.flight is None and each.message.startswith(f"{_wrong_sign(each.channels)}: ")
-        for name in each.channels
-        if name in CONTROLS
-    ]
+    found = [each for each in find_contradictions(table) if each.flight is None and each.is_sign]
+    return [name for each in found for name in each.channels if name in CONTROLS]
 
 
 def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
@@ -173,8 +164,8 @@ def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
         best = _most_probable(windows, signals)
         if best is None:
             break
-        cause, message = best
-        found.append(Contradiction(flight, cause.channels, message))
+        cause, message, is_sign = best
+        found.append(Contradiction(flight, cause.channels, message, is_sign))
         signals = cause.correct(signals)
     return found
 
@@ -261,38 +252,22 @@ def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def block_means(values: np.ndarray, size: int) -> np.ndarray:
     """Return the means of ``size`` rows each; what is left over at the end does not count."""
-    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+    return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
 
 
 # -- relations ----------------------------------------------------------------------------------------------
 
 
-def _relations(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    """Return the relations between the channels that there are."""
+def _relations(windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED) -> dict[str, Relation]:
+    """Return the relations between the channels that there are: those that depend on the changed ones."""
+    found: dict[str, Relation] = {}
     with np.errstate(all="ignore"):
-        return _equalities(windows, signals) | _slope_signs(windows, signals)
-
-
-def _corrected(windows: Windows, signals: Signals, cause: Cause, before: dict[str, Relation]) -> dict[str, Relation]:
-    """Return the relations after the correction of a cause; those without its channels stay as ``before``."""
-    corrected, after = cause.correct(signals), dict(before)
-    with np.errstate(all="ignore"):
-        if not CONTROLS.issuperset(cause.channels):
-            after |= _equalities(windows, corrected)
-        if not INERTIAL.issuperset(cause.channels):
-            after |= _slope_signs(windows, corrected)
-    return after
-
-
-def _equalities(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    return {
-        name: _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
-        for name, words, y, x in _kinematics(windows, signals)
-    }
-
-
-def _slope_signs(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    return {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+        if not CONTROLS.issuperset(changed):
+            for name, words, y, x in _kinematics(windows, signals):
+                found[name] = _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
+        if not INERTIAL.issuperset(changed):
+            found |= {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+    return found
 
 
 def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
@@ -306,12 +281,12 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     if attitude and get(*RATES):
         phi, theta, psi = attitude
         p, q, r = get(*RATES)
+        equal = "the change of {} and the integral of {}".format
         turn = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
-        yield "phi", "the change of phi and the integral of p", change(phi) - turn, integral(p)
-        turn = integral(r * np.sin(phi))
-        yield "theta", "the change of theta and the integral of q", change(theta) + turn, integral(q * np.cos(phi))
+        yield "phi", equal("phi", "p"), change(phi) - turn, integral(p)
+        yield "theta", equal("theta", "q"), change(theta) + integral(r * np.sin(phi)), integral(q * np.cos(phi))
         turn = change(psi) - integral(q * np.sin(phi) / np.cos(theta))
-        yield "psi", "the change of psi and the integral of r", turn, integral(r * np.cos(phi) / np.cos(theta))
+        yield "psi", equal("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
     for place, rate in zip((*POSITION, "altitude"), (*EARTH_VELOCITY, "v_down"), strict=True):
         if get(place, rate):
             sign = -1.0 if place == "altitude" else 1.0
@@ -358,7 +333,7 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     speed = signals["airspeed"]
     terms = {name: speed**2 * signals[name] for name in (*VANES, *SURFACES, "throttle") if name in signals}
     terms |= {name: speed * signals[name] for name in RATES if name in signals}
-    if all(name in signals for name in ELEVONS):
+    if {*ELEVONS} <= signals.keys():
         left, right = (signals[name] for name in ELEVONS)
         terms |= {"elevator": speed**2 * (left + right) / 2, "aileron": speed**2 * (left - right) / 2}
     stand_in = {"alpha": "az", "beta": "ay"}
@@ -425,13 +400,16 @@ def _t_value(total: float, products: np.ndarray) -> float:
 # -- causes -------------------------------------------------------------------------------------------------
 
 
-def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str] | None:
-    """Return the cause whose correction makes most relations agree, and its message; None if none does clearly."""
+def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool] | None:
+    """Return the cause whose correction makes most relations agree, its message, and whether it is a sign for sure.
+
+    None if none makes them agree clearly.
+    """
     before = _relations(windows, signals)
     contradictions = [name for name, each in before.items() if each.contradicts]
     found: list[tuple[float, Cause, Relation, Relation]] = []
     for cause in _causes(signals) if contradictions else ():
-        after = _corrected(windows, signals, cause, before)
+        after = before | _relations(windows, cause.correct(signals), cause.channels)
         gain = {
             name: after[name].agreement - each.agreement
             for name, each in before.items()
@@ -439,58 +417,50 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str] | No
         }
         gain = {name: value for name, value in gain.items() if np.isfinite(value)}
         total = sum(gain.values()) - EXTRA_CHANNEL * len(cause.channels)
-        better = [name for name in contradictions if gain.get(name, 0.0) >= IMPROVEMENT and _agrees(after[name])]
+        better = [name for name in contradictions if gain.get(name, 0.0) >= IMPROVEMENT and after[name].agrees]
         if better and total > 0 and all(value > -WORSE for name, value in gain.items() if name not in CONTROL):
             name = max(better, key=lambda name: gain[name])
             found.append((total, cause, before[name], after[name]))
     if not found:
         return None
-    most, cause, *relations = max(found, key=lambda each: each[0])
+    most, cause, now, then = max(found, key=lambda each: each[0])
     rivals = [each.words for total, each, *_ in found if total > most - TIE and each is not cause]
-    return cause, _message(cause, rivals, *relations)
-
-
-def _agrees(relation: Relation) -> bool:
-    return not relation.contradicts and relation.agreement >= AGREES and relation.t_value >= LEAST_T
-
-
-def _message(cause: Cause, rivals: list[str], before: Relation, after: Relation) -> str:
-    if before.pair is None:
-        figures = f"{before.words} by {before.t:.1f} standard errors now, and by {after.t:.1f} then"
-    else:
-        figures = f"{before.words} agree by {before.agreement:.2f} now, and by {after.agreement:.2f} then"
-        figures += " (equal: 1, opposite: -1)"
-    return f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
+    figures = f"{now.words} agree by {now.agreement:.2f} now, and by {then.agreement:.2f} then (equal: 1, opposite: -1)"
+    if now.pair is None:
+        figures = f"{now.words} by {now.t:.1f} standard errors now, and by {then.t:.1f} then"
+    message = f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
+    return cause, message, not rivals and cause.words == _wrong_sign(cause.channels)
 
 
 def _causes(signals: Signals) -> Iterator[Cause]:
     for name in SIGNED:
-        if name in signals and not (name in MIXED and all(elevon in signals for elevon in ELEVONS)):
+        if name in signals and not (name in MIXED and {*ELEVONS} <= signals.keys()):
             remedy = f"change it ({CHANNELS[name].meaning})"
             yield Cause((name,), _wrong_sign((name,)), remedy, _scaled([name], -1.0))
     for words, cause in SIGNS.items():
         names = tuple(name for name in words.split() if name in signals)
         if len(names) > 1:
-            remedy = f"change the signs of {_list(names)}"
+            remedy = f"change the signs of {', '.join(names)}"
             yield Cause(names, f"probably {cause}", remedy, _scaled(names, -1.0))
     for unit, (factor, groups) in UNITS.items():
         for group in groups:
             names = tuple(group.split())
             if all(name in signals for name in names):
-                words = f"{_list(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
+                words = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
                 yield Cause(names, words, f"multiply by {factor:.5g}", _scaled(names, factor))
-    if all(name in signals for name in ELEVONS):
+    if {*ELEVONS} <= signals.keys():
         for names in (*((name,) for name in ELEVONS), ELEVONS):
             yield Cause(names, _wrong_sign(names), "change it (> 0 trailing edge down)", _scaled(names, -1.0))
-        exchanged = _exchanged(ELEVONS)
-        yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", exchanged)
+        sides = _exchanged(ELEVONS)
+        yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", sides)
         words, remedy = "the elevons are probably exchanged and of the wrong sign", "exchange them, change their signs"
-        yield Cause(ELEVONS, words, remedy, lambda signals: exchanged(_scaled(ELEVONS, -1.0)(signals)))
+        yield Cause(ELEVONS, words, remedy, lambda signals: sides(_scaled(ELEVONS, -1.0)(signals)))
     if all(name in signals for name in ("v_north", "v_east")):
+        exchanged, turned = _exchanged(("v_north", "v_east")), _scaled({"v_down"} & signals.keys(), -1.0)
         words = "v_north and v_east are probably exchanged"
-        yield Cause(("v_north", "v_east"), words, "exchange them", _exchanged(("v_north", "v_east")))
-        words, names = "the velocity is probably east, north, up", EARTH_VELOCITY
-        yield Cause(names, words, "exchange v_north and v_east, change the sign of v_down", _east_north_up)
+        yield Cause(("v_north", "v_east"), words, "exchange them", exchanged)
+        words, remedy = "the velocity is probably east, north, up", "exchange v_north and v_east, change v_down's sign"
+        yield Cause(EARTH_VELOCITY, words, remedy, lambda signals: turned(exchanged(signals)))
     if "psi" in signals:
         words = "psi is probably measured from east, counter-clockwise"
         yield Cause(("psi",), words, "use pi/2 - psi", lambda s: s | {"psi": np.pi / 2 - s["psi"]})
@@ -503,12 +473,8 @@ def _causes(signals: Signals) -> Iterator[Cause]:
         yield Cause(("theta", "psi", "v_down"), words, remedy, _turned_over, keeps_equalities=True)
 
 
-def _list(names: tuple[str, ...]) -> str:
-    return ", ".join(names)
-
-
 def _wrong_sign(names: tuple[str, ...]) -> str:
-    return f"the sign of {_list(names)} is probably wrong"
+    return f"the sign of {', '.join(names)} is probably wrong"
 
 
 def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
@@ -517,11 +483,6 @@ def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
 
 def _exchanged(names) -> Callable[[Signals], Signals]:
     return lambda signals: signals | dict(zip(names, [signals[name] for name in reversed(names)], strict=True))
-
-
-def _east_north_up(signals: Signals) -> Signals:
-    turned = _exchanged(("v_north", "v_east"))(signals)
-    return turned | {"v_down": -signals["v_down"]} if "v_down" in signals else turned
 
 
 def _with_gravity(signals: Signals) -> Signals:

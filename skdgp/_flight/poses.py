@@ -20,16 +20,12 @@ from scipy import linalg, optimize, sparse
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-LEAST_SAMPLES = 10
-"""Records with fewer samples are not differentiated."""
+LEAST_SAMPLES = 10  # records with fewer samples are not differentiated
 DEGREE = 5
 BANDS = 3 * (DEGREE + 1)
-SMOOTHEST, ROUGHEST = np.log(1e-12), np.log(1e2)
-"""Bounds of log k: noise is averaged over about 30 steps at most, and hardly at all at least."""
-MOST_LEARNED = 10000
-"""Samples that k is learned from, about."""
-DIFFERENCE = 1e-3
-"""Relative steps of the differences that the search for log k takes; the likelihood is rough in its last digits."""
+SMOOTHEST, ROUGHEST = np.log(1e-12), np.log(1e2)  # bounds of log k: means of about 30 steps, or hardly any
+MOST_LEARNED = 10000  # samples that k is learned from, about
+DIFFERENCE = 1e-3  # relative step in the search for log k, as the last digits of the likelihood are rough
 
 
 class Motion(NamedTuple):

@@ -15,8 +15,7 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.frames import euler_to_matrix
 
-MOST_BLOCKS, SHORTEST_BLOCK = 200, 1.0
-"""A flight is averaged over so many blocks, each of so many seconds or more."""
+MOST_BLOCKS, SHORTEST_BLOCK = 200, 1.0  # a flight is averaged over so many blocks, each of so many seconds or more
 GUST_TIME, CHANGE_TIME, SPEED_TIME = 10.0, 3600.0, 15.0
 """Correlation times [s] of gusts (as of `FlightPathReconstruction`), of the mean wind, of the airspeed; guesses."""
 MEAN_WIND_STD, CHANGE_STD, MEAN_SPEED_STD, HEADING_STD = 30.0, 0.5, 100.0, 0.05
@@ -24,14 +23,10 @@ MEAN_WIND_STD, CHANGE_STD, MEAN_SPEED_STD, HEADING_STD = 30.0, 0.5, 100.0, 0.05
 USUAL = np.log([0.77, 1.0, 0.5, 0.1])
 """Logarithms of the usual standard deviations [m/s] of gusts (.1 times 7.7 m/s, the light turbulence of MIL-F-8785C),
 of the airspeed, and of what is left across and along the direction of flight in the mean of a block; guesses."""
-LOG_STD = np.array([0.7, 2.0, 2.0, 2.0])
-"""How well these are known: gusts within a factor of two, the rest hardly."""
-MOST_STEPS, SETTLED = 10, 0.02
-"""Steps of the linearisation; it ends when the wind changes by less than this [m/s]."""
-LEAST_TILT = 0.25
-"""In attitudes with the plane of symmetry nearer to the horizontal (sine) the direction of flight is not known."""
-LARGEST_ERROR = 0.1
-"""Relative standard deviation of airspeeds that are of use: one of dynamic pressure of 20 %."""
+LOG_STD = np.array([0.7, 2.0, 2.0, 2.0])  # how well these are known: gusts within a factor of two, the rest hardly
+MOST_STEPS, SETTLED = 10, 0.02  # steps of the linearisation; it ends when the wind changes by less than this [m/s]
+LEAST_TILT = 0.25  # sine: nearer to the horizontal, the plane of symmetry does not tell the direction of flight
+LARGEST_ERROR = 0.1  # relative standard deviation of airspeeds that are of use: one of dynamic pressure of 20 %
 
 
 class Blocks(NamedTuple):
@@ -53,10 +48,9 @@ def airspeed_from_turns(flight: pd.DataFrame) -> pd.DataFrame:
 
     with a constant airspeed V_0 and its slow changes, gusts g, an offset b of the heading and sideslip epsilon. In
     turns e points everywhere, which separates the wind from the airspeed. Of the attitude, e is in the plane of
-    symmetry and sinks as fast as the aircraft; without attitude, e is the direction of v - w, of which the first
-    equation alone remains. All that is unknown is a Gaussian process in time; its standard deviations are those of
-    largest posterior density, and the posterior gives V and its deviation (Rasmussen & Williams 2006, section 2.7;
-    the equations are those of the wind estimate of Langelaan, Alley & Neidhoefer 2011, without a sensor of airspeed).
+    symmetry and sinks as fast as the aircraft; without attitude, e is the direction of v - w, and the first equation
+    alone remains. The unknowns are Gaussian processes in time, with the standard deviations of largest posterior
+    density (Rasmussen & Williams 2006, section 2.7; Langelaan, Alley & Neidhoefer 2011, without a sensor of airspeed).
 
     Parameters
     ----------

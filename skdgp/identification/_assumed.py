@@ -16,10 +16,8 @@ from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
 from skdgp.dynamics._vehicle.loads import dynamic_pressure, knows_speed
-from skdgp.identification._flights import AIRSPEED_ERROR, Flights, is_autopilot_log
-from skdgp.io import FULL_THROW
-from skdgp.io._autopilot.servos import REVERSED, reversed_of, throw_errors
-from skdgp.io._inspect import names_servos
+from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
+from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 
 THRUST_IN_COEFFICIENTS = (
     "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as regressors: CX is "
@@ -28,8 +26,7 @@ THRUST_IN_COEFFICIENTS = (
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
 THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
 THRUST = "thrust on a bench over the propeller's speed"
-LISTED = 3
-"""Measurements that are named."""
+LISTED = 3  # measurements that are named
 
 
 def servos_for(servos: Any, *flights: Any) -> Any:
@@ -37,8 +34,8 @@ def servos_for(servos: Any, *flights: Any) -> Any:
 
     Raises ValueError of logs without servos beside tables, whose surfaces are in radians.
     """
-    items = [item for part in flights for item in _items(part)]
-    logs = [is_autopilot_log(item) for item in items]
+    items = [item for part in flights if part is not None for item in items_of(part)]
+    logs = [is_log(item) for item in items]
     if servos is not None or not any(logs):
         return servos
     if not all(logs):
@@ -54,24 +51,28 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     names = reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True)) if reversed_of(servos) == () else []
     if not names:
         return servos, *parts
-    servos = f"{FULL_THROW}{REVERSED}{' '.join(names)}"
+    servos = f"{FULL_THROW}, reversed {' '.join(names)}"
     warnings.warn(
         f"The flights show that {' and '.join(names)} move the other way than the autopilot's parameters say, so their "
         f'signs are turned: servos = "{servos}".',
         FlightDataWarning,
         stacklevel=3,
     )
-    return servos, *({k: _turned(table, names) for k, table in flights.items()} for flights in parts)
-
-
-def _turned(table: pd.DataFrame, names: Iterable[str]) -> pd.DataFrame:
-    return table.assign(**{name: -table[name] for name in names if name in table})
+    return servos, *(
+        {key: table.assign(**{name: -table[name] for name in names if name in table}) for key, table in part.items()}
+        for part in parts
+    )
 
 
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
-    errors = throw_errors(servos) if reversed_of(servos) is None else {}
-    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in errors.items()}
+    told = read_servos(servos) if reversed_of(servos) is None else {}
+    stds = {name: each.std / each.angle for name, each in told.items() if isinstance(each, Throw) and each.std}
+    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in stds.items()}
+    return _with_deviations(aircraft, factors)
+
+
+def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
 
 
@@ -79,7 +80,7 @@ def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> 
     """Return the aircraft, with the deviation of airspeeds that are of turns, as if one error were in all samples."""
     std = max((table.attrs.get(AIRSPEED_ERROR, 0.0) for table in tables), default=0.0)
     factor = ScaleFactor(2 * std, {PRESSURE: 1.0}, "velocity over the ground in turns")
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "airspeed": factor}) if std else aircraft
+    return _with_deviations(aircraft, {"airspeed": factor} if std else {})
 
 
 def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str) -> Aircraft:
@@ -98,29 +99,17 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
     shares, values = shares[known], regressors.to_numpy()[known]
     slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
     names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    added = {
-        coefficient + name: float(value)
-        for coefficient, column in zip(COEFFICIENTS, np.vstack([shares.mean(axis=0), slopes]).T, strict=True)
-        for name, value in zip(names, column, strict=True)
-    }
+    effects = np.vstack([shares.mean(axis=0), slopes]).T.ravel().tolist()
+    added = dict(zip([coefficient + name for coefficient in COEFFICIENTS for name in names], effects, strict=True))
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
-
-
-def _items(flights: Any) -> list:
-    if flights is None:
-        return []
-    if isinstance(flights, Mapping):
-        return list(flights.values())
-    return list(flights) if isinstance(flights, list | tuple) else [flights]
+    return _with_deviations(aircraft, {"thrust": factor})
 
 
 def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
     """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
+    propeller = aircraft.propeller
     return thrust == "auto" and all(
-        "throttle" in table
-        and not {*THRUST_FORCES} & set(table)
-        and not (aircraft.propeller is not None and knows_speed(aircraft.propeller, table))
+        "throttle" in table and not {*THRUST_FORCES} & {*table} and not (propeller and knows_speed(propeller, table))
         for table in tables
     )
 
@@ -132,47 +121,29 @@ def control_units(servos: Any) -> dict[str, str]:
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
     """Return what was assumed, and which measurements would narrow what follows from it most, in a line each."""
-    lines = _of_sizes(aircraft) + _of_causes(aircraft)
-    full_throws = reversed_of(servos) is not None
-    lines += [FULL_THROWS] * full_throws
-    lines += [THRUST_IN_COEFFICIENTS] if thrust_unknown else []
-    thrust_unknown = thrust_unknown or "thrust" in (aircraft.deviations or {})
-    remedies = _remedies(aircraft) + [THROWS] * full_throws + [THRUST] * thrust_unknown
-    if remedies:
-        lines.append("An hour each, most useful first: " + "; ".join(remedies) + ".")
-    return lines
-
-
-def _of_sizes(aircraft: Aircraft) -> list[str]:
-    """Return a line of the sizes that are uncertain, with what errors of all causes make of them."""
-    moments = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True))
-    units = QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")
-    words = []
-    for name, unit in units.items():
-        parts = [each.std * each.powers.get(name, 0.0) for each in (aircraft.deviations or {}).values()]
-        if std := float(np.linalg.norm(parts)):
+    lines, deviations, full_throws = [], aircraft.deviations or {}, reversed_of(servos) is not None
+    # The sizes that are uncertain, with what errors of all causes make of them.
+    moments, sizes = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)), []
+    for name, unit in (QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")).items():
+        if std := float(np.linalg.norm([each.std * each.powers.get(name, 0.0) for each in deviations.values()])):
             value = moments[name] if name in moments else getattr(aircraft, name)
-            words.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
-    return [f"Of the aircraft: {', '.join(words)}; what this makes of derivatives is std_aircraft."] if words else []
-
-
-def _of_causes(aircraft: Aircraft) -> list[str]:
-    """Return a line of the rules that the sizes were estimated by, each source with all that is from it."""
+            sizes.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
+    if sizes:
+        lines.append(f"Of the aircraft: {', '.join(sizes)}; what this makes of derivatives is std_aircraft.")
+    # The rules that they were estimated by, each source with all that is from it.
     by_source: dict[str, list[str]] = {}
-    for name, each in (aircraft.deviations or {}).items():
+    for name, each in deviations.items():
         by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
-    rules = [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]
-    return [f"Estimated: {'; '.join(rules)}."] if rules else []
-
-
-def _remedies(aircraft: Aircraft) -> list[str]:
-    """Return what to measure, that first which lessens the errors of the coefficients most."""
-    deviations = aircraft.deviations or {}
+    if rules := [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]:
+        lines.append(f"Estimated: {'; '.join(rules)}.")
+    lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown
+    # What to measure, that first which lessens the errors of the coefficients most.
     errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1) if deviations else []
-    by_remedy: dict[str, float] = {}
-    for (name, _), error in zip(deviations.items(), errors, strict=True):
-        if not error:  # of products of inertia and of throws, which are not of a coefficient
-            continue
-        words = REMEDIES.get(name, f"measure the {name}")
-        by_remedy[words] = by_remedy.get(words, 0.0) + float(error)
-    return sorted(by_remedy, key=lambda words: -by_remedy[words])[:LISTED]
+    gains: dict[str, float] = {}
+    for name, error in zip(deviations, errors, strict=True):
+        if error:  # none of products of inertia and of throws, which are not of a coefficient
+            remedy = REMEDIES.get(name, f"measure the {name}")
+            gains[remedy] = gains.get(remedy, 0.0) + float(error)
+    remedies = sorted(gains, key=lambda remedy: -gains[remedy])[:LISTED] + [THROWS] * full_throws
+    remedies += [THRUST] * (thrust_unknown or "thrust" in deviations)
+    return [*lines, f"An hour each, most useful first: {'; '.join(remedies)}."] if remedies else lines

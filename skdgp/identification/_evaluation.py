@@ -1,9 +1,9 @@
-"""Evaluation of a fitted pipeline on one flight: predictions, scores, replay."""
+"""Records of a fit, and evaluation of a fitted pipeline on flights: predictions, scores, replay."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Array, Indices, Matrix
+from skdgp._compute.typing import Indices, Matrix
 from skdgp._flight.channels import (
     BODY_VELOCITY,
     COEFFICIENTS,
@@ -23,6 +23,7 @@ from skdgp._flight.channels import (
     LATERAL,
     LONGITUDINAL,
     RATES,
+    THRUST_FORCES,
     TRUTH_SUFFIX,
 )
 from skdgp._flight.checks import unwrapped
@@ -30,16 +31,87 @@ from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._flight.smoothing import noise_level
 from skdgp._regressor import DependentGPRegressor
+from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
+from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import FlightResult
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-STD_ROWS = 3000
-"""Rows of a flight at which standard deviations are computed; they cost N^2 each, means only N."""
+STD_ROWS = 3000  # rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
 STATES = (*HORIZONTAL, *EARTH_VELOCITY, *EULER, *RATES)
+
+
+def fit_facts(pipeline: Pipeline) -> dict:
+    """Return what a fitted pipeline knows of its fit."""
+    regressor = regressor_and_scale(pipeline)[0]
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
+    facts = {
+        "inference": regressor.inference_,
+        "weights": {name: _by_coefficient(values) for name, values in regressor.weights_.items()},
+        "regressors": names,
+        "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
+        "iterations": int(regressor.n_iter_),
+        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter_),
+        "converged": bool(regressor.converged_),
+        "interrupted": bool(regressor.interrupted_),
+        "evaluations": int(regressor.n_evaluations_),
+        "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
+        "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
+        "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
+        "reconstruction": reconstruction_of(pipeline),
+    }
+    if isinstance(pipeline[-1], CalibratedRegressor):
+        facts["std_scale"] = _by_coefficient(pipeline[-1].std_scale_)
+        facts["guaranteed_level"] = _by_coefficient(pipeline[-1].max_level_)
+    if "lagcorrector" in pipeline.named_steps:
+        facts["lags"] = pipeline["lagcorrector"].lags_.to_dict("index")
+    return facts
+
+
+def settings_of(pipeline, reconstruction, horizons) -> dict:
+    """Return what a pipeline was made with, by the names of the command line's options."""
+    regressor = regressor_and_scale(pipeline)[0]
+    settings = {
+        "inference": regressor.inference,
+        "structure": regressor.structure,
+        "regressors": pipeline["regressorselector"].regressors,
+        "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
+        "input_noise": "none" if regressor.input_noise is None else "learned",
+        "trend": "none" if regressor.trend is None else regressor.trend,
+        "seed": regressor.random_state,
+        "horizons": list(horizons),
+        "inducing": regressor.n_inducing,
+        "latents": regressor.n_latent,
+        "max_iter": regressor.max_iter,
+    }
+    if isinstance(pipeline[-1], CalibratedRegressor):
+        settings["calibrate"] = True
+    if "lagcorrector" in pipeline.named_steps:
+        settings["lags"] = pipeline["lagcorrector"].lags
+    return settings | ({"symmetric": True} if pipeline.symmetric else {})
+
+
+def reconstruction_of(pipeline) -> str | None:
+    """Return whether flight paths are reconstructed, and why; None where it was not asked for."""
+    step = pipeline["flightpathreconstruction"]
+    if not isinstance(step, FlightPathReconstruction):
+        return None
+    return f"{'reconstructed from all sensors' if step.used_ else 'not reconstructed, only smoothed'}: {step.reason_}"
+
+
+def thrust_sources(thrust: str | None, tables: Iterable[Any]) -> list[str]:
+    """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
+    if thrust != "auto":
+        return [thrust or "none"]
+    return sorted({"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables})
+
+
+def _by_coefficient(values) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,20 +134,19 @@ class Evaluation(FlightResult):
     regressors: Matrix
 
 
-def evaluate_flight(
-    pipeline: Pipeline,
-    aircraft: Aircraft,
-    name: str,
-    table: pd.DataFrame,
-    horizons: Sequence[float],
-    loads: dict,
-    least_squares: dict | None = None,
-) -> Evaluation:
-    """Predict a flight and replay it.
+def evaluate_flights(
+    flights: Flights, pipeline: Pipeline, aircraft: Aircraft, settings: dict, fit: dict
+) -> list[Evaluation]:
+    """Predict flights and replay them, with the settings and facts of `identify`."""
+    evaluations = []
+    for name, table in flights.items():
+        notify(f"evaluating {name}")
+        evaluations.append(_evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares")))
+    return evaluations
 
-    ``loads`` are the keywords ``thrust`` and ``external_forces``, ``least_squares`` what :func:`fit_least_squares`
-    returned.
-    """
+
+def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evaluation:
+    loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
     regressors, noise_ratio = flight_regressors(pipeline, table)
     regressor, scale = regressor_and_scale(pipeline)
@@ -85,7 +156,7 @@ def evaluate_flight(
     std = regressor.predict(regressors[rows], return_std=True, include_input_noise=noise_ratio[rows])[1]
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
     measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
-    replayed = _replay(name, table, aircraft, mean, measured_std, horizons, loads)
+    replayed = _replay(name, table, aircraft, mean, measured_std, settings["horizons"], loads)
     states: dict[str, pd.DataFrame] = {}
     if replayed is not None:
         states["measured"] = replay_errors(replayed, table)
@@ -94,7 +165,7 @@ def evaluate_flight(
     names, baseline = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS], None
     if least_squares is not None:
         weights = np.array([list(least_squares[name].values()) for name in COEFFICIENTS])
-        baseline = weights[:, 0] + _unscaled(pipeline, regressors) @ weights[:, 1:].T
+        baseline = weights[:, 0] + named(pipeline, regressors).to_numpy() @ weights[:, 1:].T
     evaluation = Evaluation(
         name=name,
         time=table["time"].to_numpy(float),
@@ -120,11 +191,11 @@ def fit_least_squares(
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return "least_squares": intercept and slopes of each coefficient (n, 6), and "least_squares_std": their errors.
 
-    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline, on
-    the rows where the coefficient was observed. Standard deviations hold where errors are correlated within a block of
-    consecutive rows (Liang & Zeger 1986).
+    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline.
+    Standard deviations hold where errors are correlated within a block of consecutive rows (Liang & Zeger 1986).
     """
-    names, values = [str(name) for name in pipeline["regressorselector"].regressors_], _unscaled(pipeline, regressors)
+    table = named(pipeline, regressors)
+    names, values = [str(name) for name in table], table.to_numpy()
     slopes, std = {}, {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
         seen = np.isfinite(y)
@@ -140,15 +211,14 @@ def fit_least_squares(
     return {"least_squares": slopes, "least_squares_std": std}
 
 
-def _unscaled(pipeline, regressors):
-    return pipeline["standardscaler"].inverse_transform(regressors)
+def named(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
+    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    return pd.DataFrame(pipeline["standardscaler"].inverse_transform(regressors), columns=names)
 
 
 def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
-    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
-
-    Metrics of a standard deviation are taken over the rows where that was computed.
-    """
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it."""
     pairs = {"measured": ("measured", "measured_std"), "truth": ("truth", "std")}
     if any(evaluation.truth is None for evaluation in evaluations):
         del pairs["truth"]
@@ -162,14 +232,13 @@ def group_means(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _scores(evaluations, reference, std) -> pd.DataFrame:
+    """Return metrics of means over all rows, and of bands over those where standard deviations were computed."""
+
     def all_rows(name):
         return np.concatenate([getattr(one, name) for one in evaluations])
 
-    def rows_with_std(name):
-        return np.concatenate([getattr(one, name)[one.rows] for one in evaluations])
-
     means = all_rows(reference), all_rows("mean")
-    bands = rows_with_std(reference), rows_with_std("mean"), rows_with_std(std)
+    bands = [np.concatenate([getattr(one, name)[one.rows] for one in evaluations]) for name in (reference, "mean", std)]
     columns = {of.__name__: of(*means, multioutput="raw_values") for of in (median_relative_error, normalized_rmse)}
     if all(one.baseline is not None for one in evaluations):
         linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
@@ -183,7 +252,10 @@ def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame |
     velocity = BODY_VELOCITY if set(BODY_VELOCITY) <= set(table.columns) else EARTH_VELOCITY
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
-        _warn(f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.")
+        warnings.warn(
+            f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.",
+            stacklevel=4,
+        )
         return None
     warn_of_long_horizons(horizons, name, table)
     return replay(table, aircraft, mean, std=std, horizon=horizons, initial_std=sensor_noise(table), **loads)
@@ -195,44 +267,26 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
     longest = max(time[run][-1] - time[run][0] for run in flight_segments(time))
     long = [horizon for horizon in horizons if horizon > longest]
     if long:
-        _warn(
+        warnings.warn(
             f"Flight {name!r} lasts {longest:.3g} s without a gap, so the replay never reaches horizons of "
-            f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each gap-free segment."
+            f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each gap-free segment.",
+            stacklevel=5,
         )
-
-
-def _warn(message):
-    warnings.warn(message, stacklevel=5)
 
 
 def sensor_noise(table: pd.DataFrame, states: Sequence[str] = STATES) -> dict[str, float]:
     """Return the white noise of the measured states, by name: how uncertain a restart from them is.
 
-    Where the spectrum of a short flight does not show it, second differences do: those of white noise have
-    1 + 4 + 1 = 6 times its variance. Motion adds to them, so the noise is rather over- than understated.
+    Where the spectrum of a short flight does not show it, second differences do, of which white noise has
+    1 + 4 + 1 = 6 times its variance; with motion in them the noise is rather over- than understated.
     """
     names = [name for name in states if name in table]
     values, time = unwrapped(table, names), table["time"].to_numpy(float)
     found = noise_level(values, time).measured
-    found = np.where(np.isfinite(found), found, _noise_of_differences(values, time))
-    return {name: float(level) for name, level in zip(names, found, strict=True)}
-
-
-def _noise_of_differences(values, time) -> Array:
-    """Return the root mean square of second differences over sqrt(6), (k,); 0 of less than three rows in a run."""
-    differences = [np.diff(values[run], 2, axis=0) for run in flight_segments(time)]
-    squares = np.concatenate(differences) ** 2
+    squares = np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
     known = np.isfinite(squares)
-    return np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
-
-
-def evaluate_flights(flights, pipeline, aircraft, settings, fit) -> list[Evaluation]:
-    loads, linear = {name: settings[name] for name in ("thrust", "external_forces")}, fit.get("least_squares")
-    evaluations = []
-    for name, table in flights.items():
-        notify(f"evaluating {name}")
-        evaluations.append(evaluate_flight(pipeline, aircraft, name, table, settings["horizons"], loads, linear))
-    return evaluations
+    bound = np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
+    return dict(zip(names, np.where(np.isfinite(found), found, bound).tolist(), strict=True))
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:

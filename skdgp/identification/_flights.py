@@ -11,43 +11,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import (
-    EARTH_VELOCITY,
-    ELEVONS,
-    MIXED,
-    RATES,
-    REGRESSOR_SETS,
-    SPECIFIC_FORCE,
-    THRUST_FORCES,
-)
+from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES, REGRESSOR_SETS, SPECIFIC_FORCE, THRUST_FORCES
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
 from skdgp._flight.turns import airspeed_from_turns
-from skdgp.io import FlightReadError, read_flight
-from skdgp.io._autopilot.autopilot import is_log
+from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import FlightCheck
 
 Flights = dict[str, pd.DataFrame]
 
-MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
-"""Columns that the coefficients follow from."""
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)  # columns that the coefficients follow from
 FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
-ENGINE = ("throttle", "propeller_speed")
-"""Columns that an unknown thrust depends on."""
-INTERCHANGEABLE = (*MIXED, *ELEVONS)
-"""Elevons may stand for elevator and aileron, and the other way round."""
-AIRSPEED_ERROR = "relative error of airspeed"
-"""Attribute of tables whose airspeed is that of their turns: its standard deviation, root mean square."""
+ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
+INTERCHANGEABLE = (*MIXED, *ELEVONS)  # elevons may stand for elevator and aileron, and the other way round
+AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables whose airspeed is that of turns
 
 
 def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any) -> Flights:
-    """Return one table for each flight by name, of a table, a path, a dict of tables, or several tables and paths.
+    """Return one table for each flight by name; a column ``flight`` separates several flights in a table.
 
-    A column ``flight`` separates several flights in a table. Raises the errors of the readers, and ValueError if two
-    flights have the same name, or a flight lacks a column that is needed.
+    Raises the errors of the readers, and ValueError if two flights have the same name, or a flight lacks a column that
+    is needed.
 
     Parameters
     ----------
@@ -63,22 +50,32 @@ def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str
     -------
     dict of str to DataFrame
     """
+    found: Flights = {}
     if isinstance(flights, Mapping):
-        return {name: _checked_columns(_single_flight(name, table), needed) for name, table in flights.items()}
-    items = list(flights) if isinstance(flights, list | tuple) else [flights]
+        for name, table in flights.items():
+            parts = flights_of(check_table(table))
+            if len(parts) != 1:
+                raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
+            found[name] = _checked_columns(next(iter(parts.values())).assign(flight=name), needed)
+        return found
+    items = items_of(flights)
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
-    found: Flights = {}
-    origin: dict[str, object] = {}
+    origin: dict[str, str | os.PathLike | None] = {}
     for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
-        options = reading if is_autopilot_log(path) else {}
-        table = check_table(item) if path is None else read_flight(path, **options)
+        table = check_table(item) if path is None else read_flight(path, **(reading if is_log(path) else {}))
         for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
                 raise FlightReadError(_same_name(name, origin[name], path))
             found[name], origin[name] = _checked_columns(part, needed, path), path
     return found
+
+
+def items_of(flights: Any) -> list:
+    """Return the tables and paths of a dict or a list, or of a single one."""
+    flights = list(flights.values()) if isinstance(flights, Mapping) else flights
+    return list(flights) if isinstance(flights, list | tuple) else [flights]
 
 
 def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
@@ -89,24 +86,12 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
     return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}
 
 
-def _single_flight(name, table) -> pd.DataFrame:
-    parts = flights_of(check_table(table))
-    if len(parts) != 1:
-        raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
-    return next(iter(parts.values())).assign(flight=name)
-
-
-def is_autopilot_log(item) -> bool:
-    """Return whether this is the path of a log of an autopilot."""
-    return isinstance(item, str | os.PathLike) and is_log(Path(item))
-
-
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
     table = _with_airspeed(with_air_data(table), needed)
     try:
         check_columns(table, needed)
     except ValueError as error:
-        if not is_autopilot_log(path):
+        if not is_log(path):
             raise
         raise ValueError(f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}") from None
     return table
@@ -160,22 +145,23 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
         return train, test, None
     *others, last = train
     if others:
-        held_out, parts = f"the last flight, {last}", ({name: train[name] for name in others}, {last: train[last]})
+        held_out, found = f"the last flight, {last}", train
     else:
         held_out, split = f"the last quarter of the only flight, {last}", round(0.75 * len(train[last]))
         rows = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
-        first, rest = (
-            {name: train[last].iloc[part].assign(flight=name).reset_index(drop=True)} for name, part in rows.items()
-        )
-        parts = first, rest
+        found = {name: train[last].iloc[part].assign(flight=name).reset_index(drop=True) for name, part in rows.items()}
     _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
-    return *parts, held_out
+    *_, last = found
+    return {name: table for name, table in found.items() if name != last}, {last: found[last]}, held_out
+
+
+def _names(regressors) -> Sequence[str]:
+    return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
 
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
     """Return the measured columns of the tables that regressors are made from."""
-    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
-    found: list[str] = []
+    names, found = _names(regressors), list[str]()
     for table in tables:
         needed = {"airspeed"}
         for name in (str(name).removesuffix("_hat") for name in names):
@@ -238,7 +224,7 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
     """Raise ValueError if the coefficients are known at fewer than two rows, with what is missing."""
     known = int(Y.notna().all(axis=1).sum())
     if known < 2:
-        missing = {name: int(table[name].isna().sum()) for name in FORCES if name in table and table[name].isna().any()}
+        missing = {name: n for name in FORCES if name in table and (n := int(table[name].isna().sum()))}
         raise ValueError(
             f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected at least two, better "
             f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
@@ -249,7 +235,12 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
 def warn_of_short_flights(flights: Flights, regressors) -> None:
     """Warn if regressors pass their means less often than there are regressors."""
     columns = [name for name in regressor_columns(list(flights.values())[:1], regressors) if name != "airspeed"]
-    crossings = np.sum([[_mean_crossings(table, name) for name in columns] for table in flights.values()], axis=0)
+    crossings = np.zeros(len(columns))
+    for table in flights.values():
+        time, values = table["time"].to_numpy(float), table[columns].to_numpy(float)
+        size = max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1  # noise does not count
+        blocks = block_means(values, size) - values.mean(axis=0)
+        crossings += np.sum(blocks[1:] * blocks[:-1] < 0, axis=0)
     if np.median(crossings) < len(columns):
         seconds = sum(np.ptp(table["time"]) for table in flights.values())
         warnings.warn(
@@ -263,20 +254,11 @@ def warn_of_short_flights(flights: Flights, regressors) -> None:
 
 def warn_of_engine(flights: Flights, regressors) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
-    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
     table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
-    if varied and not set(varied) & set(names):
+    if varied and not set(varied) & set(_names(regressors)):
         _warn(
             f"Got thrust=None for flights with {' and '.join(varied)}: the coefficients include the thrust, and no "
             f"regressor explains it. Name regressors with {varied[0]!r} and 'airspeed', or give the thrust.",
             3,
         )
-
-
-def _mean_crossings(table, name) -> int:
-    """Return how often a channel passes its mean, in averages over 0.25 s, so that noise does not count."""
-    time, values = table["time"].to_numpy(float), table[name].to_numpy(float)
-    size = max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1
-    blocks = block_means(values, size) - values.mean()
-    return int(np.sum(blocks[1:] * blocks[:-1] < 0))

@@ -11,7 +11,7 @@ from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,28 +23,14 @@ from skdgp._compute.versions import software_versions
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
-from skdgp.identification import _model_file
-from skdgp.identification._evaluation import (
-    Evaluation,
-    evaluate_flights,
-    group_means,
-    scores,
-    usable_flights_of_model,
-)
-from skdgp.identification._facts import reconstruction_of, thrust_sources
+from skdgp.identification import _evaluation, _model_file
+from skdgp.identification._evaluation import Evaluation, group_means, reconstruction_of, scores
 from skdgp.identification._flights import named_flights
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.identification._verdict import judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.report import (
-    FlightMechanics,
-    ModelSummary,
-    ReportContent,
-    Verdict,
-    render_report,
-    write_report,
-)
+from skdgp.report import FlightMechanics, ModelSummary, ReportContent, Verdict, render_report, write_report
 
 FORMAT = 1  # of the metrics
 WIDTHS = {
@@ -63,42 +49,25 @@ N_WARNINGS = 3  # of the summary
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
-class Supplement(Protocol):
-    """A further part of what was found: plain values by its name, lines of the summary, a section of the report."""
-
-    name: ClassVar[str]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-
-    def summary(self) -> list[str]:
-        """Return its lines of the summary."""
-
-    def section(self) -> str:
-        """Return its section of the report, HTML."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Identification:
     """Result of `identify`: a model of an aircraft, its evaluation on test flights, and the record of the fit.
 
     Attributes
     ----------
-    pipeline : Pipeline
-        Fitted: a raw flight table in, six coefficients out.
-    aircraft : Aircraft
+    pipeline, aircraft : Pipeline, Aircraft
+        Fitted: a raw flight table in, six coefficients out; and of what.
     settings, fit : dict
         What was asked for or chosen; samples, likelihood, noise and time of the fit.
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
-    messages : list of str
-        Warnings that arose.
-    held_out : str or None
-        What was held out because no test flight was named.
-    supplements : sequence of Supplement
-        Further parts of metrics, summary and report: `skdgp.design.FlownPlan`.
+    messages, held_out : list of str, str or None
+        Warnings that arose, and what was held out because no test flight was named.
+    supplements : sequence
+        Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics, ``summary()``, a
+        list of lines, and ``section()``, HTML for the report.
     assumed : list of str
         What was assumed where flights and aircraft do not say, and what to measure; empty where all was told.
     title, command, created : str
@@ -113,7 +82,7 @@ class Identification:
     evaluations: list[Evaluation]
     messages: list[str]
     held_out: str | None = None
-    supplements: Sequence[Supplement] = ()
+    supplements: Sequence[Any] = ()
     assumed: list[str] = field(default_factory=list)
     title: str = ""
     command: str | None = None
@@ -164,7 +133,7 @@ class Identification:
 
     def summary(self) -> str:
         """Return what the command line prints: scores of all test flights together, and a line or table of each."""
-        fit, tested = self.fit, self.evaluations
+        fit, tested, verdict = self.fit, self.evaluations, self.verdict
         first = f"{self.aircraft.name}: "
         if "seconds" in fit:
             first += f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
@@ -172,36 +141,37 @@ class Identification:
         lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
         if not fit.get("converged", True):
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
-        lines.append("")
         if len(tested) == 1:
-            lines += [f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
+            lines += ["", f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
         else:
-            lines += [f"{len(tested)} test flights together", *_score_table(tested), ""]
+            lines += ["", f"{len(tested)} test flights together", *_score_table(tested), ""]
             for one in tested:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
-        paths = reconstruction_of(self.pipeline)
-        facts = [f"flight paths {paths}"] if paths else []
-        facts += [line for each in self.supplements for line in each.summary()]
-        text = "\n".join([*lines, "", *facts, "", *_verdict_lines(self.verdict)]).rstrip()
-        return "\n".join([text, *_assumed_lines(self.assumed)])
+        lines += ["", *(f"flight paths {paths}" for paths in [reconstruction_of(self.pipeline)] if paths)]
+        lines += [line for each in self.supplements for line in each.summary()]
+        lines += ["", f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands"]
+        lines += [words] if (words := verdict.compared()) else []
+        lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
+        lines += [f"warning {k}: {warning}" for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)]
+        lines += ["", "assumed, as nothing was told:"] if self.assumed else []
+        for each in self.assumed:
+            lines += wrap(each, 110, initial_indent="  - ", subsequent_indent="    ")
+        return "\n".join(lines)
 
     def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
         with warnings.catch_warnings():
-            flights = usable_flights_of_model(self.pipeline, named_flights(flight))
+            flights = _evaluation.usable_flights_of_model(self.pipeline, named_flights(flight))
             if len(flights) != 1:
                 raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
-            return evaluate_flights(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
+            return _evaluation.evaluate_flights(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the report, one HTML file, and return its path."""
         return write_report(path, self._report_content())
 
     def save(self, path: str | os.PathLike) -> Path:
-        """Write model.joblib, metrics.json and report.html into a folder, all or none, and return the path.
-
-        A path that ends in .joblib is that of the model alone.
-        """
+        """Write model.joblib, metrics.json and report.html into a folder, all or none; of a path .joblib the model."""
         path = Path(path)
         if path.suffix == ".joblib":
             return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
@@ -270,11 +240,10 @@ class Identification:
 
     def _envelope(self) -> EnvelopeDisplay | None:
         """Return where the data are and what the model knows around them; None of a single regressor."""
-        names, scaler = self.pipeline["regressorselector"].regressors_, self.pipeline["standardscaler"]
-        if len(names) < 2 or not self.train:
+        if len(self.fit["regressors"]) < 2 or not self.train:
             return None
-        tested = [scaler.inverse_transform(one.regressors) for one in self.evaluations]
-        path = pd.DataFrame(np.concatenate(tested), columns=names) if tested else None
+        tested = [_evaluation.named(self.pipeline, one.regressors) for one in self.evaluations]
+        path = pd.concat(tested) if tested else None
         return EnvelopeDisplay.compute(self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12)
 
     def _effects(self) -> EffectsDisplay | None:
@@ -289,21 +258,19 @@ class Identification:
 
     def _remarks(self) -> dict[str, str]:
         fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
-        sources = thrust_sources(self.settings["thrust"], tables)
+        sources = _evaluation.thrust_sources(self.settings["thrust"], tables)
         remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
-        paths = reconstruction_of(self.pipeline)
-        if paths:
+        if paths := reconstruction_of(self.pipeline):
             remarks["Flight paths"] = paths
-        lags = {name: row["applied"] for name, row in fit.get("lags", {}).items() if row["applied"]}
         if "lags" in fit:
-            remarks["Lags"] = ", ".join(f"{name} {lag:.3g} s" for name, lag in lags.items()) or "none to correct"
+            lags = [f"{name} {row['applied']:.3g} s" for name, row in fit["lags"].items() if row["applied"]]
+            remarks["Lags"] = ", ".join(lags) or "none to correct"
         if len(fit["weights"]) > 1:
             shares = {name: np.mean(list(by_output.values())) for name, by_output in fit["weights"].items()}
             words = ", ".join(f"{share:.0%} {MEMBERS[name]}" for name, share in shares.items())
             remarks["Average"] = f"{words}; weights by blocks of the training flights, predicted from the others"
-        noisy = {name: value for name, value in fit["input_noise_std"].items() if value > 0}
-        if noisy:
-            remarks["Noise of the regressors"] = ", ".join(f"{name} {value:.2g}" for name, value in noisy.items())
+        if noisy := [f"{name} {value:.2g}" for name, value in fit["input_noise_std"].items() if value > 0]:
+            remarks["Noise of the regressors"] = ", ".join(noisy)
         if self.settings["external_forces"]:
             remarks["Other loads"] = ", ".join(self.settings["external_forces"])
         if "std_scale" in fit:
@@ -334,22 +301,6 @@ def _score_metrics(evaluations) -> dict:
     }
 
 
-def _verdict_lines(verdict: Verdict) -> list[str]:
-    """Return the verdict: errors, uses, and the warnings that matter most."""
-    lines = [f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands", verdict.compared()]
-    lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
-    lines += [f"warning {k}: {warning}" for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)]
-    return [line for line in lines if line]
-
-
-def _assumed_lines(assumed: list[str]) -> list[str]:
-    """Return what was assumed as lines of the summary; none where all was told."""
-    if not assumed:
-        return []
-    indents: dict[str, Any] = {"initial_indent": "  - ", "subsequent_indent": "    "}
-    return ["", "assumed, as nothing was told:", *(line for each in assumed for line in wrap(each, 110, **indents))]
-
-
 def _score_table(evaluations) -> list[str]:
     tables = scores(evaluations)
     above = [f"{'against measured':>{3 * WIDTH}}", f"{'against truth':>{2 * WIDTH}}"][: len(tables)]
@@ -367,11 +318,8 @@ def _mean_row(evaluations, group) -> str:
 
 def _row(name, rows) -> str:
     """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    measured, *truth = rows
-    cells = [_percent(measured.median_relative_error), f"{measured.normalized_rmse:.3f}"]
-    cells.append(_percent(measured.interval_coverage))
-    for row in truth:
-        cells += [_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}"]
+    cells = [cell for row in rows for cell in (_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}")]
+    cells.insert(2, _percent(rows[0].interval_coverage))
     return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
 
 
@@ -380,14 +328,10 @@ def _percent(fraction) -> str:
 
 
 def _state_lines(evaluation: Evaluation) -> list[str]:
-    if not evaluation.states:
-        return []
     lines = []
-    for horizon, part in evaluation.states["measured"].groupby("horizon"):
+    for horizon, part in evaluation.states["measured"].groupby("horizon") if evaluation.states else ():
         median = part.set_index("state")["median"]
-        cells = []
-        for state in (name for name in ("v_east", "p", "r") if name in median):
-            factor, unit = display_unit(state)
-            cells.append(f"{state} {factor * median[state]:.3g} {unit}")
+        units = {state: display_unit(state) for state in ("v_east", "p", "r") if state in median}
+        cells = [f"{state} {factor * median[state]:.3g} {unit}" for state, (factor, unit) in units.items()]
         lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
     return lines

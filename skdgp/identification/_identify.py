@@ -14,32 +14,15 @@ from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
+from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _flights
-from skdgp.identification._assumed import (
-    FULL_THROWS,
-    THRUST_IN_COEFFICIENTS,
-    assumptions,
-    control_units,
-    lacks_thrust,
-    servos_for,
-    with_airspeed_errors,
-    with_signs_of_flights,
-    with_throw_errors,
-    with_thrust_errors,
-)
-from skdgp.identification._evaluation import evaluate_flights, fit_least_squares, usable_flights_of_model
-from skdgp.identification._facts import fit_facts, settings_of, thrust_sources
+from skdgp.identification import _assumed, _evaluation, _flights
 from skdgp.identification._identification import Identification
-from skdgp.identification._pipeline import (
-    check_aircraft,
-    flight_noise,
-    make_identification_pipeline,
-)
-from skdgp.io._autopilot.servos import reversed_of
+from skdgp.identification._pipeline import check_aircraft, make_identification_pipeline, noise_of_motion
+from skdgp.io import reversed_of
 from skdgp.model_selection import thin_targets
 
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
@@ -63,12 +46,9 @@ def identify(
     """Learn a model of the six coefficients from flights, and judge it on others.
 
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`) learns them from
-    the training flights. The model then predicts the test flights, and its predictions are scored and replayed.
-
-    Flights without an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
-
-    Listeners of `skdgp.listening` are called at each stage too, with ``(stage, 0, nan)``: "reading", "coefficients",
-    "transforming", "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
+    the training flights, and predicts the test flights; predictions are scored and replayed. Listeners of
+    `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``: "reading", "coefficients", "transforming",
+    "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
 
     Parameters
     ----------
@@ -84,17 +64,16 @@ def identify(
     regressor : DependentGPRegressor, optional
         By default ``DependentGPRegressor(random_state=0)``.
     pipeline : mapping of str to object, optional
-        Other options of :func:`make_identification_pipeline`: ``{"lags": "auto", "symmetric": True}``, for example.
+        Other options of :func:`make_identification_pipeline`, such as ``{"lags": "auto"}``.
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     thrust, external_forces
         As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
-        propeller among the regressors, best with the airspeed, unless the aircraft glides. With "auto" it is so by
-        itself where the flights have a throttle and nothing gives the thrust.
+        propeller among the regressors, best with the airspeed, unless the aircraft glides; so does "auto" by itself
+        where the flights have a throttle and nothing gives the thrust.
     calibrate : bool
         Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
-        show that are held out in turn. It takes one more fit for each of up to 5 groups of flights. Not with a
-        symmetric pipeline.
+        show that are held out in turn: up to 5 more fits. Not with a symmetric pipeline.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
@@ -103,7 +82,6 @@ def identify(
     Returns
     -------
     Identification
-        The model, its scores and how it came about.
 
     Raises
     ------
@@ -144,71 +122,71 @@ def identify(
         )
     steps, reading = dict(pipeline or {}), dict(reading or {})
     with recorded_warnings() as messages:
-        notify("reading")
+        notify("reading")  # 1: flights to learn from and to test on, and what of the aircraft they leave uncertain
         aircraft = _aircraft(aircraft)
-        servos = servos_for(reading.get("servos"), flights, test)
-        aircraft = with_throw_errors(aircraft, servos)
+        servos = _assumed.servos_for(reading.get("servos"), flights, test)
+        aircraft = _assumed.with_throw_errors(aircraft, servos)
         reading |= {"servos": servos, "needed": _flights.MEASURED}
         train = _flights.named_flights(flights, **reading)
-        aircraft = with_airspeed_errors(aircraft, train.values())
+        aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
         test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
         train, test, held_out = _flights.train_and_test(train, test)
-        servos, train, test = with_signs_of_flights(servos, train, test)
+        servos, train, test = _assumed.with_signs_of_flights(servos, train, test)
         if calibrate:
             _check_calibration(train, steps.get("symmetric", False))
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
-        thrust_unknown = lacks_thrust(thrust, train.values(), aircraft)
+        thrust_unknown = _assumed.lacks_thrust(thrust, train.values(), aircraft)
         if thrust_unknown:
-            _warn(THRUST_IN_COEFFICIENTS)
-        loads: dict[str, Any] = {
-            "thrust": None if thrust_unknown else thrust,
-            "external_forces": list(external_forces),
-        }
+            _warn(_assumed.THRUST_IN_COEFFICIENTS)
+        loads: dict[str, Any] = {"thrust": None if thrust_unknown else thrust, "external_forces": list(external_forces)}
         if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
         if reversed_of(servos) is not None:
-            _warn(FULL_THROWS)
+            _warn(_assumed.FULL_THROWS)
             warnings.filterwarnings("ignore", "Got surfaces up to", UserWarning)
         # The steps of the pipeline meet the same faults again.
         warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
 
-        notify("coefficients")
+        notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         table = pd.concat(train.values(), ignore_index=True)
         Y = aerodynamic_coefficients(table, aircraft, **loads)
         _flights.check_known(Y, table)
-        targets = thin_targets(Y, _n_samples(samples, regressor, len(Y)))
+        n_samples: Any = EXACT_SAMPLES if samples is None and regressor.inference == "exact" else samples
+        targets = thin_targets(Y, len(Y) if n_samples in (None, "all") else n_samples)
 
-        notify("transforming")
+        notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
         last = CalibratedRegressor(clone(regressor)) if calibrate else regressor
-        steps = {"mixer": _mixer(table)} | steps
+        has_controls = {*ELEVONS} & {*table} or {*MIXED} <= {*table}
+        steps = {"mixer": None if has_controls else "passthrough"} | steps
         model = make_identification_pipeline(aircraft, regressors=regressors, regressor=last, **steps)
         if thrust_unknown and isinstance(regressors, str):  # a named set, which has the throttle already
             model.set_params(regressorselector__extra=["airspeed"])
-        model.control_units_ = control_units(servos)
+        model.control_units_ = _assumed.control_units(servos)
         began = time.monotonic()
         groups = {"calibratedregressor__groups": table["flight"]} if calibrate else {}
         X = model.fit_regressors(table, targets, **groups)
-        model.noise_ = flight_noise(model, table, aircraft, regressors=X, **loads)
+        model.noise_ = noise_of_motion(X, Y, table)
         seconds = time.monotonic() - began
-        if "propeller" in thrust_sources(loads["thrust"], train.values()):
-            aircraft = with_thrust_errors(aircraft, table, _named(model, X), loads["thrust"])
+        sources = _evaluation.thrust_sources(loads["thrust"], train.values())
+        if "propeller" in sources:
+            aircraft = _assumed.with_thrust_errors(aircraft, table, _evaluation.named(model, X), loads["thrust"])
 
-        fit = {
+        fit = {  # 4: the record of the fit, and the test flights, by paper eqs 17 and 18
             "samples": int(targets.notna().any(axis=1).sum()),
             "samples_available": int(Y.notna().any(axis=1).sum()),
             "values": int(targets.notna().sum().sum()),
-            "thrust": thrust_sources(loads["thrust"], train.values()),
-            **fit_facts(model),
-            **fit_least_squares(model, X, targets),
+            "thrust": sources,
+            **_evaluation.fit_facts(model),
+            **_evaluation.fit_least_squares(model, X, targets),
             "seconds": round(seconds, 3),
             "flights": {name: len(part) for name, part in train.items()},
         }
         reconstruction = steps.get("reconstruction", "auto")
-        settings = {"samples": fit["samples"], **loads, **settings_of(model, reconstruction, horizons)}
+        settings = {"samples": fit["samples"], **loads, **_evaluation.settings_of(model, reconstruction, horizons)}
         settings |= {} if reversed_of(servos) is None else {"servos": servos}
-        evaluations = evaluate_flights(test, model, aircraft, settings, fit)
+        evaluations = _evaluation.evaluate_flights(test, model, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -219,7 +197,7 @@ def identify(
         evaluations=evaluations,
         messages=messages,
         held_out=held_out,
-        assumed=assumptions(aircraft, servos=servos, thrust_unknown=thrust_unknown),
+        assumed=_assumed.assumptions(aircraft, servos=servos, thrust_unknown=thrust_unknown),
     )
 
 
@@ -241,13 +219,10 @@ def validate(
     model : Bunch
         As of :func:`load_model`.
     flights : as of :func:`identify`
-        The flights to predict and replay.
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
-    horizons : sequence of float
-        Seconds from restart to restart of the replay.
-    reading : mapping of str to object, optional
-        Options of :func:`skdgp.io.read_flight` for paths of logs of autopilots; by default with the model's servos.
+    horizons, reading
+        As of :func:`identify`; logs are read with the model's servos by default.
     **loads
         ``thrust`` and ``external_forces``, where they differ from those of the model's fit.
 
@@ -263,12 +238,12 @@ def validate(
     with recorded_warnings() as messages:
         notify("reading")
         named = _flights.named_flights(flights, **reading | {"servos": servos})
-        flights = usable_flights_of_model(model.pipeline, named)
+        flights = _evaluation.usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
         aircraft = _aircraft(model.aircraft if aircraft is None else aircraft)
-        fit = fit_facts(model.pipeline) | model.get("fit", {})
-        evaluations = evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
+        fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
+        evaluations = _evaluation.evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,
@@ -318,21 +293,3 @@ def _check_calibration(train, symmetric) -> None:
             "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
             "which a symmetric model would learn from twice."
         )
-
-
-def _named(pipeline, X) -> pd.DataFrame:
-    """Return the regressors (n, d) by name, in their own units."""
-    scaler, names = pipeline["standardscaler"], pipeline["regressorselector"].regressors_
-    return pd.DataFrame(scaler.inverse_transform(X), columns=list(names))
-
-
-def _n_samples(samples, regressor, n_rows) -> int:
-    if samples is None:
-        return EXACT_SAMPLES if regressor.inference == "exact" else n_rows
-    return n_rows if samples == "all" else samples
-
-
-def _mixer(table) -> str | None:
-    """Return "passthrough" for an aircraft without elevons that lacks elevator or aileron."""
-    has_elevons = {"elevon_left", "elevon_right"} & set(table.columns)
-    return None if has_elevons or {"elevator", "aileron"} <= set(table.columns) else "passthrough"

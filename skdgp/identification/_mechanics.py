@@ -27,16 +27,11 @@ from skdgp.dynamics import (
 from skdgp.identification._evaluation import sensor_noise
 from skdgp.report import THRESHOLDS, FlightMechanics
 
-N_PATHS = 100
-"""Functions that give the standard deviations: these have a relative error of 1 / sqrt(2 n), 7 %."""
-STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)
-"""States of a simulation that depend neither on the wind nor on the heading."""
-FLIGHT_STEP = 0.05
-"""Of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s."""
-START = 0.25
-"""Time over which measured states are averaged to start from [s], so that a sample's noise is not flown."""
-MOST_STARTS, PARTS = 60, 20
-"""Starts that are simulated, and parts of their time over which errors are averaged."""
+N_PATHS = 100  # functions that give the standard deviations: these have a relative error of 1 / sqrt(2 n), 7 %
+STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # depend neither on wind nor on heading
+FLIGHT_STEP = 0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
+START = 0.25  # time over which measured states are averaged to start from [s], so that a sample's noise is not flown
+MOST_STARTS, PARTS = 60, 20  # starts that are simulated, and parts of their time over which errors are averaged
 
 
 def flight_mechanics(
@@ -47,13 +42,12 @@ def flight_mechanics(
     settings: dict,
     fit: dict,
 ) -> FlightMechanics:
-    """Return trim, derivatives and modes at the median airspeed and density of the training flights.
+    """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
 
-    ``settings`` and ``fit`` are those of `identify`. Without a thrust the flight is a glide. Where there is no trim,
-    derivatives are at the median of what was flown, and ``note`` says why. The simulation is of the test flights.
+    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of what was flown.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
-    thrust: Any = None if settings["thrust"] in (None, "none") else "auto"
+    thrust = _thrust(settings)
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
     drawn: dict[str, Any] = {"n_paths": n_paths, "random_state": 0, **conditions}
@@ -65,7 +59,9 @@ def flight_mechanics(
     except ValueError:
         where = f"{flown['airspeed']:.3g} m/s"
         found["note"] = f"No steady flight was found at {where}: derivatives are at the median state, without modes."
-        at = _middle(flown)
+        state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))  # wings level
+        state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
+        at = state, {str(name): float(value) for name, value in flown.items()}
     try:
         found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **drawn)
         if "least_squares_std" in fit:
@@ -83,11 +79,8 @@ def flight_mechanics(
     return FlightMechanics(**found)
 
 
-def _middle(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
-    """Return state and controls of the median of what was flown, wings level."""
-    state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))
-    state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
-    return state, {str(name): float(value) for name, value in flown.items()}
+def _thrust(settings: dict) -> Any:
+    return None if settings["thrust"] in (None, "none") else "auto"
 
 
 def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
@@ -102,26 +95,30 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
     def values(X):
         return intercept + X @ weights.T
 
-    def slopes(X):
-        return np.broadcast_to(weights, (*X.shape[:-1], *weights.shape))
-
     def sampler(n_paths, random_state):
         drawn = weights + std * np.random.default_rng(random_state).standard_normal((n_paths, *weights.shape))
         return values, lambda X: np.broadcast_to(drawn[:, None], (*X.shape[:-1], *weights.shape))
 
-    lengths: dict[str, Any] = {"span": known.span, "chord": known.chord, "mixing": known.mixing}
-    return Aerodynamics(values, known.regressors, gradient=slopes, sampler=sampler, **lengths)
+    return Aerodynamics(
+        values,
+        known.regressors,
+        gradient=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
+        sampler=sampler,
+        span=known.span,
+        chord=known.chord,
+        mixing=known.mixing,
+    )
 
 
 def simulation_errors(
     pipeline: Pipeline, aircraft: Aircraft, tables: Sequence[pd.DataFrame], settings: dict
 ) -> pd.DataFrame:
-    """Return how long a simulation with the recorded controls follows flights from their measured states.
+    """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
 
-    It is in still air, from the velocity relative to the air, and started again every longest horizon. The rows are
-    states; columns: ``spread``, the standard deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times
-    that, or three times the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
-    time [s] at which the error passes the limit, at most ``horizon``. Raises ValueError if it cannot be simulated.
+    It is in still air, and started again every longest horizon. Columns: ``spread``, the standard deviation in the
+    flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that is
+    more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error passes the limit, at most
+    ``horizon``. Raises ValueError if it cannot be simulated.
     """
     if settings["external_forces"]:
         raise ValueError(f"a simulation lacks the loads {', '.join(settings['external_forces'])} of the flights")
@@ -129,8 +126,6 @@ def simulation_errors(
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     starts, parts = _windows(tables, max(settings["horizons"]))
-    density = float(np.median(np.concatenate([part["density"] for part in parts])))
-    duration = min(float(part["time"].iloc[-1]) for part in parts)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # an end is an error without bound
         flown = simulate(
@@ -139,9 +134,9 @@ def simulation_errors(
             starts,
             [part.drop(columns=[*STATES, "flight"], errors="ignore") for part in parts],
             dt=FLIGHT_STEP,
-            duration=duration,
-            thrust=None if settings["thrust"] in (None, "none") else "auto",
-            air=Air(density=density),
+            duration=min(float(part["time"].iloc[-1]) for part in parts),
+            thrust=_thrust(settings),
+            air=Air(density=float(np.median(np.concatenate([part["density"] for part in parts])))),
         )
     each = [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
     elapsed = each[0]["time"].to_numpy()

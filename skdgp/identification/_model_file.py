@@ -39,9 +39,8 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
     Parameters
     ----------
     path : path-like
-        Such as ``model.joblib``; its folder must exist.
+        In a folder that exists.
     pipeline : Pipeline
-        Fitted.
     aircraft : Aircraft
     **facts
         Further entries, such as ``options={"thrust": "columns"}``.
@@ -49,7 +48,6 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
     Returns
     -------
     Path
-        ``path``.
     """
     model = model_bunch(pipeline, aircraft, **facts)
     if not _is_model(model):
@@ -69,8 +67,7 @@ def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
 def dump_model(path: Path, model: Bunch) -> None:
     """Write the model and, after it, a line of JSON that can be read when the model itself cannot.
 
-    Unpickling stops before that line, so ``joblib.load`` reads the file too; and a file that lacks the line is cut off.
-    The line ends in the SHA-256 of all that stands before the digest, the rest of the line included.
+    Unpickling stops before that line. It ends in the SHA-256 of all that stands before the digest.
     """
     joblib.dump(model, path)
     closing = {"format": FORMAT, "bytes": path.stat().st_size, "created": model.created, "versions": model.versions}
@@ -96,8 +93,13 @@ def load_model(path: str | os.PathLike) -> Bunch:
     if not path.is_file():
         raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib.")
     with path.open("rb") as file:
-        closing = _closing(file, path)
-        _warn_of_origin(closing, path)
+        made_by, here = _closing(file, path)["versions"], software_versions()
+        if any(made_by.get(name) != here.get(name) for name in MATTERS):
+            warnings.warn(
+                f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "
+                "Compare a few, fit it again, or install those versions.",
+                stacklevel=2,
+            )
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InconsistentVersionWarning)  # warned of above, once for all
@@ -105,9 +107,8 @@ def load_model(path: str | os.PathLike) -> Bunch:
                 model = joblib.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written by {_in_words(closing['versions'])}, which cannot be read here, with "
-                f"{_in_words(software_versions())} ({type(error).__name__}: {error}): fit it again, or install those "
-                "versions."
+                f"Got {path}, written by {_in_words(made_by)}, which cannot be read here, with {_in_words(here)} "
+                f"({type(error).__name__}: {error}): fit it again, or install those versions."
             ) from error
     if not _is_model(model):
         raise ModelFileError(
@@ -143,20 +144,6 @@ def _closing(file: BinaryIO, path) -> dict:
             "or install that version."
         )
     return closing
-
-
-def _warn_of_origin(closing, path):
-    """Warn of a file that other versions wrote."""
-    made_by, here = closing["versions"], software_versions()
-    if any(made_by.get(name) != here.get(name) for name in MATTERS):
-        _warn(
-            f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "
-            "Compare a few, fit it again, or install those versions."
-        )
-
-
-def _warn(message):
-    warnings.warn(message, stacklevel=4)
 
 
 def _is_model(found) -> bool:

@@ -16,12 +16,11 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import SENSOR_GUST
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.clock import flight_segments
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
-from skdgp.identification._mirror import mirrored, named_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -32,9 +31,10 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-DIFFERENTIATED = ("alpha", "beta", "p", "q", "r")
-LEAST_ROWS, MOST_ROWS = 5, 20000
-"""Fewest rows for each term of the polynomial that is fitted, and most rows in all."""
+DIFFERENTIATED = (*VANES, *RATES)
+LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
+"""Regressors and coefficients whose sign changes in a mirror at the x-z plane."""
+LEAST_ROWS, MOST_ROWS = 5, 20000  # fewest rows for each term of the polynomial that is fitted, and most rows in all
 
 
 def make_identification_pipeline(
@@ -71,32 +71,29 @@ def make_identification_pipeline(
     Parameters
     ----------
     aircraft : Aircraft
-        Its span and chord make rates non-dimensional.
+        With span and chord, by which rates are non-dimensional.
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights if
-        they hold all that this needs, and if their air data become more accurate than by smoothing alone. Else it
-        leaves them to the smoother.
+        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights
+        where their air data become more accurate than by smoothing alone.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
-        What turns surfaces into controls; by default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an
-        elevator or an aileron.
+        By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor()``. It is cloned.
-        Any regressor of several outputs will do: a linear model for comparison.
+        By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will do.
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
     lags : "auto", dict or None, default=None
         As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
     symmetric : bool, default=False
-        As for :class:`FlightPipeline`: whether the aircraft is symmetric.
+        As for :class:`FlightPipeline`.
 
     Returns
     -------
     FlightPipeline
-        ``predict(table)`` gives (n, 6), ``predict(table, return_std=True)`` also the standard deviations.
+        ``predict(table, return_std=True)`` gives coefficients (n, 6) and their standard deviations.
 
     Examples
     --------
@@ -117,10 +114,14 @@ def make_identification_pipeline(
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(incomplete="pass", inconsistent="pass")
+    derivatives = list(DIFFERENTIATED)  # all for a named set, so that a search may choose; of a list its own
+    if not isinstance(regressors, str):
+        named = {str(name).removesuffix(HAT) for name in regressors}
+        derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
     steps = make_pipeline(
         FlightCheck(),
         FlightPathReconstruction(),
-        FlightSmoother(cutoff=cutoff, derivatives=_derivatives(regressors)),
+        FlightSmoother(cutoff=cutoff, derivatives=derivatives),
         ElevonSplitter(),
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),
@@ -144,27 +145,17 @@ def check_aircraft(aircraft) -> Aircraft:
     return aircraft
 
 
-def _derivatives(regressors) -> list[str]:
-    """Return the channels to differentiate: all for a named set, so that a search may choose; of a list its own."""
-    if isinstance(regressors, str):
-        return list(DIFFERENTIATED)
-    named = {str(name).removesuffix("_hat") for name in regressors}
-    return [name for name in DIFFERENTIATED if f"{name}_dot" in named]
-
-
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
-    r"""Return the regressors of a flight, (n, d), and how much noisier they are than those of the fit, (n,).
-
-    The flight, or several, is at its full rate; the regressors are what the last step of the pipeline predicts from.
+    r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than those of the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
     of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of the
-    flight from its own sensors, and the ratio of variances is
+    flight from its own sensors, and the ratio of variances (n,) is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1. It is 1 too where the
-    pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1, also where the pipeline
+    ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
     """
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
@@ -184,21 +175,11 @@ def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array
     return (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
 
 
-def clock_of(regressor: Any, table: pd.DataFrame) -> dict[str, Any]:
-    """Return ``time`` and ``flight`` of the rows of a table for ``fit`` of the regressor, if it uses them."""
-    inner = regressor.estimator if isinstance(regressor, CalibratedRegressor) else regressor
-    if not isinstance(inner, DependentGPRegressor) or "time" not in table:
-        return {}
-    flight = {"flight": np.asarray(table["flight"])} if "flight" in table else {}
-    return {"time": table["time"].to_numpy(float), **flight}
-
-
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
     The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)`` includes the noise of the
-    regressors, which is larger in rougher air, see :func:`flight_regressors`. Searches, scorers and displays call
-    ``predict`` and so use these standard deviations.
+    regressors, which is larger in rougher air, see :func:`flight_regressors`.
 
     ``symmetric`` adds samples for the last step in ``fit``, and changes nothing in ``predict``. It needs a
     :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six coefficients.
@@ -220,20 +201,6 @@ class FlightPipeline(Pipeline):
     noise_ : DataFrame or None
         Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the mass and the loads
         that ``fit`` does not get. Set it yourself: ``pipeline.noise_ = flight_noise(pipeline, flights, aircraft)``.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> from skdgp.identification import make_identification_pipeline
-    >>> from skdgp.dynamics import Aircraft
-    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> t = np.arange(0, 4, 0.1)
-    >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
-    >>> model = make_identification_pipeline(glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough")
-    >>> mean, std = model.fit(flight, Y).predict(flight, return_std=True)
-    >>> mean.shape, std.shape
-    ((40, 2), (40, 2))
     """
 
     steps: list[tuple[str, Any]]
@@ -251,9 +218,8 @@ class FlightPipeline(Pipeline):
         self.symmetric = symmetric
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
-        """Fit all steps to flights X at their full rate and coefficients y (n, P).
+        """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
-        Coefficients are NaN where they are not to be learned from.
         A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each row, unless metadata
         routing is enabled: request them there. ``params`` are as of scikit-learn's ``Pipeline``.
         """
@@ -261,14 +227,11 @@ class FlightPipeline(Pipeline):
             self.fit_regressors(X, y, **params)
             return self
         super().fit(X, y, **self._clock(X) | params)
-        self.turbulence_ = flown_turbulence(self, X)
+        self._learn_turbulence(X)
         return self
 
     def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
-        """Fit, and return the regressors of the flights, (n, d), which `transform` of the steps would compute again.
-
-        ``params`` are those of the last step.
-        """
+        """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights."""
         name, last = self.steps[-1]
         words = {key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()}
         if self.symmetric:
@@ -278,14 +241,24 @@ class FlightPipeline(Pipeline):
             own = np.asarray(steps.fit_transform(X, y))
             self.steps = [*steps.steps, (name, last)]  # a memory fits clones
             last.fit(own, y, **words)
-        self.turbulence_ = flown_turbulence(self, X)
+        self._learn_turbulence(X)
         return own
 
+    def _learn_turbulence(self, X):
+        rates = next((step for _, step in self.steps if getattr(step, "in_simulation", None) == "rates"), None)
+        try:
+            self.turbulence_ = None if rates is None else Turbulence.from_flight(X, rates.span)
+        except (TypeError, ValueError):  # short flights, or columns that are missing
+            self.turbulence_ = None
+
     def _clock(self, X):
-        """Return ``time`` and ``flight`` as parameters of the last step, if it uses them."""
-        if get_config()["enable_metadata_routing"]:
+        """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
+        name, last = self.steps[-1]
+        inner = last.estimator if isinstance(last, CalibratedRegressor) else last
+        if get_config()["enable_metadata_routing"] or not isinstance(inner, DependentGPRegressor) or "time" not in X:
             return {}
-        return {f"{self.steps[-1][0]}__{key}": value for key, value in clock_of(self[-1], X).items()}
+        flight = {f"{name}__flight": np.asarray(X["flight"])} if "flight" in X else {}
+        return {f"{name}__time": X["time"].to_numpy(float), **flight}
 
     def _fit_symmetric(self, X, y, words):
         """Fit the steps up to the regressors, and the last one to the samples and their mirror images."""
@@ -296,7 +269,7 @@ class FlightPipeline(Pipeline):
                 "RegressorSelector and the column time: add them."
             )
         first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
-        table, targets = first.fit_transform(X, y), named_targets(y).reset_index(drop=True)
+        table, targets = first.fit_transform(X, y), _named_targets(y).reset_index(drop=True)
         own = np.asarray(rest.fit_transform(table, y) if rest.steps else table)
         self.steps = [*first.steps, *rest.steps, (name, last)]  # a memory fits clones
         mirror, image = mirrored(table.reset_index(drop=True), targets)
@@ -311,42 +284,61 @@ class FlightPipeline(Pipeline):
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 
-        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the standard deviation of the
-        coefficients, too, with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio
-        of this flight, unless it is True.
+        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the standard deviation, too,
+        with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio of this flight,
+        unless it is True.
         """
         uncertain = params.get("return_std") or params.get("return_cov")
         if not uncertain or params.get("include_input_noise", True) is not True:
             return super().predict(X, **params)
         check_is_fitted(self)
-        regressors, ratio = flight_regressors(self, X)
-        return _predict(self[-1], regressors, ratio, params)
+        return _predict(self[-1], *flight_regressors(self, X), params)
 
 
-def flown_turbulence(pipeline: Pipeline, flight: Any) -> Turbulence | None:
-    """Return the turbulence of the flights, or None if the table does not show it."""
-    rates = next((step for _, step in pipeline.steps if getattr(step, "in_simulation", None) == "rates"), None)
-    try:
-        return None if rates is None else Turbulence.from_flight(flight, rates.span)
-    except (TypeError, ValueError):  # short flights, or columns that are missing
-        return None
+def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return regressors (n, d) and coefficients (n, P) of the flights as seen in a mirror.
+
+    A symmetric aircraft flies the mirrored flight with the mirrored controls. Lateral coefficients change their sign
+    about their value without sideslip, rates and lateral controls, by least squares: an asymmetry stays. Raises
+    ValueError for single elevons.
+    """
+    if set(ELEVONS) & set(regressors):
+        raise ValueError(
+            f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator and aileron in place of "
+            "single elevons: put ElevonSplitter() before RegressorSelector."
+        )
+    lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in LATERAL]
+    X, Y = regressors.copy(), targets.copy()
+    X[lateral] = -X[lateral]
+    A = np.column_stack([np.ones(len(X)), regressors[lateral]])
+    for name in LATERAL & set(Y):
+        known = Y[name].notna().to_numpy()
+        straight = np.linalg.lstsq(A[known], Y[name].to_numpy()[known], rcond=None)[0][0]
+        Y[name] = 2 * straight - Y[name]
+    return X, Y
+
+
+def _named_targets(y: Any) -> pd.DataFrame:
+    """Return targets with the names of a table, or an array's as the six coefficients; ValueError for other arrays."""
+    if isinstance(y, pd.DataFrame):
+        return y
+    if np.ndim(y) != 2 or np.shape(y)[1] != len(COEFFICIENTS):
+        raise ValueError(
+            f"Got targets of shape {np.shape(y)} without names, but expected a table with columns such as CY, Cl, Cn, "
+            "or the six coefficients: give a DataFrame."
+        )
+    return pd.DataFrame(np.asarray(y, dtype=float), columns=COEFFICIENTS)
 
 
 def flight_noise(
-    pipeline: Pipeline,
-    flights: pd.DataFrame,
-    aircraft: Aircraft,
-    *,
-    regressors: Matrix | None = None,
-    step: float = 0.04,
-    **loads: Any,
+    pipeline: Pipeline, flights: pd.DataFrame, aircraft: Aircraft, *, step: float = 0.04, **loads: Any
 ) -> pd.DataFrame | None:
     r"""Return the noise of measured coefficients at the frequencies of the motion: what decides errors of derivatives.
 
-    The noise of smoothed channels is not white. A smoother removes it between the frequencies of the motion and leaves
-    it there, where it has its full effect on the derivatives, and where the fit takes up a part of it. With the columns
-    Q of an orthonormal basis of a polynomial of second order, :math:`Q_1` of its linear part, the residuals
-    :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the variance of one row is
+    A smoother leaves noise at the frequencies of the motion, where it has its full effect on the derivatives, and where
+    the fit takes up a part of it. With an orthonormal basis Q of a polynomial of second order, :math:`Q_1` of its
+    linear part, the residuals :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the
+    variance of one row is
 
     .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
 
@@ -359,8 +351,6 @@ def flight_noise(
     flights : DataFrame (n, ...)
         One or more flights at their full rate; the first 20,000 rows are used.
     aircraft : Aircraft
-    regressors : ndarray or DataFrame (n, d), optional
-        What the steps before the last make of the flights, if it is known already.
     step : float, default=0.04
         Interval between the rows that the noise is for [s]. White noise of the same power per frequency is larger in
         rows that are closer together.
@@ -389,15 +379,18 @@ def flight_noise(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the fit has told them
-        X = np.asarray(pipeline[:-1].transform(flights) if regressors is None else regressors, dtype=float)
-        targets = aerodynamic_coefficients(flights, aircraft, **loads)
+        X, Y = pipeline[:-1].transform(flights), aerodynamic_coefficients(flights, aircraft, **loads)
+    return noise_of_motion(np.asarray(X, dtype=float), Y, flights, step)
+
+
+def noise_of_motion(X: Matrix, targets: pd.DataFrame, flights: pd.DataFrame, step: float = 0.04) -> pd.DataFrame | None:
+    """Return `flight_noise` of regressors (n, d) and coefficients of flights."""
     Y, terms = targets.to_numpy(), PolynomialFeatures(2)
     known = np.flatnonzero(np.isfinite(np.column_stack([X, Y])).all(axis=1))[:MOST_ROWS]
     if len(known) < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
         return None
-    X, Y, time = X[known], Y[known], flights["time"].to_numpy(float)[known]
-    X = StandardScaler().fit_transform(X)
-    whole, linear = orth(terms.transform(X)), orth(np.column_stack([np.ones(len(X)), X]))
+    X, Y, time = StandardScaler().fit_transform(X[known]), Y[known], flights["time"].to_numpy(float)[known]
+    whole, linear = orth(terms.transform(X)), orth(np.column_stack([np.ones(len(X)), X]))  # Q and Q_1
     residuals = Y - whole @ (whole.T @ Y)
     total, share = np.zeros(Y.shape[1]), 0.0
     segments = flight_segments(time, flights["flight"].iloc[known] if "flight" in flights else None)
@@ -424,9 +417,6 @@ def _predict(last, regressors, ratio, params):
 
 
 def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
-    """Return ``predict(flight, return_std=True, include_noise=include_noise)`` of any identification pipeline.
-
-    It may also be a scikit-learn ``Pipeline`` of these steps. Mean and standard deviation are (n, P).
-    """
+    """Return mean and standard deviation (n, P), as `FlightPipeline.predict`, also of a ``Pipeline`` of these steps."""
     words = {"return_std": True, "include_noise": include_noise}
     return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)

@@ -12,10 +12,8 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.identification._evaluation import Evaluation, scores
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
-CONTROLS = {"Cm": "elevator", "Cl": "aileron", "Cn": "rudder"}
-"""The control that each moment is for."""
-FAST_MODES = ("short period", "Dutch roll", "roll")
-"""Modes that a controller of attitude works in."""
+CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
+FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
 
 
@@ -27,37 +25,24 @@ def judge(
     messages: Sequence[str],
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
-    table = scores(evaluations)["measured"]
-    flights = pd.DataFrame([_flight(one) for one in evaluations], index=[one.name for one in evaluations])
+    table, known = scores(evaluations)["measured"], list(train)
+    means = [{"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()} for one in evaluations]
+    flights = pd.DataFrame(means, index=[one.name for one in evaluations])
     linear = table.get("least_squares_normalized_rmse")
-    ratio = None if linear is None else table["normalized_rmse"] / linear
-    margin = THRESHOLDS.tie
+    ratio = pd.Series(dtype=float) if linear is None else table["normalized_rmse"] / linear
+    source = f"{_amount(known)}, {fit['samples']:,} samples" if known else "flights that are not part of this report"
+    tested = _amount([one.table for one in evaluations if one.table is not None])
     return Verdict(
-        learned=_learned(train, evaluations, fit),
+        learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of {', '.join(fit['regressors'])}, "
+        f"learned from {source}; tested on {tested}.",
         error=float(table["normalized_rmse"].mean()),
         coverage=float(table["interval_coverage"].mean()),
         least_squares_error=None if linear is None else float(linear.mean()),
-        better=() if ratio is None else tuple(ratio.index[ratio < 1 - margin]),
-        worse=() if ratio is None else tuple(ratio.index[ratio > 1 + margin]),
+        better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
+        worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
         uses=(_prediction(table), _simulation(mechanics, fit["regressors"]), _control(mechanics)),
         warnings=_warnings(table, flights, fit, messages),
         flights=flights,
-    )
-
-
-def _flight(one: Evaluation) -> dict[str, float]:
-    """Return the scores of one flight, means of the six coefficients."""
-    means = scores([one])["measured"].mean()
-    return {"duration": float(np.ptp(one.time)), **means}
-
-
-def _learned(train: Iterable[pd.DataFrame], evaluations: Sequence[Evaluation], fit: dict) -> str:
-    tested = _amount([one.table for one in evaluations if one.table is not None])
-    known = list(train)
-    source = f"{_amount(known)}, {fit['samples']:,} samples" if known else "flights that are not part of this report"
-    return (
-        f"The six coefficients {' '.join(COEFFICIENTS)} as functions of {', '.join(fit['regressors'])}, learned from "
-        f"{source}; tested on {tested}."
     )
 
 
@@ -75,11 +60,8 @@ def _prediction(table: pd.DataFrame) -> Use:
         words = [f"error {error:.2f} of its spread"] * far + [f"its 95 % band holds {100 * held:.0f} %"] * sure
         if words:
             lacks[str(name)] = f"{name}: {', '.join(words)}"
-    good = [name for name in table.index if name not in lacks]
-    reason = "; ".join(lacks.values())
-    if good and lacks:
-        reason = f"only {' '.join(good)}. {reason}"
-    errors = table["normalized_rmse"]
+    good, errors = [name for name in table.index if name not in lacks], table["normalized_rmse"]
+    reason = f"only {' '.join(good)}. " * bool(good and lacks) + "; ".join(lacks.values())
     reason = reason or f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
     return Use("predict coefficients", "yes" if not lacks else "partly" if good else "no", reason)
 
@@ -95,10 +77,13 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     if seconds >= horizon:
         return Use(purpose, "yes", f"it follows the test flights for the {horizon:.2g} s that were simulated")
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
-    words = ", ".join(late[:3]) + (f" and {len(late) - 3} more" if len(late) > 3 else "")
     rest = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
     fit = "partly" if seconds >= THRESHOLDS.seconds else "no"
-    return Use(purpose, fit, f"it follows the test flights for {seconds:.2g} s: {words}{rest}")
+    return Use(purpose, fit, f"it follows the test flights for {seconds:.2g} s: {_some(late)}{rest}")
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _control(mechanics: FlightMechanics) -> Use:
@@ -108,22 +93,17 @@ def _control(mechanics: FlightMechanics) -> Use:
     if "std" not in mechanics.derivatives:
         return Use(purpose, "unknown", "the model has no bands of derivatives")
     table = mechanics.derivatives
-    slopes = [name for name in (f"{moment}_{control}" for moment, control in CONTROLS.items()) if name in table.index]
-    bands = {name: tuple(table.loc[name, ["value", "std"]]) for name in slopes}
-    if mechanics.modes is not None:
-        modes = mechanics.modes
-        bands |= {
-            name: tuple(modes.loc[name, ["frequency", "frequency_std"]]) for name in FAST_MODES if name in modes.index
-        }
-    widths = {name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()}
-    wide = {name: width for name, width in widths.items() if not width <= THRESHOLDS.band}
+    slopes = [name for name in CONTROLS if name in table.index]
     if not slopes:
         return Use(purpose, "no", "the model has none of the controls elevator, aileron, rudder")
-    if wide:
-        words = ", ".join(
-            f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown" for name, width in wide.items()
-        )
-        return Use(purpose, "no", f"not known well enough: {words}")
+    bands = {name: tuple(table.loc[name, ["value", "std"]]) for name in slopes}
+    if (modes := mechanics.modes) is not None:
+        fast = [name for name in FAST_MODES if name in modes.index]
+        bands |= {name: tuple(modes.loc[name, ["frequency", "frequency_std"]]) for name in fast}
+    widths = {name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()}
+    if wide := {name: width for name, width in widths.items() if not width <= THRESHOLDS.band}:
+        words = (f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown" for name, width in wide.items())
+        return Use(purpose, "no", f"not known well enough: {', '.join(words)}")
     worst = max(widths, key=lambda name: widths[name])
     reason = f"controls and fast modes are known to {100 * widths[worst]:.0f} % or better ({worst})"
     if mechanics.trim.beyond:
@@ -133,13 +113,10 @@ def _control(mechanics: FlightMechanics) -> Use:
 
 def _warnings(table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: Sequence[str]) -> tuple[str, ...]:
     """Return warnings, that which costs most first: what the scores show before what the log or the fit said."""
-    found = []
-    bad = flights.index[flights["normalized_rmse"] > 1]
+    found, bad = [], flights.index[flights["normalized_rmse"] > 1]
     if len(bad):
-        names = ", ".join(map(str, bad[:3])) + (f" and {len(bad) - 3} more" if len(bad) > 3 else "")
-        found.append(
-            f"In {len(bad)} of {len(flights)} test flights a constant predicts better (error above 1): {names}."
-        )
+        words = f"In {len(bad)} of {len(flights)} test flights a constant predicts better (error above 1)"
+        found.append(f"{words}: {_some([*map(str, bad)])}.")
     if "least_squares_normalized_rmse" in table:
         linear, error = table["least_squares_normalized_rmse"], table["normalized_rmse"]
         worse = table.index[error > (1 + THRESHOLDS.tie) * linear]

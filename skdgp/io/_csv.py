@@ -14,12 +14,10 @@ import pandas as pd
 from skdgp._compute.tables import unguarded
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError, check_width
-from skdgp.io._units import base_name, check_names, known_unit, to_si
+from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, known_unit, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
-ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)
-"""Lines that may stand above the header: remarks, and the separator as Excel writes it."""
+ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)  # above the header: remarks, and Excel's separator
 DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
 
 
@@ -34,25 +32,31 @@ def read_csv(path: Path) -> pd.DataFrame:
             return _table(file, path.name)
     except UnicodeDecodeError as error:
         raise FlightReadError(
-            f"Got {path}, which is not text ({error.reason}), but expected a CSV in UTF-8: save it so, if it is one."
+            f"Got a file that is not text ({error.reason}), but expected a CSV in UTF-8: save it so, if it is one."
         ) from error
     except (csv.Error, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise FlightReadError(f"Got {path}, which is not a CSV table ({error}), but expected one.") from error
+        raise FlightReadError(f"Got a file that is not a CSV table ({error}), but expected one.") from error
 
 
 def _table(file, file_name):
-    above = _lines_above_header(file)
+    header = (number for number, line in enumerate(file) if line.strip(" \t\r\n,;") and not ABOVE.match(line))
+    if (above := next(header, None)) is None:
+        words = "a header line, and a row for each sample under it"
+        raise FlightReadError(f"Got a file that is empty, but expected {words}.")
     separator = _separator(file, above)
     records = _records(file, above, separator)
     names, units = _split_headings(next(records))
     check_width(len(names))
     check_names(name for name in names if name)
     below = above + records.line_num
-    units_row = _units_row(next(records, []), names)
-    if units_row:
-        units, below = _merged(units, units_row), above + records.line_num
-    records = _records(file, below, separator)
-    n_rows, cut, decimal = _check_rows(records, names, separator, below)
+    for name, unit in _units_row(next(records, []), names).items():
+        below = above + records.line_num
+        if known_unit(units.setdefault(name, unit)) != known_unit(unit):
+            raise FlightReadError(
+                f"Got units {units[name]!r} in and {unit!r} under the header of column {name!r}, but expected one: "
+                "delete the wrong one."
+            )
+    n_rows, cut, decimal = _check_rows(_records(file, below, separator), names, separator, below)
     _forward(file, below)
     table = pd.read_csv(
         file,
@@ -84,13 +88,6 @@ def _forward(file, n_lines):
 def _records(file, n_lines, separator):
     _forward(file, n_lines)
     return csv.reader(file, delimiter=separator, skipinitialspace=True)
-
-
-def _lines_above_header(file) -> int:
-    for n_lines, line in enumerate(file):
-        if line.strip(" \t\r\n,;") and not ABOVE.match(line):
-            return n_lines
-    raise FlightReadError("Got a file that is empty, but expected a header line, and a row for each sample under it.")
 
 
 def _separator(file, above) -> str:
@@ -128,16 +125,6 @@ def _units_row(cells, names) -> dict[str, str]:
     units.pop("flight", None)
     known = any(units.values()) and all(known_unit(unit) is not None for unit in units.values())
     return {name: unit for name, unit in units.items() if unit} if known else {}
-
-
-def _merged(in_header, below):
-    for name in in_header.keys() & below.keys():
-        if known_unit(in_header[name]) != known_unit(below[name]):
-            raise FlightReadError(
-                f"Got units {in_header[name]!r} in and {below[name]!r} under the header of column {name!r}, but "
-                "expected one: delete the wrong one."
-            )
-    return in_header | below
 
 
 def _is_number(text):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, SURFACES
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
@@ -21,8 +21,8 @@ from skdgp.io._autopilot.autopilot import AUTOPILOTS, is_log, no_flight_because,
 from skdgp.io._autopilot.clock import gaps, sampling_rate
 from skdgp.io._autopilot.formats import Topic
 from skdgp.io._autopilot.servos import template
-from skdgp.io._errors import FlightReadError
 from skdgp.io._read import PathLike, read_flight
+from skdgp.io._tables import FlightReadError, reading
 
 NEEDS = {
     "coefficients": ("airspeed", "density", *SPECIFIC_FORCE, *RATES, "thrust_x or propeller_speed"),
@@ -40,10 +40,8 @@ ADVICE = {
     "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
-STEADY, SHORT = 0.5, 1.0
-"""A topic with fewer messages than this share of rate times duration, or of fewer seconds, has no rate."""
-MOST_FLIGHTS = 6
-"""More flights are summed up in one line."""
+STEADY, SHORT = 0.5, 1.0  # with fewer messages than this share of rate times duration, or seconds: no rate
+MOST_FLIGHTS = 6  # more flights are summed up in one line
 WIDTH = 110
 
 
@@ -77,7 +75,7 @@ class FlightSummary:
     airspeed: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogSummary:
     """Content of a log, and the missing columns of each step.
 
@@ -98,20 +96,19 @@ class LogSummary:
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
-        Damage, gaps, faults of the clock, channels of no use; of a table, the faults of its channels, as from
-        :func:`skdgp.preprocessing.inspect_flight`, and channels that contradict each other by physics.
+        Damage, gaps, faults of clock and channels, and channels that contradict each other by physics.
     """
 
     path: str
     format: str
     firmware: str
-    vehicle: str | None
+    vehicle: str | None = None
     duration: float
-    topics: tuple[TopicSummary, ...]
+    topics: tuple[TopicSummary, ...] = ()
     columns: tuple[ColumnSummary, ...]
     missing: dict[str, tuple[str, ...]]
     flights: tuple[FlightSummary, ...]
-    no_flight: str
+    no_flight: str = ""
     remarks: tuple[str, ...]
 
     def to_dict(self) -> dict:
@@ -121,20 +118,19 @@ class LogSummary:
     def __str__(self) -> str:
         lines = [
             f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, {self.duration:.1f} s",
-            "",
-            *self._flight_lines(),
-            "",
-            f"  {'columns':<22}{'rate':>9}  from",
-            *self._column_lines(),
-            "",
-            *(
-                _hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20)
-                for step, names in self.missing.items()
-            ),
-            *(f"  {'':<18}- {advice}" for advice in self._advice()),
-            *self._remark_lines(),
-            *self._topic_lines(),
+            *("", *self._flight_lines(), "", f"  {'columns':<22}{'rate':>9}  from", *self._column_lines(), ""),
         ]
+        for step, names in self.missing.items():
+            lines.append(_hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20))
+        lacking = {name for names in self.missing.values() for name in names}
+        surfaces = {"servos"} if any(name.startswith(SURFACES) for name in lacking) else set()
+        lines += [f"  {'':<18}- {words}" for name, words in ADVICE.items() if name in lacking | surfaces]
+        lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)] if self.remarks else []
+        if self.topics:
+            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
+            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
+            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
+            lines += ["", _hanging(f"topics: {', '.join(words)}", 4)]
         return "\n".join(lines)
 
     def _flight_lines(self):
@@ -156,32 +152,12 @@ class LogSummary:
             yield from (f"  {line}" for line in above)
             yield f"  {names:<21} {rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
 
-    def _advice(self):
-        lacking = {name for names in self.missing.values() for name in names}
-        if any(name.startswith(("elevator", "aileron", "rudder")) for name in lacking):
-            yield ADVICE["servos"]
-        yield from (words for name, words in ADVICE.items() if name in lacking)
-
-    def _remark_lines(self):
-        if self.remarks:
-            yield ""
-        yield from (_hanging(f"! {remark}", 4) for remark in self.remarks)
-
-    def _topic_lines(self):
-        if self.topics:
-            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
-            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
-            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
-            yield ""
-            yield _hanging(f"topics: {', '.join(words)}", 4)
-
 
 def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
-    ``path`` is any file that :func:`read_flight` reads, ``servos`` the end points of the servos (a file or a mapping of
-    channels), as there. ``print`` shows the summary, ``to_dict`` gives it for JSON. Raises FlightReadError if the file
-    cannot be read (a log without a flight can), FileNotFoundError if there is none.
+    ``path`` and ``servos`` are as of :func:`read_flight`. ``print`` shows the summary. Raises FlightReadError if the
+    file cannot be read (a log without a flight can), FileNotFoundError if there is none.
 
     Examples
     --------
@@ -195,14 +171,12 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     path = Path(path)
     if not is_log(path):
         return _of_table(path, read_flight(path))
-    flown = on_one_clock(path, servos=servos)
+    with reading(path):
+        flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
-    table, log = longest.table, flown.log
-    columns = [
-        ColumnSummary(name, *flown.origin[name], _constant(table[name])) for name in table if name in flown.origin
-    ]
+    log, found = flown.log, {name: each for name, each in longest.table.items() if name in flown.origin}
+    columns = tuple(ColumnSummary(name, *flown.origin[name], _constant(each)) for name, each in found.items())
     tables = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
-    flights = [_flight(each) for each in tables]
     return LogSummary(
         path=str(path),
         format=log.kind,
@@ -210,10 +184,10 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
         vehicle=log.vehicle,
         duration=float(sum(np.ptp(part.table["time"]) for part in flown.parts if len(part.table))),
         topics=tuple(_topic(name, topic) for name, topic in longest.topics.items()),
-        columns=tuple(columns),
+        columns=columns,
         missing=missing_for(columns),
-        flights=tuple(flights),
-        no_flight="" if flights else no_flight_because(table, log, flown.speed),
+        flights=tuple(map(_flight, tables)),
+        no_flight="" if tables else no_flight_because(longest.table, log, flown.speed),
         remarks=(*flown.remarks, *_contradictions(tables)),
     )
 
@@ -223,15 +197,16 @@ def servo_template(path: PathLike) -> str:
 
     Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was sent to servos.
     """
-    path = Path(path)
     if not is_log(path):
         raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
-    return template(read_log(path))
+    with reading(path):
+        return template(read_log(Path(path)))
 
 
 def names_servos(path: PathLike) -> bool:
     """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
-    log = read_log(Path(path))
+    with reading(path):
+        log = read_log(Path(path))
     return bool(log.servos or log.mixing)
 
 
@@ -248,39 +223,34 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
 def _of_table(path, table) -> LogSummary:
     steps = table.groupby("flight", sort=False)["time"].diff().dropna()
     rate = 1 / float(steps.median()) if len(steps) else np.nan
-    columns = [
-        ColumnSummary(name, "column", rate * table[name].notna().mean(), _constant(table[name]))
-        for name in table.columns
-        if name not in ("time", "flight", *table.attrs["unknown_columns"])
-    ]
+    unknown = table.attrs["unknown_columns"]
+    columns = tuple(
+        ColumnSummary(str(name), "column", rate * each.notna().mean(), _constant(each))
+        for name, each in table.items()
+        if name not in ("time", "flight", *unknown)
+    )
     tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
-    flights = [_flight(each) for each in tables]
+    flights = tuple(map(_flight, tables))
+    faults: dict[tuple[str, str], list[Finding]] = {}
+    for fault in find_faults(table):
+        faults.setdefault((fault.channel, fault.kind), []).append(fault)
     return LogSummary(
         path=str(path),
         format="table",
         firmware=path.suffix.lstrip("."),
-        vehicle=None,
         duration=sum(each.end - each.begin for each in flights),
-        topics=(),
-        columns=tuple(columns),
+        columns=columns,
         missing=missing_for(columns),
-        flights=tuple(flights),
-        no_flight="",
+        flights=flights,
         remarks=(
-            *(f"column {name!r} is not of the vocabulary" for name in table.attrs["unknown_columns"]),
-            *_faults(table),
+            *(f"column {name!r} is not of the vocabulary" for name in unknown),
+            *(
+                f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
+                for first, *others in faults.values()
+            ),
             *_contradictions(tables),
         ),
     )
-
-
-def _faults(table) -> Iterator[str]:
-    """Yield a line for each kind of fault of each channel, with the first of several."""
-    found: dict[tuple[str, str], list[Finding]] = {}
-    for each in find_faults(table):
-        found.setdefault((each.channel, each.kind), []).append(each)
-    for first, *others in found.values():
-        yield f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
 
 
 def _flight(table) -> FlightSummary:

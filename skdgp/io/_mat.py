@@ -17,8 +17,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
-from skdgp.io._errors import FlightReadError, check_room, check_width, room_for
-from skdgp.io._units import base_name
+from skdgp.io._tables import FlightReadError, base_name, check_room, check_width, room_for
 
 HDF5 = b"MATLAB 7.3"
 HEADER_SIZE = 128
@@ -27,8 +26,7 @@ LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
 MATRIX, COMPRESSED = 14, 15
 CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
 COMPLEX = 0x0800
-DEEPEST = 8
-"""Levels of structs and cells."""
+DEEPEST = 8  # levels of structs and cells
 
 
 def read_mat(path: Path) -> pd.DataFrame:
@@ -36,8 +34,8 @@ def read_mat(path: Path) -> pd.DataFrame:
     data = path.read_bytes()
     if data.startswith(HDF5):
         raise FlightReadError(
-            f"Got {path} of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: save('flight.mat', "
-            "'-v7', ...) in MATLAB, or writetable(..., 'flight.csv')."
+            "Got a file of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: save('flight.mat', '-v7', "
+            "...) in MATLAB, or writetable(..., 'flight.csv')."
         )
     try:
         content = parse_mat5(data)
@@ -45,7 +43,7 @@ def read_mat(path: Path) -> pd.DataFrame:
         raise
     except ValueError as error:
         raise FlightReadError(
-            f"Got {path}, which is not a whole MATLAB file ({error}), but expected one of version 5 to 7: save it "
+            f"Got a file that is not a whole MATLAB file ({error}), but expected one of version 5 to 7: save it "
             "again, with '-v7'."
         ) from error
     tables = {name: vectors for name, vectors in _structs("", content) if "time" in vectors}
@@ -152,19 +150,18 @@ class _Reader:
         kind, value = flags & 0xFF, None
         if (kind in NUMERIC and not flags & COMPLEX) or kind == CHAR:
             rest = list(islice(parts, 2))
-            if len(rest) == 1:
-                value = self._texts(rest[0], shape) if kind == CHAR else self._array(rest[0], shape, name)
+            if len(rest) == 1 and kind == CHAR:
+                value = self._texts(rest[0], shape)
+            elif len(rest) == 1:
+                value = self._numbers(rest[0])
+                if value.size != math.prod(shape):
+                    raise ValueError(f"{name} holds {value.size} numbers, but should hold {shape}")
+                value = value.reshape(shape, order="F")
         elif kind == CELL:
             value = self._cells(parts, depth)
         elif kind == STRUCT and math.prod(shape) == 1:
             value = self._struct(parts, depth)
         return name, value
-
-    def _array(self, part, shape, name):
-        value = self._numbers(part)
-        if value.size != math.prod(shape):
-            raise ValueError(f"{name} holds {value.size} numbers, but should hold {shape}")
-        return value.reshape(shape, order="F")
 
     def _cells(self, parts, depth):
         """Return one text of each cell, or None if a cell holds something else."""

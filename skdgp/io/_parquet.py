@@ -10,11 +10,9 @@ import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._errors import FlightReadError, check_room, check_width, room_for
-from skdgp.io._units import base_name, check_names
+from skdgp.io._tables import FlightReadError, base_name, check_names, check_room, check_width, room_for
 
-INDEX = "__index_level_"
-"""Begin of the name that pandas gives to an index without one."""
+INDEX = "__index_level_"  # begin of the name that pandas gives to an index without one
 
 
 def read_parquet(path: Path) -> pd.DataFrame:
@@ -37,7 +35,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
     except Exception as error:  # a damaged file makes pyarrow raise nearly anything
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise FlightReadError(
-            f"Got {path}, which is not a whole parquet file ({reason}), but expected one: copy or export it again."
+            f"Got a file that is not a whole parquet file ({reason}), but expected one: copy or export it again."
         ) from error
 
 
@@ -47,7 +45,15 @@ def _table(path, pyarrow):
     check_width(len(schema.names))
     check_names(name.strip() for name in schema.names)
     plain = {field.name: _plain(field, pyarrow) for field in schema if not field.name.startswith(INDEX)}
-    _check_left_out({name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}, path.name)
+    left_out = {name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}
+    if needed := [name for name in left_out if base_name(name.strip()) in CHANNELS]:
+        raise FlightReadError(
+            f"Got column {needed[0]!r} of type {left_out[needed[0]]}, but expected one value in each row: write one "
+            "column for each value."
+        )
+    if left_out:
+        words = f"{path.name}: columns that hold neither numbers, texts nor times are left out: {left_out}."
+        warnings.warn(words, FlightDataWarning, stacklevel=4)
     plain = {name: kind for name, kind in plain.items() if kind is not None}
     packed = [size.row_group(g).total_byte_size for g in range(size.num_row_groups)]
     check_room(max(8 * size.num_rows * len(plain), sum(packed)), room)
@@ -69,21 +75,6 @@ def _plain(field, pyarrow):
         return pyarrow.float64()
     simple = types.is_integer, types.is_floating, types.is_boolean, types.is_null, types.is_temporal
     return kind if any(is_one(kind) for is_one in simple) else None
-
-
-def _check_left_out(types, file_name):
-    needed = [name for name in types if base_name(name.strip()) in CHANNELS]
-    if needed:
-        raise FlightReadError(
-            f"Got column {needed[0]!r} of type {types[needed[0]]}, but expected one value in each row: write one "
-            "column for each value."
-        )
-    if types:
-        warnings.warn(
-            f"{file_name}: columns that hold neither numbers, texts nor times are left out: {types}.",
-            FlightDataWarning,
-            stacklevel=5,
-        )
 
 
 def _text_bytes(column, pyarrow) -> int:

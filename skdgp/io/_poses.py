@@ -15,8 +15,8 @@ from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULE
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import NOT_MEASURED, faults_message, find_faults
 from skdgp._flight.frames import air_data, quaternion_to_euler
-from skdgp._flight.poses import LEAST_SAMPLES, Motion, Rotations, smooth_motion, smooth_rotation
-from skdgp.io._units import check_magnitudes
+from skdgp._flight.poses import LEAST_SAMPLES, smooth_motion, smooth_rotation
+from skdgp.io._tables import check_magnitudes
 
 UPRIGHT, TURNED = Rotation.identity(), Rotation.from_euler("x", np.pi)
 EARTH = {"NED": UPRIGHT, "NWU": TURNED, "ENU": Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])}
@@ -24,18 +24,13 @@ BODY = {"FRD": UPRIGHT, "FLU": TURNED}
 FRAMES = {f"{earth}/{body}": (EARTH[earth], BODY[body]) for earth in EARTH for body in BODY}
 """Earth and body axes of the poses: their rotations to north-east-down and from forward-right-down."""
 GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
-UNIT = 1e-2
-"""Quaternions are of length 1 but for this."""
-MOST_REPEATS = 0.3
-"""Share of rows that repeat the one before, from which poses are those of a slower sensor."""
-LARGEST_FORCE = 300.0
-"""Median of specific force [m/s^2] beyond which positions are not in metres."""
-SLOW = 1.0
-"""Mean speed [m/s] below which nothing flies."""
+UNIT = 1e-2  # quaternions are of length 1 but for this
+MOST_REPEATS = 0.3  # share of rows that repeat the one before, from which poses are those of a slower sensor
+LARGEST_FORCE = 300.0  # median of specific force [m/s^2] beyond which positions are not in metres
+SLOW = 1.0  # mean speed [m/s] below which nothing flies
 UNEXPLAINED, CLEARLY = 0.5, 0.5
 """A frame is refused if its side force is less well explained [m/s^2], and that of another by less than this share."""
-UNSURE = 0.05
-"""Frames whose unexplained side forces differ by less [m/s^2] are named together, as in a steady turn; a guess."""
+UNSURE = 0.05  # frames whose unexplained side forces differ by less [m/s^2] are named together; a guess
 
 
 def flight_from_poses(
@@ -51,18 +46,16 @@ def flight_from_poses(
 ) -> pd.DataFrame:
     r"""Return a flight table of poses: positions and attitudes, such as those of motion capture.
 
-    A Kalman smoother without delay differentiates the poses. It learns the noise from them, by maximum likelihood
-    (Rauch, Tung & Striebel 1965; Wahba 1978). Body rates are those of the rotation from each attitude to the next, not
-    of Euler angles. With R from body to earth, gravity g, and wind W,
+    A smoother without delay differentiates the poses; it learns their noise by maximum likelihood (Wahba 1985). Body
+    rates are those of the rotation from each attitude to the next. With R from body to earth, gravity g, and wind W,
 
     .. math:: f = R^T (\dot v - g), \qquad v_a = R^T (v - W),
 
     f is the specific force, and the velocity through the air :math:`v_a` gives airspeed, alpha and beta. Each flight,
-    and each part between gaps, is differentiated by itself. The first and last 0.1 s are two to four times less
-    accurate than the rest. Raises ValueError if shapes do not match, a value is not finite, time does not increase,
-    quaternions are not of length 1, a flight has fewer than 10 samples between gaps, poses repeat or leap as where
-    markers are hidden, positions are not in metres, or the motion contradicts the frame: lift does not act upward, the
-    aircraft does not fly forward, or it does not turn to the side to which it banks.
+    and each part between gaps, is differentiated by itself; the first and last 0.1 s are two to four times less
+    accurate. Raises ValueError if shapes do not match, a value is not finite, time does not increase, quaternions are
+    not of length 1, a flight has fewer than 10 samples between gaps, poses repeat or leap, positions are not in metres,
+    or the motion contradicts the frame: lift, forward flight, or the side to which it turns.
 
     Parameters
     ----------
@@ -88,9 +81,8 @@ def flight_from_poses(
     Returns
     -------
     DataFrame
-        Columns ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler
-        angles, position, altitude, density of the standard atmosphere, and those of ``controls``. In
-        ``attrs["pose_noise"]`` stand the standard deviations of the noise of position [m] and attitude [rad].
+        ``time``, ``flight``, air data, rates and angular accelerations, specific force, velocities, Euler angles,
+        position, altitude, density, and ``controls``. ``attrs["pose_noise"]``: noise of position [m], attitude [rad].
 
     Examples
     --------
@@ -110,8 +102,26 @@ def flight_from_poses(
     time, position, quaternion = _checked(time, position, quaternion)
     if frame not in FRAMES:
         raise ValueError(f"Got frame={frame!r}, but expected one of {list(FRAMES)}: earth axes, then body axes.")
-    names, columns, air = _names(flight, len(time)), _columns(controls, len(time)), _wind(wind)
-    segments = _long_enough(flight_segments(time, names), time, names)
+    n = len(time)
+    names = np.asarray(flight, dtype=object)
+    if names.shape not in ((), (n,)):
+        raise ValueError(f"Got flight of shape {names.shape}, but expected one name or {(n,)}.")
+    names = np.broadcast_to(names, n)
+    columns = {name: np.asarray(values) for name, values in dict(controls if controls is not None else {}).items()}
+    for name, column in columns.items():
+        if column.shape != (n,):
+            raise ValueError(f"Got controls[{name!r}] of shape {column.shape}, but expected {(n,)}.")
+    air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
+    if air.shape != (3,) or not np.isfinite(air).all():
+        raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
+    segments = flight_segments(time, names)
+    for part in segments or [slice(0, 0)]:
+        if part.stop - part.start < LEAST_SAMPLES:
+            where = f" of flight {str(names[part.start])!r} from {time[part.start]:g} s on, without a gap" if n else ""
+            raise ValueError(
+                f"Got {part.stop - part.start} samples{where}, but expected at least {LEAST_SAMPLES} to differentiate: "
+                "drop these rows."
+            )
 
     earth, body = FRAMES[frame]
     position, attitude = earth.apply(position), earth * Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]) * body
@@ -126,21 +136,6 @@ def flight_from_poses(
         )
     _check_frame(frame, rotation.attitude, motion.v - air, rotation.attitude.apply(motion.f))
 
-    values = _derived(rotation, motion, air) | dict(zip(WIND, air, strict=True) if wind is not None else ())
-    values["altitude"] = altitude - motion.x[:, 2]
-    values["density"] = standard_density(values["altitude"])
-    values = {"time": time, "flight": names} | values
-    twice = sorted(values.keys() & columns.keys())
-    if twice:
-        raise ValueError(f"Got controls with the columns {twice}, which the poses give: leave them out.")
-    table = pd.DataFrame(values | columns)
-    check_magnitudes(table)
-    table.attrs["pose_noise"] = (motion.noise, rotation.noise)
-    return table
-
-
-def _derived(rotation: Rotations, motion: Motion, air: np.ndarray) -> dict[str, Any]:
-    """Return the columns that follow from the motion."""
     to_body = rotation.attitude.inv()
     blocks = (
         (AIR_DATA, np.stack(air_data(to_body.apply(motion.v - air)), axis=-1)),
@@ -152,10 +147,21 @@ def _derived(rotation: Rotations, motion: Motion, air: np.ndarray) -> dict[str, 
         (POSITION, motion.x),
         (EARTH_VELOCITY, motion.v),
     )
-    return {name: column for names, block in blocks for name, column in zip(names, block.T, strict=True)}
+    values: dict[str, Any] = {"time": time, "flight": names}
+    values |= {name: column for group, block in blocks for name, column in zip(group, block.T, strict=True)}
+    values |= dict(zip(WIND, air, strict=True)) if wind is not None else {}
+    values["altitude"] = altitude - motion.x[:, 2]
+    values["density"] = standard_density(values["altitude"])
+    twice = sorted(values.keys() & columns.keys())
+    if twice:
+        raise ValueError(f"Got controls with the columns {twice}, which the poses give: leave them out.")
+    table = pd.DataFrame(values | columns)
+    check_magnitudes(table)
+    table.attrs["pose_noise"] = (motion.noise, rotation.noise)
+    return table
 
 
-def _checked(time: ArrayLike, position: ArrayLike, quaternion: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _checked(time: ArrayLike, position: ArrayLike, quaternion: ArrayLike) -> list[np.ndarray]:
     """Return time (n,), position (n, 3) and unit quaternions (n, 4) as finite floats."""
     arrays = [np.asarray(each, dtype=float) for each in (time, position, quaternion)]
     n = arrays[0].size
@@ -176,47 +182,7 @@ def _checked(time: ArrayLike, position: ArrayLike, quaternion: ArrayLike) -> tup
             "expected length 1: choose the four columns of the quaternion, scalar first, and drop rows without an "
             "attitude."
         )
-    return arrays[0], arrays[1], arrays[2]
-
-
-def _columns(controls: Mapping[str, ArrayLike] | pd.DataFrame | None, n: int) -> dict[str, np.ndarray]:
-    """Return the further columns (n,)."""
-    columns: dict[str, Any] = {}
-    for name, values in dict(controls if controls is not None else {}).items():
-        columns[name] = np.asarray(values)
-        if columns[name].shape != (n,):
-            raise ValueError(f"Got controls[{name!r}] of shape {columns[name].shape}, but expected {(n,)}.")
-    return columns
-
-
-def _names(flight: ArrayLike | str, n: int) -> np.ndarray:
-    """Return the flight of each row, (n,)."""
-    names = np.asarray(flight, dtype=object)
-    if names.shape not in ((), (n,)):
-        raise ValueError(f"Got flight of shape {names.shape}, but expected one name or {(n,)}.")
-    return np.broadcast_to(names, n)
-
-
-def _wind(wind: ArrayLike | None) -> np.ndarray:
-    """Return the velocity of the air, (3,)."""
-    air = np.zeros(3) if wind is None else np.asarray(wind, dtype=float)
-    if air.shape != (3,) or not np.isfinite(air).all():
-        raise ValueError(f"Got wind={wind!r}, but expected three numbers: north, east and down [m/s].")
-    return air
-
-
-def _long_enough(segments: list[slice], time: np.ndarray, flight: np.ndarray) -> list[slice]:
-    """Return the segments, or raise ValueError if one is too short to differentiate, or a flight stands apart."""
-    for each in segments:
-        if each.stop - each.start < LEAST_SAMPLES:
-            raise ValueError(
-                f"Got {each.stop - each.start} samples of flight {str(flight[each.start])!r} from "
-                f"{time[each.start]:g} s on, without a gap, but expected at least {LEAST_SAMPLES} to differentiate: "
-                "drop these rows."
-            )
-    if not segments:
-        raise ValueError(f"Got no samples, but expected at least {LEAST_SAMPLES}.")
-    return segments
+    return arrays
 
 
 def _check_faults(time: np.ndarray, flight: np.ndarray, position: np.ndarray, attitude: Rotation) -> None:

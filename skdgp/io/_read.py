@@ -13,15 +13,14 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.clock import flight_codes, part_restarts, rows_back
+from skdgp._flight.clock import check_clock, flight_codes, part_restarts
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._csv import read_csv
-from skdgp.io._errors import FlightReadError
 from skdgp.io._mat import read_mat
 from skdgp.io._parquet import read_parquet
-from skdgp.io._units import base_name, check_magnitudes, check_names, to_floats
+from skdgp.io._tables import FlightReadError, base_name, check_magnitudes, check_names, reading, to_floats
 
 UNKNOWN = "unknown_columns"
 TABLES: dict[str, Callable[[Path], pd.DataFrame]] = {
@@ -44,14 +43,12 @@ def read_flight(
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
     A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are converted. Columns that
-    the vocabulary does not know are kept and listed in ``table.attrs["unknown_columns"]``, with a warning where one
-    looks misspelt. A table that has u, v, w but neither airspeed, alpha nor beta gets them: relative to the wind if it
-    has the wind and the attitude, else of still air, with a warning.
+    the vocabulary does not know are kept, ``table.attrs["unknown_columns"]``. A table that has u, v, w but neither
+    airspeed, alpha nor beta gets them: relative to the wind if it has wind and attitude, else of still air.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
-    and cut into flights; ``table.attrs["sources"]`` names the message of each column. :func:`inspect_log` shows what is
-    missing. Warns with FlightDataWarning if a log is damaged, has gaps, its clock jumped, channels were never valid, or
-    columns are left out.
+    and cut into flights; ``table.attrs["sources"]`` names the message of each column. Warns with FlightDataWarning if
+    a log is damaged, has gaps, its clock jumped, channels were never valid, or columns are left out.
 
     Parameters
     ----------
@@ -64,17 +61,15 @@ def read_flight(
         Flight identifier. By default the file's column ``flight``, or without one the name of the file; further flights
         in a log of an autopilot are ``name#2``, ``name#3``.
     rate : float, optional
-        Rate of the clock [Hz]; autopilots only. By default that of the gyros, at most 50 Hz.
+        Rate of the clock [Hz]. By default that of the gyros, at most 50 Hz. This and the following: autopilots only.
     servos : path or mapping, optional
-        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the
-        table has no surfaces. ``"full throw"``: surfaces from -1 to 1, parts of their full throw, of the servos that
-        the autopilot's parameters name. Autopilots only.
+        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the table has no
+        surfaces. ``"full throw"``: parts of their full throw, -1 to 1, of the servos that the parameters name.
     airborne : bool or float, default=True
         Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8 m/s if none is), or
-        above this number [m/s], and not landed by the autopilot's own account. False keeps all; autopilots only.
+        above this number [m/s], and not landed by the autopilot's own account. False keeps all.
     imu_position : sequence of 3 floats, optional
-        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity;
-        autopilots only.
+        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity.
 
     Returns
     -------
@@ -84,9 +79,8 @@ def read_flight(
     Raises
     ------
     FlightReadError
-        If the file is empty, damaged, no table or log, or too large when unpacked; has no ``time``, text among numbers,
-        rows of unequal length or without a flight; time does not increase within a flight; the numbers are not in SI
-        and radians; a log holds no flight; or an option makes no sense.
+        If the file is damaged or no table or log; has no ``time``, or one that does not increase within a flight, text
+        among numbers, or numbers that are not in SI and radians; a log holds no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError
@@ -108,24 +102,21 @@ def read_flight(
             raise TypeError("Got several paths and one flight, but expected a mapping of flight identifier to path.")
         return read_flights(path, **options)
     path = Path(path)
-    if not is_log(path) and path.suffix.lower() not in TABLES:
-        raise FlightReadError(
-            f"Got {path} with suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: convert or "
-            "rename it."
-        )
-    if not path.exists():
-        raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    try:
+    with reading(path):
         if is_log(path):
             return _from_autopilot(path, flight, options)
+        kind = path.suffix.lower()
+        if kind not in TABLES:
+            raise FlightReadError(
+                f"Got the suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: convert or "
+                "rename it."
+            )
+        if not path.exists():
+            raise FileNotFoundError(f"Got {path}, but there is no such file.")
         given = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if given:
             raise FlightReadError(f"Got {given} for a table, but expected these only with logs of autopilots.")
-        table = TABLES[path.suffix.lower()](path)
-        return _as_flight(table, path.stem if flight is None else flight, overrides=flight is not None)
-    except FlightReadError as error:
-        message = str(error)
-        raise FlightReadError(message if str(path) in message else f"{path}: {message}") from None
+        return _as_flight(TABLES[kind](path), path.stem if flight is None else flight, overrides=flight is not None)
 
 
 def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any) -> pd.DataFrame:
@@ -151,11 +142,26 @@ def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: 
     if not named:
         raise FlightReadError("Got no path, but expected at least one.")
     tables = [read_flight(path, flight=flight, **options) for flight, path in named]
-    _check_distinct(named, tables)
-    _warn_of_uneven_columns(named, tables)
+    path_of: dict[str, PathLike] = {}
+    for (_, path), table in zip(named, tables, strict=True):
+        for name in table["flight"].unique():
+            if name in path_of:
+                raise FlightReadError(
+                    f"Got flight {name!r} in both {path_of[name]} and {path}, but expected each once: give a mapping "
+                    "of flight identifier to path."
+                )
+            path_of[name] = path
+    every = dict.fromkeys(name for table in tables for name in table.columns)
+    lacking = {
+        str(path): names
+        for (_, path), table in zip(named, tables, strict=True)
+        if (names := [name for name in every if name not in table])
+    }
+    if lacking:
+        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2)
     unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
     for table in tables:
-        table.attrs = {}
+        table.attrs = {}  # pandas compares them
     joined = pd.concat(tables, ignore_index=True)
     joined.attrs[UNKNOWN] = unknown
     return joined
@@ -174,9 +180,7 @@ def _from_autopilot(path, flight, options):
 def _as_flight(table, flight, *, overrides):
     """Return a raw table in the order and types of a flight table."""
     if table.empty:
-        raise FlightReadError(
-            f"Got a table of {table.shape[0]} rows and {table.shape[1]} columns, but expected samples."
-        )
+        raise FlightReadError(f"Got a table of {len(table)} rows and {table.shape[1]} columns, but expected samples.")
     table = table.reset_index(drop=True).rename(columns=lambda name: str(name).strip())
     check_names(table.columns)
     _hint_at_names(table)
@@ -189,7 +193,13 @@ def _as_flight(table, flight, *, overrides):
     table = table.assign(**_as_numbers(table))
     table["flight"] = _flight_names(table["flight"])
     table = _split_at_restarts(_without_repeats(table))
-    _check_time(table)
+    time = table["time"].to_numpy()
+    if np.isnan(time).any():
+        raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
+    try:
+        check_clock(time, table["flight"])
+    except ValueError as error:
+        raise FlightReadError(*error.args) from error
     check_magnitudes(table)
     table = with_air_data(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
@@ -200,22 +210,17 @@ def _as_flight(table, flight, *, overrides):
 
 def _as_numbers(table):
     """Return the columns of the vocabulary as floats; infinities as NaN, with a warning."""
-    names = [name for name in table.columns if base_name(name) in CHANNELS and name != "flight"]
-    numbers, infinite = {}, []
-    for name in names:
+    numbers = {}
+    for name in [name for name in table.columns if base_name(name) in CHANNELS and name != "flight"]:
         column = table[name]
         if name == "time" and pd.api.types.is_datetime64_any_dtype(column):
             column = column - column.iloc[0]
         if name == "time" and pd.api.types.is_timedelta64_dtype(column):
             column = column.dt.total_seconds()
-        values = to_floats(column)
-        if np.isinf(values).any():
-            infinite.append(name)
-            values = np.where(np.isinf(values), np.nan, values)
-        numbers[name] = values
-    if infinite:
+        numbers[name] = to_floats(column)
+    if infinite := [name for name, values in numbers.items() if np.isinf(values).any()]:
         warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
-    return numbers
+    return numbers | {name: np.where(np.isinf(numbers[name]), np.nan, numbers[name]) for name in infinite}
 
 
 def _flight_names(flight):
@@ -230,8 +235,7 @@ def _flight_names(flight):
 
 def _without_repeats(table):
     repeated = table["time"].diff() == 0
-    if repeated.any():
-        repeated &= table.duplicated()
+    repeated = repeated & table.duplicated() if repeated.any() else repeated
     if not repeated.any():
         return table
     warnings.warn(
@@ -257,20 +261,6 @@ def _split_at_restarts(table):
     return table.assign(flight=names)
 
 
-def _check_time(table):
-    time = table["time"].to_numpy()
-    if np.isnan(time).any():
-        raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
-    back = rows_back(time, flight_codes(table["flight"])[0])
-    if len(back):
-        row, before = back[0]
-        raise FlightReadError(
-            f"Got time {time[row]:.10g} s at row {row} after {time[before]:.10g} s ({len(back)} such rows), but "
-            "expected time to increase strictly within a flight: sort by time, drop repeated rows, or tell the "
-            "flights apart by a column 'flight'."
-        )
-
-
 def _hint_at_names(table):
     """Warn once of unknown columns that look like a missing name of the vocabulary."""
     free = [name for name in CHANNELS if name not in table]
@@ -285,25 +275,3 @@ def _hint_at_names(table):
     if hints:
         names = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
         warnings.warn(f"Unknown columns are kept as they are: {names}.", stacklevel=4)
-
-
-def _check_distinct(named, tables):
-    path_of: dict[str, Any] = {}
-    for (_, path), table in zip(named, tables, strict=True):
-        for flight in table["flight"].unique():
-            if flight in path_of:
-                raise FlightReadError(
-                    f"Got flight {flight!r} in both {path_of[flight]} and {path}, but expected each once: give a "
-                    "mapping of flight identifier to path."
-                )
-            path_of[flight] = path
-
-
-def _warn_of_uneven_columns(named, tables):
-    every = dict.fromkeys(name for table in tables for name in table.columns)
-    lacking = {
-        str(path): [name for name in every if name not in table] for (_, path), table in zip(named, tables, strict=True)
-    }
-    lacking = {path: names for path, names in lacking.items() if names}
-    if lacking:
-        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=3)

@@ -15,15 +15,15 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
-from skdgp._flight.checks import check_columns, check_radians
+from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
-from skdgp.preprocessing._path_check import decision, expected_errors
 from skdgp.preprocessing._path_equations import (
     CONSTANTS,
     INERTIAL,
     MEAN_WIND,
+    MIN_AIRSPEED,
     NEEDED,
     SENSORS,
     FlightPath,
@@ -39,11 +39,22 @@ from skdgp.preprocessing._table import TableTransformer, has_values, with_column
 
 MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
-KINEMATIC_SECONDS = 120.0
-"""Length of each flight [s] from which the lags of attitude and GPS are known to the millisecond."""
+KINEMATIC_SECONDS = 120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
 MIN_SIGNIFICANCE = 3.0  # standard deviations
 MIN_LAG = 0.01  # lags below this [s] do not change a model
 OBSERVABLE = 0.5  # a constant is observable if its standard deviation is less than this share of the prior one
+MAX_RATIO = 1.05  # largest error of reconstruction, relative to that of smoothing, with which it is used
+MAX_AIR_NOISE = 1.4  # residual of an air data sensor over its own noise, above which the latter counts as zero
+MAX_INERTIAL_NOISE = 4.0  # residual of an inertial sensor over its own noise, above which the reason names it
+DIFFERENCES = 3  # order of the differences that show noise; the sum of squares of their coefficients is 20
+PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
+UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
+FOLLOWS = {
+    "gyro": ("the attitude does not follow the gyros", "deg/s", 180 / np.pi),
+    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+    **{name: (f"{name} does not follow the motion", *unit) for name, unit in UNITS.items()},
+}
+"""What contradicts itself if the residual of a sensor is large, its unit, and the factor to that unit."""
 
 Flights = list[tuple[Any, Indices, Log, Estimate]]
 
@@ -58,11 +69,11 @@ class FlightPathReconstruction(TableTransformer):
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
     and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
-    chapter 10), as one sparse least-squares problem. Vanes are optional. The noise of each sensor and the strength of
-    gusts are estimated by maximum likelihood. ``fit`` learns the noise and, on request, scale factors, biases and lags.
-    ``transform`` uses these, and estimates biases of inertial sensors, wind and gusts separately for each flight.
-    Raises ValueError if one of time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed is
-    missing, or has no value throughout a flight; if time does not increase within a flight; if angles are not radians.
+    chapter 10), as one sparse least-squares problem. Vanes are optional. ``fit`` learns the noise of each sensor, by
+    maximum likelihood, and, on request, scale factors, biases and lags. ``transform`` uses these, and estimates biases
+    of inertial sensors, wind and gusts separately for each flight. Raises ValueError if time, a rate, specific force,
+    attitude, v_north, v_east, v_down or airspeed is missing, or has no value throughout a flight; if time does not
+    increase within a flight; if angles are not radians.
 
     Parameters
     ----------
@@ -71,14 +82,8 @@ class FlightPathReconstruction(TableTransformer):
         "all", or a list of names: also airspeed_scale, alpha_bias, alpha_scale, beta_bias, beta_scale, and, relative to
         the inertial sensors, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is
         (1 + scale) truth + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
-    rates : {"air", "steady"}, default="air"
-        alpha_dot and beta_dot as derivatives of the reconstructed alpha and beta, with gusts; or from the kinematics in
-        air of constant velocity. "steady" has smaller errors, but contains the measured accelerations (alpha_dot - q is
-        about az / V, plus gravity), which a model of the forces then uses where alpha is uncertain.
     gust_time : float, default=10.0
         Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a vane's bias.
-    gravity : float, default=9.80665
-        [m/s^2]. An error appears as bias of the accelerometers.
     incomplete : {"raise", "pass"}, default="raise"
         For flights without a needed channel: raise ValueError, or pass them on. If flights of ``fit`` lack one
         (``missing_``), all tables pass unchanged; if only flights of ``transform`` do, `FlightSmoother` smooths them.
@@ -90,22 +95,19 @@ class FlightPathReconstruction(TableTransformer):
 
     Attributes
     ----------
-    used_ : bool
-        Whether ``transform`` reconstructs flights; False: they pass unchanged.
-    reason_ : str
-        Why, in words.
+    used_, reason_ : bool, str
+        Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
     errors_ : DataFrame or None
         Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise learned with the
         path), and of air data the expected errors of ``reconstruction`` and ``smoothing``, and their ``deviation``.
     missing_ : list of str
-        Missing channels of the flights of ``fit``, which then pass unchanged; empty where they are reconstructed.
+        Missing channels of the flights of ``fit``, which then pass unchanged.
     noise_std_ : dict of str to float
-        Standard deviation of each sensor's noise: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
-        tilt (roll and pitch), heading.
+        Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down, tilt, heading.
     error_std_ : dict of str to float
-        Expected error of reconstructed airspeed, alpha and beta: root mean square of their standard deviations.
+        Expected error of reconstructed airspeed, alpha and beta.
     gust_std_ : float
-        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``. The column
+        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``; the column
         ``gust`` of the transformed table holds that of each flight.
     sensors_ : dict of str to float
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
@@ -134,9 +136,7 @@ class FlightPathReconstruction(TableTransformer):
 
     _parameter_constraints: dict = {
         "calibrate": [StrOptions({"inertial", "all"}), list, tuple],
-        "rates": [StrOptions({"air", "steady"})],
         "gust_time": [Interval(Real, 0, None, closed="neither")],
-        "gravity": [Interval(Real, 0, None, closed="neither")],
         "incomplete": [StrOptions({"raise", "pass"})],
         "inconsistent": [StrOptions({"use", "pass"})],
     }
@@ -145,25 +145,20 @@ class FlightPathReconstruction(TableTransformer):
         self,
         *,
         calibrate: Any = "inertial",
-        rates: str = "air",
         gust_time: float = 10.0,
-        gravity: float = 9.80665,
         incomplete: str = "raise",
         inconsistent: str = "use",
     ) -> None:
         self.calibrate = calibrate
-        self.rates = rates
         self.gust_time = gust_time
-        self.gravity = gravity
         self.incomplete = incomplete
         self.inconsistent = inconsistent
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the constants of each flight, estimated from that flight alone, and their observability.
+        """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
 
-        The table has a row per flight and constant: ``estimate``, ``std`` (standard deviation), ``prior_std``,
-        ``observable`` (std below half of prior_std), ``confounded_with`` (the constant whose error is most correlated)
-        and ``correlation`` with it.
+        Columns are ``estimate``, ``std``, ``prior_std``, ``observable`` (std below half of prior_std),
+        ``confounded_with`` (the constant whose error is most correlated) and ``correlation`` with it.
         """
         check_is_fitted(self)
         table = self._as_table(X)
@@ -176,11 +171,16 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_table(self, table):
         errors = self._error_names()
         self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
-        (self.used_, self.reason_), self.errors_ = _of_missing(self.missing_), None
+        self.used_, self.errors_, self.reason_ = not self.missing_, None, "asked for, without a check"
         if self.missing_:
+            self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
-        lags = self._clear_lags(table, errors) if self.inconsistent == "pass" else {}
+        lags: dict[str, float] = {}
+        if self.inconsistent == "pass":  # clear lags of attitude and velocity are removed first
+            of_path = kinematic_lags(table, gust_time=self.gust_time)
+            clear = {name: lag for name, (lag, std) in of_path.items() if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)}
+            lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
         samples = [len(log.time) for _, _, log, _ in estimates]
@@ -191,23 +191,19 @@ class FlightPathReconstruction(TableTransformer):
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(estimates, errors)
         self.calibration_ = _calibration(estimates, errors)
-        if not isinstance(self.calibrate, str):
-            self._warn_unobservable()
+        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
+        if not isinstance(self.calibrate, str) and not shown.all():
+            warnings.warn(
+                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
+                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
+                stacklevel=3,
+            )
         if self.inconsistent == "pass":
             self._decide(table, estimates, lags)
 
-    def _clear_lags(self, table: pd.DataFrame, errors: list[str]) -> dict[str, float]:
-        """Return the lags of attitude and velocity that are known, late and not negligible."""
-        of_path = kinematic_lags(table, gust_time=self.gust_time, gravity=self.gravity)
-        return {
-            name: lag
-            for name, (lag, std) in of_path.items()
-            if name not in errors and lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
-        }
-
     def _decide(self, table: pd.DataFrame, estimates: Flights, lags: dict[str, float]) -> None:
         """Set whether the reconstruction is used, and why."""
-        if not all(name in table and has_values(table, name) for name in AIR_DATA):
+        if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
@@ -231,7 +227,7 @@ class FlightPathReconstruction(TableTransformer):
         inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
         for _, rows, log, solved in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
-            for name, values in _channels(solved.path, log, self.rates).items():
+            for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
             new["gust"][rows] = _gust(solved)
         for name in EULER:
@@ -261,7 +257,7 @@ class FlightPathReconstruction(TableTransformer):
         """Return (name, rows, log, estimate) of every flight."""
         estimates = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
-        for name, rows, log in flight_logs(table, self.gravity):
+        for name, rows, log in flight_logs(table):
             start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
             each = estimate(log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time)
             if not each.converged:
@@ -273,54 +269,34 @@ class FlightPathReconstruction(TableTransformer):
             estimates.append((name, rows, log, each))
         return estimates
 
-    def _warn_unobservable(self):
-        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
-        if not shown.all():
-            warnings.warn(
-                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
-                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
-                stacklevel=4,
-            )
 
-
-def kinematic_lags(table: pd.DataFrame, **options: Any) -> dict[str, tuple[float, float]]:
+def kinematic_lags(table: pd.DataFrame, gust_time: float = 10.0) -> dict[str, tuple[float, float]]:
     """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
 
-    ``options`` are gust_time and gravity of the reconstruction. Vanes are left out, as gusts would resemble a lag.
+    Vanes are left out, as gusts would resemble a lag.
     """
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     since = table["time"] - table.groupby(codes)["time"].transform("min")
     inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], **options)
+        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], gust_time=gust_time)
         path.fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
     return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
 
 
-def _of_missing(missing: list[str]) -> tuple[bool, str]:
-    """Return whether flights that lack these channels are reconstructed, and why."""
-    return not missing, f"the flights lack {', '.join(missing)}" if missing else "asked for, without a check"
-
-
-def _channels(path: FlightPath, log: Log, rates: str) -> dict[str, Vector]:
+def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log) if rates == "steady" else _derivatives(air, path, log)
-    parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
-    return dict(zip(MADE, np.column_stack(parts).T, strict=True))
-
-
-def _derivatives(air: Matrix, path: FlightPath, log: Log) -> Matrix:
-    """Return derivatives of the splines through air data (n, 3), by segment; of single samples in steady air."""
-    rates = air_data_rates(path, log)
+    dots = air_data_rates(path, log)  # in steady air: of single samples
     for segment in np.unique(log.segment):
         rows = log.segment == segment
         if rows.sum() > 1:
-            rates[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
-    return rates
+            dots[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
+    parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
+    return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
 def _gust(solved: Estimate) -> float:
@@ -344,14 +320,110 @@ def _pooled(estimates: Flights, errors: list[str]) -> dict[str, float]:
 def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
     """Return a row per flight and constant."""
     names = [*errors, *MEAN_WIND]
-    parts = []
+    prior, parts = np.array([CONSTANTS[name] for name in names]), []
     for flight, _, _, each in estimates:
         std = np.sqrt(np.diag(each.covariance))
         correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
         partner = np.abs(correlation).argmax(axis=1)
-        prior = np.array([CONSTANTS[name] for name in names])
         part = {"flight": flight, "constant": names, "estimate": each.path.constant(*names), "std": std}
         part |= {"prior_std": prior, "observable": std < OBSERVABLE * prior}
         part |= {"confounded_with": np.array(names)[partner], "correlation": correlation[range(len(names)), partner]}
         parts.append(pd.DataFrame(part))
     return pd.concat(parts, ignore_index=True)
+
+
+def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str, float]) -> pd.DataFrame:
+    r"""Return noise, residual and expected errors of the sensors of a table, by the paths estimated from it.
+
+    An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared error
+
+    .. math:: \overline{(y - x)^2} - \sigma^2 + 2 \sigma^2\, \overline{\partial x / \partial y}
+
+    without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over that of the noise; the
+    slope of the smoother follows from a small random change of the samples (Ramani, Blu & Unser 2008). A constant
+    error of a sensor, or a lag, is not seen. Third differences contain a little motion, so :math:`\sigma` is zero where
+    the residual exceeds 1.4 times the noise. Of n samples the first term has the standard error
+    :math:`\sigma^2 \sqrt{2 / n}`: a mean squared error below it cannot be told from zero. Columns are those of
+    ``FlightPathReconstruction.errors_``.
+    """
+    raw = numeric(table, AIR_DATA)
+    path, slope = _path_air(raw.shape, estimates)
+    known = np.isfinite(raw) & np.isfinite(path)
+    squares = {kind: _noise_squares(kind, estimates) for kind in ("air", "rate", "force")}
+    stds = np.sqrt(squares["air"])
+    learned = np.array([noise[name] for name in AIR_DATA])
+    variance = np.where(learned > MAX_AIR_NOISE * stds, 0.0, stds**2)
+    smoothed, smoother_slope = _smoothed(table, raw, stds)
+    rows = {}
+    for row, name in enumerate(AIR_DATA):
+        here = known[:, row]
+        measured = raw[here, row]
+        errors = [
+            np.mean((measured - estimate[here, row]) ** 2) + variance[row] * (2 * gain[row] - 1)
+            for estimate, gain in ((path, slope), (smoothed, smoother_slope))
+        ]
+        least = variance[row] * np.sqrt(2 / max(len(measured), 1))
+        rows[name] = (stds[row], noise[name], *np.sqrt(np.maximum(errors, least)), measured.std())
+    for name, kind in (("gyro", "rate"), ("accelerometer", "force")):
+        rows[name] = (float(np.sqrt(np.mean(squares[kind]))), noise[name], np.nan, np.nan, np.nan)
+    columns = ["noise", "residual", "reconstruction", "smoothing", "deviation"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("sensor")
+
+
+def decision(errors: pd.DataFrame) -> tuple[bool, str]:
+    """Return whether the reconstruction is used, and why, in words.
+
+    It is if the mean square of expected error / deviation of airspeed, alpha, beta is at most 1.05^2 that of smoothing.
+    """
+    air = errors.loc[list(AIR_DATA)]
+    weights = np.divide(1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0)
+    path, smoothing = (float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing"))
+    used = path <= MAX_RATIO * smoothing
+    words = [f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"]
+    for name, (what, unit, factor) in FOLLOWS.items() if not used else ():
+        residual, noise = factor * errors.residual[name], factor * errors.noise[name]
+        if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
+            words.append(f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})")
+    return used, "; ".join(words)
+
+
+def _listed(errors: pd.Series) -> str:
+    return ", ".join(f"{name} {round(factor * errors[name], 6):.2g} {unit}" for name, (unit, factor) in UNITS.items())
+
+
+def _path_air(shape: tuple[int, ...], estimates: Flights) -> tuple[Matrix, Vector]:
+    """Return what airspeed and vanes should measure on the paths (n, 3), and the mean slope by their own samples."""
+    values, slope = np.full(shape, np.nan), np.zeros(3)
+    for _, rows, _, each in estimates:
+        air = np.column_stack(air_data(each.path.air_velocity()))
+        air[air[:, 0] < MIN_AIRSPEED] = np.nan
+        scale = 1 + each.path.constant("airspeed_scale", "alpha_scale", "beta_scale")
+        values[rows] = scale * air + [0.0, *each.path.constant("alpha_bias", "beta_bias")]
+        learned = np.array([each.noise[name] for name in AIR_DATA])
+        slope += len(rows) / shape[0] * (scale * each.air_std / learned) ** 2
+    return values, slope
+
+
+def _noise_squares(kind: str, estimates: Flights) -> Vector:
+    """Return the variance of white noise in the columns of each flight's log, from their third differences."""
+    total, count = np.zeros(3), np.zeros(3)
+    for _, _, log, _ in estimates:
+        for place, column in enumerate(getattr(log, kind).T):
+            rows = np.flatnonzero(np.isfinite(column))
+            if len(rows) > DIFFERENCES:
+                joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
+                squares = np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20
+                total[place], count[place] = total[place] + squares.sum(), count[place] + len(squares)
+    return total / np.maximum(count, 1)
+
+
+def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, Vector]:
+    """Return smoothed air data (n, 3), and their mean slope by their own samples."""
+    probe = np.random.default_rng(0).standard_normal(raw.shape)
+    moved = table.assign(**dict(zip(AIR_DATA, (raw + PROBE * noise * probe).T, strict=True)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of flights too short to smooth: the pipeline's smoother says it
+        smoother = FlightSmoother(columns=list(AIR_DATA), derivatives=[])
+        before, after = (numeric(smoother.fit_transform(one), AIR_DATA) for one in (table, moved))
+    response = np.nanmean((after - before) * probe, axis=0)
+    return before, np.divide(response, PROBE * noise, out=np.ones(3), where=noise > 0)

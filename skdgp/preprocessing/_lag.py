@@ -32,6 +32,7 @@ from skdgp.preprocessing._path_equations import NEEDED
 from skdgp.preprocessing._table import TableTransformer, has_values, interpolate_missing, with_columns, wrapped_near
 
 GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}
+INERTIAL = (*SPECIFIC_FORCE, *RATES)
 CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
@@ -40,8 +41,7 @@ BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, bet
 STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
 SHORTEST = 20.0  # least length of a segment [s]
-RANGE, COARSE, FINE = 0.5, 0.04, 0.01
-"""Largest lag, step of the scan, and step of the parabolas [s]."""
+RANGE, COARSE, FINE = 0.5, 0.04, 0.01  # largest lag, step of the scan, and step of the parabolas [s]
 RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
 BLOCK = 5.0  # seconds over which residuals may be correlated
 
@@ -71,11 +71,9 @@ class LagCorrector(TableTransformer):
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares: the maximum of the profile likelihood
-    (for lags in identification see Jategaonkar 2006, chapter 10; Morelli & Klein 2016, chapter 10). Its standard
-    deviation allows for residuals that are correlated within 5 s (Liang & Zeger 1986).
-
-    Lags of throttle and propeller speed can be given. They are not estimated, because engines respond slowly. Raises
+    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares, the maximum of the profile likelihood
+    (Jategaonkar 2006, chapter 10). Its standard deviation allows for residuals that are correlated within 5 s (Liang &
+    Zeger 1986). Lags of throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
     ValueError if ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is
     not finite.
 
@@ -110,10 +108,27 @@ class LagCorrector(TableTransformer):
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
-            check_columns(table, [*SPECIFIC_FORCE, *RATES])
-            self.lags_ = _lag_table({group: (*lag, *_applied(lag)) for group, lag in _estimated(table).items()})
+            check_columns(table, INERTIAL)
+            flights = flights_of(table)
+            surfaces = surface_lag(flights)
+            found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
+            if flights and has_values(table, *NEEDED):
+                of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
+                found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+            rows = {group: (*lag, *_applied(lag)) for group, lag in found.items()}
         else:
-            self.lags_ = _given(self.lags or {}, table)
+            lags = self.lags or {}
+            unknown = [name for name in lags if name not in GROUPS and name not in table]
+            if unknown:
+                raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
+            wrong = {
+                name: each for name, each in lags.items() if not (isinstance(each, Real) and np.isfinite(float(each)))
+            }
+            if wrong:
+                raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
+            rows = {name: (float(each), np.nan, np.nan, float(each), "given") for name, each in lags.items()}
+        columns = [*Lag._fields, "applied", "remark"]
+        self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
@@ -149,10 +164,10 @@ def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bo
 
 
 def _advanced(values: Vector, steps: float) -> Vector:
-    """Return equidistant values a fraction of steps later, by an all-pass filter, which keeps white noise white.
+    """Return equidistant values a fraction of steps later: every frequency's phase is shifted, white noise stays white.
 
-    The phase of every frequency is shifted (Oppenheim & Schafer 2010, section 4.5). The values are continued oddly
-    beyond both ends, and the line between these is shifted separately, so that the periodic signal is continuous.
+    They are continued oddly beyond both ends, and the line between these is shifted by itself, so that the periodic
+    signal is continuous (Oppenheim & Schafer 2010, section 4.5).
     """
     margin = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
     padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
@@ -161,17 +176,6 @@ def _advanced(values: Vector, steps: float) -> Vector:
     line = padded[0] + slope * np.arange(n)
     spectrum = np.fft.rfft(padded - line) * np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
     return (np.fft.irfft(spectrum, n) + line + slope * steps)[margin : n - margin]
-
-
-def _estimated(table: pd.DataFrame) -> dict[str, Lag]:
-    """Return the lag of each group; unknown where the flights do not show it."""
-    flights = flights_of(table)
-    surfaces = surface_lag(flights)
-    lags = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
-    if flights and all(has_values(table, name) for name in NEEDED):
-        of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
-        lags |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
-    return lags
 
 
 def _applied(estimate: Lag) -> tuple[float, str]:
@@ -185,21 +189,6 @@ def _applied(estimate: Lag) -> tuple[float, str]:
     return (0.0, "negligible") if abs(estimate.lag) < MIN_LAG else (estimate.lag, "removed")
 
 
-def _given(lags: dict, table: pd.DataFrame) -> pd.DataFrame:
-    unknown = [name for name in lags if name not in GROUPS and name not in table]
-    if unknown:
-        raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
-    wrong = {name: lag for name, lag in lags.items() if not isinstance(lag, Real) or not np.isfinite(float(lag))}
-    if wrong:
-        raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
-    return _lag_table({name: (float(lag), np.nan, np.nan, float(lag), "given") for name, lag in lags.items()})
-
-
-def _lag_table(rows: dict[str, tuple]) -> pd.DataFrame:
-    columns = [*Lag._fields, "applied", "remark"]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
-
-
 class Segment:
     """A gap-free segment on a uniform clock: scaled accelerations, and channels that can be shifted."""
 
@@ -207,8 +196,7 @@ class Segment:
         self.time = uniform_grid(time)[0]
         self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
         self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
-        wanted = (*SPECIFIC_FORCE, *RATES, *VANES, *ALL_SURFACES, "airspeed")
-        names = [name for name in wanted if has_values(table, name)]
+        names = [name for name in (*INERTIAL, *VANES, *ALL_SURFACES, "airspeed") if has_values(table, name)]
         values = interpolate_missing(time, numeric(table, names))
         self.splines = {name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)}
         speed = np.ones((len(time), 1))
@@ -217,9 +205,8 @@ class Segment:
             speed = np.maximum(speed, 0.1 * np.median(speed))
         rates = self.channels(RATES)
         acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
-        self.force = self.filtered(self.channels(SPECIFIC_FORCE) / speed**2)
-        self.rate = self.filtered(rates / speed)
-        self.acceleration = self.filtered(acceleration / speed**2)
+        self.force = self._within_band(self.channels(SPECIFIC_FORCE) / speed**2)
+        self.rate, self.acceleration = self._within_band(rates / speed), self._within_band(acceleration / speed**2)
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
@@ -231,8 +218,11 @@ class Segment:
         later = np.clip(self.time + lag, self.time[0], self.time[-1])
         return np.column_stack([self.splines[name](later) for name in names]) if names else np.empty((len(later), 0))
 
-    def filtered(self, columns: Matrix) -> Matrix:
-        """Return columns within the band, with zero phase."""
+    def filtered(self, names: Sequence[str], lag: float) -> Matrix:
+        """Return those of the channels that the segment has without their lag, within the band."""
+        return self._within_band(self.channels(self.present(names), lag))
+
+    def _within_band(self, columns: Matrix) -> Matrix:
         sections = signal.butter(2, self.band, "bandpass", fs=self.rate_hz, output="sos")
         return signal.sosfiltfilt(sections, columns, axis=0) if columns.shape[1] else columns
 
@@ -256,9 +246,8 @@ def flights_of(table: pd.DataFrame) -> Flights:
     time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     flights = []
     for runs in runs_by_flight(time, codes):
-        long = [run for run in runs if time[run][-1] - time[run][0] > SHORTEST]
-        whole = [run for run in long if all(has_values(table.iloc[run], name) for name in (*SPECIFIC_FORCE, *RATES))]
-        flights.append([Segment(time[run], table.iloc[run]) for run in whole])
+        long = [run for run in runs if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)]
+        flights.append([Segment(time[run], table.iloc[run]) for run in long])
     return [flight for flight in flights if flight]
 
 
@@ -266,8 +255,7 @@ def surface_lag(flights: Flights) -> Lag:
     """Return the lag of surfaces: angular acceleration / V^2 from surfaces, rates / V and specific force / V^2."""
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        surfaces = segment.filtered(segment.channels(segment.present(ALL_SURFACES), lag))
-        return segment.acceleration, np.hstack([surfaces, segment.rate, segment.force])
+        return segment.acceleration, np.hstack([segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force])
 
     return _profile_estimate(flights, ALL_SURFACES, equation)
 
@@ -276,9 +264,8 @@ def air_lag(flights: Flights, surfaces: float) -> Lag:
     """Return the lag of vanes: alpha, beta from specific force / V^2, rates / V and surfaces of a known lag."""
 
     def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        vanes = segment.filtered(segment.channels(segment.present(VANES), lag))
-        moved = segment.filtered(segment.channels(segment.present(ALL_SURFACES), surfaces))
-        return vanes, np.hstack([segment.force, segment.rate, moved])
+        moved = segment.filtered(ALL_SURFACES, surfaces)
+        return segment.filtered(VANES, lag), np.hstack([segment.force, segment.rate, moved])
 
     return _profile_estimate(flights, VANES, equation)
 
@@ -291,7 +278,7 @@ def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation
         return UNKNOWN
 
     def residuals(lag: float) -> list[Matrix]:
-        return [_residual([equation(segment, lag) for segment in flight], flight) for flight in flights]
+        return [_residual(flight, equation, lag) for flight in flights]
 
     def squares(columns: list[Matrix]) -> Vector:
         return np.sum([np.sum(part**2, axis=0) for part in columns], axis=0)
@@ -307,12 +294,10 @@ def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation
     return Lag(lag, _standard_deviation(final, slopes, blocks), explained)
 
 
-def _residual(equations: Sequence[tuple[Matrix, Matrix]], flight: list[Segment]) -> Matrix:
+def _residual(flight: list[Segment], equation: Equation, lag: float) -> Matrix:
     """Return the residuals of the responses over a flight's segments, by least squares."""
-    response, predictors = (
-        np.concatenate([segment.inner(part) for segment, part in zip(flight, parts, strict=True)])
-        for parts in zip(*equations, strict=True)
-    )
+    sides = [[segment.inner(side) for side in equation(segment, lag)] for segment in flight]
+    response, predictors = map(np.concatenate, zip(*sides, strict=True))
     scale = np.linalg.norm(predictors, axis=0)
     Q, R, _ = linalg.qr(predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
     Q = Q[:, np.abs(np.diag(R)) > RANK_TOLERANCE]
@@ -326,23 +311,21 @@ def _minimum(objective: Callable[[float], float]) -> float | None:
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
         return None
-    lag = steps[place] + _vertex(values[place - 1 : place + 2], COARSE)
+    lag = steps[place] + _vertex(values[place - 1], values[place], values[place + 1], COARSE)
     for _ in range(2):
-        lag += _vertex([objective(lag - FINE), objective(lag), objective(lag + FINE)], FINE)
+        lag += _vertex(objective(lag - FINE), objective(lag), objective(lag + FINE), FINE)
     return float(lag)
 
 
-def _vertex(values: Sequence[float], step: float) -> float:
-    before, here, after = values
+def _vertex(before: float, here: float, after: float, step: float) -> float:
     curvature = before - 2 * here + after
     return float(np.clip(step * (before - after) / (2 * curvature), -step, step)) if curvature > 0 else 0.0
 
 
 def _standard_deviation(residuals: list[Matrix], slopes: list[Matrix], blocks: list[int]) -> float:
-    """Return the standard deviation of a lag for residuals correlated within blocks: sqrt(sum_b S_b^2) / H.
+    """Return the standard deviation of a lag, sqrt(sum_b S_b^2) / H (Liang & Zeger 1986).
 
-    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum over a block of g e / s^2 and H = sum
-    g^2 / s^2 (Liang & Zeger 1986).
+    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum_b g e / s^2 and H = sum g^2 / s^2.
     """
     variance = sum(np.sum(e**2, axis=0) for e in residuals) / sum(len(e) for e in residuals)
     scores = [np.sum(g * e / variance, axis=1) for g, e in zip(slopes, residuals, strict=True)]

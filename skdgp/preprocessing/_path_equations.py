@@ -6,7 +6,6 @@ relate a state to airspeed, alpha, beta, GPS velocity and attitude at one sample
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,37 +13,32 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import numeric
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
-NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
-"""Channels that a flight table must hold; alpha and beta are optional."""
+NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")  # alpha and beta are optional
 
 VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
 """Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust."""
 
 INERTIAL = {
-    **dict.fromkeys(("ax_bias", "ay_bias", "az_bias"), 0.3),
-    **dict.fromkeys(("p_bias", "q_bias", "r_bias"), 0.02),
-}
+    "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
+}  # fmt: skip
 SENSORS = {
-    "airspeed_scale": 0.1,
-    "alpha_bias": 0.03,
-    "alpha_scale": 0.2,
-    "beta_bias": 0.03,
-    "beta_scale": 0.2,
-    **dict.fromkeys(("airspeed_lag", "vane_lag", "velocity_lag", "attitude_lag"), 0.1),
-}
+    "airspeed_scale": 0.1, "alpha_bias": 0.03, "alpha_scale": 0.2, "beta_bias": 0.03, "beta_scale": 0.2,
+    "airspeed_lag": 0.1, "vane_lag": 0.1, "velocity_lag": 0.1, "attitude_lag": 0.1,
+}  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
 CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
 """Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
 or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
-LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)
-"""The lag of each of the nine measurements."""
+LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # NED; what it is more here is in the accelerometers' biases
 MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
 
 
@@ -78,12 +72,11 @@ class Log(NamedTuple):
     velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
     attitude: Rotation  # n attitudes, body to NED
     attitude_sampled: Mask  # (n,) where the attitude was sampled
-    gravity: float  # [m/s^2]
     delays: tuple[int, ...] = (0,) * 9  # lag of each measurement in whole samples
 
     def part(self, first: int, last: int) -> Log:
         """Return the samples from first to before last."""
-        return Log._make([*(values[first:last] for values in self[:-2]), *self[-2:]])
+        return Log._make([*(values[first:last] for values in self[:-1]), self.delays])
 
     @property
     def joined(self) -> Mask:
@@ -130,7 +123,7 @@ class FlightPath(NamedTuple):
         return log.rate - self.constant("p_bias", "q_bias", "r_bias")
 
 
-def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, Indices, Log]]:
+def flight_logs(table: pd.DataFrame) -> list[tuple[object, Indices, Log]]:
     """Return name, rows and log of every flight in the table.
 
     Raise ValueError if time does not increase, or a needed channel has no value in a flight.
@@ -141,7 +134,7 @@ def flight_logs(table: pd.DataFrame, gravity: float) -> list[tuple[object, Indic
     for runs in runs_by_flight(time, codes):
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
         segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
-        logs.append((names[rows[0]], rows, _log(table.iloc[rows], time[rows], segment, gravity)))
+        logs.append((names[rows[0]], rows, _log(table.iloc[rows], time[rows], segment)))
     return logs
 
 
@@ -149,12 +142,8 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the needed channels that are absent, or have no value in some flight."""
     absent = [name for name in ("time", *NEEDED) if name not in table]
     rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
-    empty = {name for part in rows for name in _empty_channels(table.iloc[part], absent)}
-    return absent + sorted(empty, key=NEEDED.index)
-
-
-def _empty_channels(table: pd.DataFrame, absent: Collection[str] = ()) -> list[str]:
-    return [name for name in NEEDED if name not in absent and not has_values(table, name)]
+    there = [name for name in NEEDED if name not in absent]
+    return absent + [name for name in there if not all(has_values(table.iloc[part], name) for part in rows)]
 
 
 def first_guess(log: Log, constants: Vector) -> FlightPath:
@@ -163,9 +152,8 @@ def first_guess(log: Log, constants: Vector) -> FlightPath:
     return FlightPath(velocity, log.attitude, np.zeros_like(velocity), constants)
 
 
-def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) -> Log:
-    empty = _empty_channels(table)
-    if empty:
+def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
+    if empty := [name for name in NEEDED if not has_values(table, name)]:
         flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(
             f"Got no value of {', '.join(empty)} in {flight}, but expected some: a path cannot be reconstructed "
@@ -178,16 +166,13 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices, gravity: float) ->
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
     air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
     velocity = numeric(table, EARTH_VELOCITY)
-    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled, gravity)
+    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
 
 
 def air_data_rates(path: FlightPath, log: Log) -> Matrix:
-    """Return the rates of change of airspeed, alpha, beta (n, 3) in air of constant velocity.
-
-    With v the velocity through the air in body axes, v' = f - omega x v + R^T g.
-    """
+    """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
     velocity = path.air_velocity()
-    acceleration = path.force(log) + path.attitude.inv().apply(_gravity(log)) - np.cross(path.rate(log), velocity)
+    acceleration = path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
     return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
 
 
@@ -215,7 +200,7 @@ def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equati
     force = path.force(log)
     force_ned = path.attitude.apply(force)
     acceleration = np.diff(path.velocity, axis=0) / step
-    residual[:, VELOCITY] = back.apply(acceleration - _gravity(log) - (force_ned[:-1] + force_ned[1:]) / 2)
+    residual[:, VELOCITY] = back.apply(acceleration - GRAVITY - (force_ned[:-1] + force_ned[1:]) / 2)
     d_next[:, VELOCITY, VELOCITY] = back.as_matrix() / step[..., None]
     d_state[:, VELOCITY, VELOCITY] = -d_next[:, VELOCITY, VELOCITY]
     d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
@@ -247,7 +232,8 @@ def measurement_equations(path: FlightPath, log: Log) -> Equations:
     later, offset = _lagged_rows(log, path.constant(*LAGS))
     scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
     bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
-    rates = _measurement_rates(path, log, scale)
+    acceleration, turning = path.attitude.apply(path.force(log)) + GRAVITY, path.attitude.apply(path.rate(log))
+    rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
     residual, d_state, d_constants = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, 9, len(CONSTANTS)))
 
     air = air_data_equations(path)
@@ -280,21 +266,10 @@ def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
     return inside, np.where((inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan)
 
 
-def _measurement_rates(path: FlightPath, log: Log, scale: Vector) -> Matrix:
-    """Return the rates of change of the nine measurements, (n, 9)."""
-    R = path.attitude
-    velocity = R.apply(path.force(log)) + _gravity(log)
-    return np.concatenate([scale * air_data_rates(path, log), velocity, R.apply(path.rate(log))], axis=1)
-
-
 def _log_gradient(angle: Matrix) -> Array:
     """Return the derivative of Log(exp(angle) exp(x)) by x at 0, to second order in the angle: (n, 3, 3)."""
     half = cross_matrix(angle) / 2
     return np.eye(3) + half + half @ half / 3
-
-
-def _gravity(log: Log) -> Vector:
-    return np.array([0.0, 0.0, log.gravity])
 
 
 def _without(equations: Equations, missing: Mask) -> Equations:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
@@ -23,36 +23,29 @@ from skdgp.preprocessing._path_equations import (
 )
 
 NOISE = {
-    "accelerometer": 0.05,
-    "gyro": 0.003,
-    "airspeed": 0.5,
-    "alpha": 0.01,
-    "beta": 0.01,
-    "v_horizontal": 0.2,
-    "v_down": 0.2,
-    "tilt": 0.01,
-    "heading": 0.02,
-}
+    "accelerometer": 0.05, "gyro": 0.003, "airspeed": 0.5, "alpha": 0.01, "beta": 0.01, "v_horizontal": 0.2,
+    "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
+}  # fmt: skip
 """Initial noise of the sensors: standard deviation of a sample, SI."""
-GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
-"""Initial gusts: standard deviation of their change in one second [m/s]."""
+GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}  # initial standard deviation of a change in 1 s [m/s]
 PROCESS = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
 MEASUREMENTS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
 """The noise of each process equation and each measurement equation."""
 MIN_NOISE = 1e-9
-PRIOR_COUNT = 10
-"""Number of residuals that the initial noise of a sensor is worth; it decides where the flight has no information."""
-START_PRECISION = np.repeat([1e-4, 1.0], 3)
-"""Prior precision of the velocity [m/s] and the attitude [rad] at the first sample of a segment."""
+PRIOR_COUNT = 10  # residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
+START_PRECISION = np.repeat([1e-4, 1.0], 3)  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
 WINDOW = 4096  # samples whose equations are in memory at a time
-DELAY_STEPS = 6
-"""Gauss-Newton steps in which lags may change by whole samples; fixed delays let the later steps converge."""
+DELAY_STEPS = 6  # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
 MAX_STEPS = 40
 TOLERANCE = 0.02
 N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
 """Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust); odd constants."""
+
+
+Windows: TypeAlias = Iterable[tuple[int, Equations, Equations]]
+"""The number of the first state, the process and the measurement equations of consecutive windows."""
 
 
 class Prior(NamedTuple):
@@ -108,17 +101,18 @@ def estimate(
     for step in range(MAX_STEPS):
         if step <= DELAY_STEPS:
             log = log._replace(delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist()))
-        windows = _Windows(path, log, noise, places, gust_time)
-        posterior = solve(windows, _prior(path, log, noise, places, offset, pull, gust_time), draws)
-        sums = _residual_sums(_process_names(log), windows, posterior)
+        problem = _Problem(path, log, noise, places, gust_time)
+        posterior = solve(problem, problem.prior(offset, pull), draws)
+        sums = _residual_sums(_process_names(log), problem, posterior)
         change = np.zeros(len(CONSTANTS))
         change[places] = posterior.constants
         path = path.moved(posterior.states, change)
         offset = (path.constants - start.constants)[places]
         pull = _scale_gradient(path, sums)[places]
         before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))
-        converged = step > 0 and all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
-        converged = converged and _is_small(posterior)
+        steady = all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
+        moved, spread = (np.mean(np.square(each), axis=0) for each in (posterior.states, posterior.state_draws))
+        converged = step > 0 and steady and bool(np.all(moved < TOLERANCE**2 * spread.mean(axis=-1)))
         if converged:
             break
     noise = noise | {kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)}
@@ -135,7 +129,7 @@ def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
     return np.column_stack([half, sign[:, None] * half])
 
 
-def solve(windows: Iterable[tuple[int, Equations, Equations]], prior: Prior, draws: Matrix) -> Posterior:
+def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
     r"""Return the least-squares solution of process and measurement equations.
 
     With the states x (n s) and constants c, the normal equations
@@ -147,8 +141,7 @@ def solve(windows: Iterable[tuple[int, Equations, Equations]], prior: Prior, dra
     C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x = L^-T e - A^-1 B c with standard normal e and
     c from the inverse of the complement is a sample from it.
 
-    ``windows`` holds the number of the first state, the process and the measurement equations of consecutive windows;
-    ``draws`` standard normal numbers, (n s + c, k).
+    ``draws`` are standard normal numbers, (n s + c, k).
     """
     n, s = prior.states.shape
     band, border, corner, g, h = _normal_equations(windows, prior)
@@ -165,9 +158,7 @@ def solve(windows: Iterable[tuple[int, Equations, Equations]], prior: Prior, dra
     return Posterior(states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws)
 
 
-def _normal_equations(
-    windows: Iterable[tuple[int, Equations, Equations]], prior: Prior
-) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
+def _normal_equations(windows: Windows, prior: Prior) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
     """Return A in lower banded storage, B, C, g and h."""
     (n, s), c = prior.states.shape, len(prior.constants)
     diagonal, coupling = prior.states[:, :, None] * np.eye(s), np.zeros((max(n - 1, 0), s, s))
@@ -215,8 +206,8 @@ def _process_names(log: Log) -> tuple[str, ...]:
     return PROCESS if np.isfinite(log.air[:, 1]).any() else (*PROCESS[:-1], "gust_horizontal")
 
 
-class _Windows:
-    """Process and measurement equations in units of their noise, by windows; a single window is computed once."""
+class _Problem:
+    """Process and measurement equations in units of their noise, by windows (a single one computed once), and prior."""
 
     def __init__(
         self, path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
@@ -250,24 +241,15 @@ class _Windows:
         d_next = None if rows.d_next is None else rows.d_next / each
         return Equations(rows.residual / scale, rows.d_state / each, d_next, rows.d_constants[..., self.places] / each)
 
-
-def _prior(
-    path: FlightPath,
-    log: Log,
-    noise: Mapping[str, float],
-    places: list[int],
-    offset: Vector,
-    pull: Vector,
-    gust_time: float,
-) -> Prior:
-    """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
-    first = np.concatenate([[True], ~log.joined])[:, None]
-    gusts = np.array([noise[name] for name in _process_names(log)[6:]]) * np.sqrt(gust_time / 2)
-    precision = first * np.concatenate([START_PRECISION, gusts**-2])
-    states_offset = np.zeros_like(precision)
-    states_offset[:, 6:] = path.gust
-    stiffness = np.array(list(CONSTANTS.values()))[places] ** -2
-    return Prior(precision, states_offset, stiffness, offset + pull / stiffness)
+    def prior(self, offset: Vector, pull: Vector) -> Prior:
+        """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
+        first = np.concatenate([[True], ~self.log.joined])[:, None]
+        gusts = np.array([self.noise[name] for name in _process_names(self.log)[6:]]) * np.sqrt(self.gust_time / 2)
+        precision = first * np.concatenate([START_PRECISION, gusts**-2])
+        states_offset = np.zeros_like(precision)
+        states_offset[:, 6:] = self.path.gust
+        stiffness = np.array(list(CONSTANTS.values()))[self.places] ** -2
+        return Prior(precision, states_offset, stiffness, offset + pull / stiffness)
 
 
 class Sums(NamedTuple):
@@ -278,9 +260,7 @@ class Sums(NamedTuple):
     n_samples: int
 
 
-def _residual_sums(
-    process_names: Sequence[str], windows: Iterable[tuple[int, Equations, Equations]], posterior: Posterior
-) -> dict[str, Sums]:
+def _residual_sums(process_names: Sequence[str], windows: Windows, posterior: Posterior) -> dict[str, Sums]:
     """Return the sums of each channel."""
     total = {name: np.zeros(3) for name in (*process_names, *MEASUREMENTS)}
     for first, process, measurements in windows:
@@ -329,12 +309,6 @@ def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
         place = PLACE[f"{name}_scale"]
         gradient[place] = sums[name].trace / (1 + path.constants[place])
     return gradient
-
-
-def _is_small(posterior: Posterior) -> bool:
-    """Return whether the step is small compared with the uncertainty of the states."""
-    step = np.sqrt(np.mean(posterior.states**2, axis=0))
-    return bool(np.all(step < TOLERANCE * np.sqrt(np.mean(posterior.state_draws**2, axis=(0, 2)))))
 
 
 def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:

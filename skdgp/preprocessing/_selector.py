@@ -12,17 +12,9 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import (
-    CHANNELS,
-    ELEVONS,
-    HAT,
-    REGRESSOR_SETS,
-    SURFACES,
-    TRUTH_SUFFIX,
-)
+from skdgp._flight.channels import CHANNELS, ELEVONS, HAT, MIXED, REGRESSOR_SETS, SURFACES, TRUTH_SUFFIX
 from skdgp._flight.checks import check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.preprocessing._elevons import MIXED
 from skdgp.preprocessing._table import TableTransformer
 
 OPTIONAL = ("throttle", *SURFACES)
@@ -45,9 +37,8 @@ class RegressorSelector(TableTransformer):
     ================= ========================================================================================
 
     The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): such a model has
-    good scores, but cannot be simulated, as accelerations are outputs of a simulation. In most flights alpha_dot nearly
-    equals q, and beta_dot -r cos alpha, so data hardly separate their effects (Klein & Morelli 2006, section 5.1), and
-    a model of both is wrong in flights where they differ. Hence ``"quasi-steady"``, which merges them.
+    good scores, but cannot be simulated. In most flights alpha_dot nearly equals q, and beta_dot -r cos alpha, so data
+    hardly separate their effects (Klein & Morelli 2006, section 5.1). Hence ``"quasi-steady"``, which merges them.
 
     In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls that the aircraft
     does not have (throttle, elevator, aileron, rudder, but not all surfaces) are left out and listed in ``absent_``.
@@ -70,7 +61,7 @@ class RegressorSelector(TableTransformer):
     data_min_, data_max_ : ndarray (d,)
         Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
-        Smallest and largest value of each flight channel of the table over these rows.
+        Range of each flight channel of the table over these rows.
 
     Warns
     -----
@@ -98,22 +89,20 @@ class RegressorSelector(TableTransformer):
         self.extra = extra
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Select the regressors of the flight table X, and learn their range.
-
-        Rows with targets y, (n,) or (n, P), NaN where not observed, count; without targets all do.
-        """
+        """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
         super().fit(X, y)
         if self._passes:
             return self
         values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
-        if y is not None and len(y) == len(X):
+        targeted = y is not None and len(y) == len(X)
+        if targeted:
             observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
-            values = values[observed]
-            _warn_of_little_information(values[np.isfinite(values).all(axis=1)], self.regressors_)
+        values = values[observed & np.isfinite(values).all(axis=1)]
+        if targeted and len(values):
+            _warn_of_little_information(values, self.regressors_)
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
         known = {str(name): kept for name, column in channels if len(kept := column[observed].dropna())}
         self.ranges_ = {name: (float(kept.min()), float(kept.max())) for name, kept in known.items()}
-        values = values[np.isfinite(values).all(axis=1)]
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
         return self
@@ -124,10 +113,7 @@ class RegressorSelector(TableTransformer):
 
     def _fit_table(self, table):
         self.absent_ = []
-        if isinstance(self.regressors, str):
-            chosen = self._from_set(table, REGRESSOR_SETS[self.regressors])
-        else:
-            chosen = list(self.regressors)
+        chosen = self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
         chosen += [name for name in self.extra if name not in chosen]
         twice = sorted({name for name in chosen if chosen.count(name) > 1})
         if twice or not chosen:
@@ -153,21 +139,16 @@ class RegressorSelector(TableTransformer):
     def _columns_out(self, names):
         return self.regressors_
 
-    def _from_set(self, table, names):
+    def _from_set(self, table):
+        names = list(REGRESSOR_SETS[self.regressors])
         _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
-        self.absent_ = [name for name in OPTIONAL if name in names and _absent(name, table)]
+        words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
+        missing = [name for name in OPTIONAL if name in names and name not in table]  # or misspelt
+        self.absent_ = [name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)
         return [name for name in names if name not in self.absent_]
-
-
-def _absent(name: str, table: pd.DataFrame) -> bool:
-    """Return whether the aircraft has no such control; a misspelt column is not absent."""
-    if name in table:
-        return False
-    words = [str(column) for column in table.columns if not str(column).endswith(TRUTH_SUFFIX)]
-    return not get_close_matches(name, words, n=1, cutoff=0.85)
 
 
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
@@ -190,23 +171,18 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
 
 def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
     """Warn if a regressor is constant, or there are no more rows than regressors."""
-    if not len(values):
-        return
     constant = [name for name, v in zip(names, values.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
+    words = (
+        f"In the training flights {constant} never change, so the model cannot learn their effects. Fly manoeuvres "
+        "that move them, or leave them out of the regressors."
+    )
     if len(values) <= len(names):
-        warnings.warn(
+        words = (
             f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected at least "
-            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or fewer columns.",
-            FlightDataWarning,
-            stacklevel=3,
+            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or fewer columns."
         )
-    elif constant:
-        warnings.warn(
-            f"In the training flights {constant} never change, so the model cannot learn their effects. Fly manoeuvres "
-            "that move them, or leave them out of the regressors.",
-            FlightDataWarning,
-            stacklevel=3,
-        )
+    if constant or len(values) <= len(names):
+        warnings.warn(words, FlightDataWarning, stacklevel=3)
 
 
 def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None:
@@ -214,19 +190,14 @@ def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None
     holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
-    measured: dict[str, int] = {}
-    computed: dict[str, int] = {}
-    for name, rows in zip(names, holes.sum(axis=0), strict=True):
-        sources = _sources(name, table) if rows else {}
-        measured |= sources
-        computed |= {name: int(rows)} if rows and not sources else {}
+    computed = {name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows}
+    measured = {name: rows for each in computed for name, rows in _sources(each, table).items()}
     remedy = "leave out isolated rows between gaps, which have no rate of change"
     if measured:
         remedy = (
             "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, "
-            "as python -m skdgp identify does: keep = "
-            f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = flight[keep], Y[keep]. Interpolate a slow "
-            "sensor to the clock of the others, leave out an empty column"
+            f"as python -m skdgp identify does: keep = np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
+            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave out an empty column"
         )
     raise ValueError(
         f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "

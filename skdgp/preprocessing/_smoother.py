@@ -20,15 +20,12 @@ IN_RADIANS = (*VANES, *RATES)
 class FlightSmoother(TableTransformer):
     """Smooth measured channels with zero phase and add their rates of change, flight by flight.
 
-    Each gap-free segment of a flight is filtered by itself, by the columns ``time`` [s] and ``flight`` (optional). With
-    ``cutoff="auto"`` each channel gets the Wiener smoother of its own spectrum, H(f) = max(0, 1 - N / P(f)), where N is
-    the white noise at the upper end of P. Rates of change are derivatives of the cubic spline through the smoothed
-    channel. Missing values (NaN) stay missing; a slow sensor is filtered at its own rate.
-
-    Smooth the whole flight at its full rate. To learn from fewer samples, thin the targets
-    (:func:`skdgp.model_selection.thin_targets`). Raises ValueError if ``time`` is missing, does not increase within a
-    flight or is too irregular; if a named column is missing or not numeric; if angles or rates are too large for
-    radians.
+    Each gap-free segment of a flight is filtered by itself, by the columns ``time`` [s] and ``flight`` (optional), at
+    its full rate. With ``cutoff="auto"`` each channel gets the Wiener smoother of its own spectrum,
+    H(f) = max(0, 1 - N / P(f)), where N is the white noise at the upper end of P. Rates of change are derivatives of
+    the cubic spline through the smoothed channel. Missing values (NaN) stay missing; a slow sensor is filtered at its
+    own rate. Raises ValueError if ``time`` is missing, does not increase within a flight or is too irregular; if a
+    named column is missing or not numeric; if angles or rates are too large for radians.
 
     Parameters
     ----------
@@ -36,16 +33,13 @@ class FlightSmoother(TableTransformer):
         Wiener smoother; or the half-amplitude frequency [Hz] of a forward-backward Butterworth filter; or one of these
         for each column by name (others: "auto"); or None for no smoothing.
     columns : "auto" or list of str, default="auto"
-        Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present. Name controls and
-        attitudes to smooth them.
+        Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present.
     derivatives : "auto" or list of str, default="auto"
-        Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A measured rate in the
-        table is kept (and smoothed).
+        Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A measured rate is kept.
     joint : {"rates", "inertial"} or None, default="rates"
         Channels to smooth alpha and beta jointly with, if their cutoff is "auto": airspeed, p, q and r; "inertial"
         adds ax, ay and az. Their cross-spectra keep higher frequencies of the vanes than their own spectra do.
-        "inertial" is more exact, but puts the forces that a model shall predict into its alpha and beta: use it to
-        reconstruct a flight, not to test a model.
+        "inertial" is more exact, but puts the forces that a model shall predict into its alpha and beta.
 
     Attributes
     ----------
@@ -54,8 +48,7 @@ class FlightSmoother(TableTransformer):
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
     noise_std_, error_std_ : dict of str to float
-        Standard deviation of each smoothed column's measured white noise, and the expected error after smoothing by
-        "auto"; NaN for logs of less than 128 samples.
+        White noise of each smoothed column, and the expected error after "auto"; NaN of less than 128 samples.
 
     Examples
     --------
@@ -73,9 +66,8 @@ class FlightSmoother(TableTransformer):
     0.005
     """
 
-    _cutoff = [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), dict, None]
     _parameter_constraints: dict = {
-        "cutoff": _cutoff,
+        "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), dict, None],
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
         "joint": [StrOptions(set(PARTNERS)), None],
@@ -121,7 +113,6 @@ class FlightSmoother(TableTransformer):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
     def _apply(self, operation, names, table):
-        """Smooth or differentiate the named columns, group by group."""
         new: dict[str, Vector] = {}
         for group, partners, cutoff in self._groups(names):
             columns = unwrapped(table, group + partners)

@@ -29,7 +29,6 @@ class TableTransformer(  # type: ignore[call-arg]
     warning.
     """
 
-    _known = frozenset(CHANNELS)
     in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
 
     @fit_context(prefer_skip_nested_validation=True)
@@ -84,7 +83,7 @@ class TableTransformer(  # type: ignore[call-arg]
         return names
 
     def _has_known_column(self, X: Any) -> bool:
-        return any(isinstance(name, str) and name in self._known for name in getattr(X, "columns", ()))
+        return any(isinstance(name, str) and name in CHANNELS for name in getattr(X, "columns", ()))
 
     def _as_table(self, X: Any) -> pd.DataFrame:
         if self._has_known_column(X):
@@ -116,9 +115,9 @@ class TableTransformer(  # type: ignore[call-arg]
         return tags
 
 
-def has_values(table: pd.DataFrame, name: str) -> bool:
-    """Return whether the table has the column, with a finite value."""
-    return name in table and bool(np.isfinite(numeric(table, [name])).any())
+def has_values(table: pd.DataFrame, *names: str) -> bool:
+    """Return whether the table has all these columns, each with a finite value."""
+    return all(name in table and np.isfinite(numeric(table, [name])).any() for name in names)
 
 
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:

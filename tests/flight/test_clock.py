@@ -137,7 +137,7 @@ def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_
     with pytest.raises(ValueError, match=r"Got time 0\.5 s after 1 s at row 3"):
         flight_segments(table["time"], table["flight"])
     table.to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(FlightReadError, match=r"Got time 0\.5 s at row 3 after 1 s"):
+    with pytest.raises(FlightReadError, match=r"Got time 0\.5 s after 1 s at row 3"):
         read_flight(tmp_path / "log.csv")
 
 

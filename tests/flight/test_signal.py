@@ -48,7 +48,7 @@ class TestSegments:
 
     @pytest.mark.parametrize("time", [[0.0, 0.1, 0.1, 0.2], [0.0, 0.2, 0.1, 0.3]])
     def test_time_must_increase(self, time):
-        with pytest.raises(ValueError, match="row 2, but expected time to increase strictly within a flight"):
+        with pytest.raises(ValueError, match=r"row 2 .*expected time to increase strictly within a flight"):
             flight_segments(time)
 
     def test_no_rate_no_segments(self):

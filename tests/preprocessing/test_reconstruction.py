@@ -92,7 +92,7 @@ def error(table, out, name):
 
 def guess(table, **constants):
     """The log, and a path near it that is no solution."""
-    log = flight_logs(table, GRAVITY)[0][2]
+    log = flight_logs(table)[0][2]
     values = np.zeros(len(CONSTANTS))
     for name, value in constants.items():
         values[PLACE[name]] = value
@@ -128,7 +128,7 @@ class TestEquations:
 
     def test_rates_of_change_are_those_of_air_data_in_steady_air(self):
         table = flown(4.0, 400.0, noise=0.0)
-        log = flight_logs(table, GRAVITY)[0][2]
+        log = flight_logs(table)[0][2]
         constants = np.zeros(len(CONSTANTS))
         constants[[PLACE["wind_north"], PLACE["wind_east"]]] = 3.0, -2.0
         rates = air_data_rates(first_guess(log, constants), log)
@@ -297,10 +297,9 @@ class TestHonesty:
         out = reconstruction.transform(flown(30.0, seed=5).assign(beta=lambda t: t.beta + 0.03))
         assert abs((out.beta - out.beta_true).mean()) < 0.002
 
-    @pytest.mark.parametrize("rates", ["air", "steady"])
-    def test_rates_of_change(self, rates):
+    def test_rates_of_change(self):
         table = flown(40.0)
-        out = FlightPathReconstruction(rates=rates).fit_transform(table)
+        out = FlightPathReconstruction().fit_transform(table)
         for name in ("alpha", "beta"):
             truth = CubicSpline(table.time, table[f"{name}_true"])(table.time, 1)
             assert np.std(out[f"{name}_dot"] - truth) < 0.12 * truth.std()  # gyros as they are

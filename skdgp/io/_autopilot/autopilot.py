@@ -1,50 +1,69 @@
-"""Conversion of autopilot logs to flight tables."""
+"""Conversion of autopilot logs to flight tables: sources of columns by rules, one clock, flights."""
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from numbers import Real
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
-from skdgp._flight.frames import euler_to_matrix
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_sign_changes
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._autopilot.clock import clock_parts, gaps
-from skdgp.io._autopilot.columns import Origin, Source, find_sources, follow, to_table
+from skdgp.io._autopilot.clock import clock_parts, gaps, resample, sampling_rate, uniform_clock
 from skdgp.io._autopilot.dataflash import read_dataflash
-from skdgp.io._autopilot.formats import Log, Topic
-from skdgp.io._autopilot.servos import full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._autopilot.formats import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
+from skdgp.io._autopilot.servos import Mixture, Servo, full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._autopilot.tlog import read_tlog
 from skdgp.io._autopilot.ulog import read_topic_tables, read_ulog
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
-    ".ulg": read_ulog,
-    ".ulog": read_ulog,
-    ".bin": read_dataflash,
-    ".tlog": read_tlog,
-}
+    ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
+}  # fmt: skip
 """Readers of logs by suffix; another format is one more entry."""
-RATE_CUTOFF = 0.2
-"""Corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate."""
-AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0
-"""Airborne above this share of the slowest airspeed set on the autopilot; if none is set, above this [m/s]."""
-CLEAR = 0.5
-"""Height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess."""
-LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0
-"""Slower for less than this is still flight [s]; faster for less than this is none [s]."""
-LONGEST_EDGE = 1.0
-"""Channels begin and end within this of each other [s]."""
+RATE_CUTOFF = 0.2  # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
+AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0  # of the slowest airspeed set, or without one this [m/s]: airborne above it
+CLEAR = 0.5  # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
+LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0  # slower for less than this is still flight [s]; faster for less is none [s]
+LONGEST_EDGE = 1.0  # channels begin and end within this of each other [s]
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+LEAST_RATE = 5.0  # a source slower than this [Hz] gives way to a faster one further down
+HIGHEST_RATE = 50.0  # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
 
 
-@dataclass(frozen=True)
-class Part:
+class Origin(NamedTuple):
+    """The description of the source of a column, and its sampling rate [Hz]."""
+
+    words: str
+    rate: float
+
+
+class Source(NamedTuple):
+    """The source of columns, and its valid samples."""
+
+    columns: tuple[str, ...]
+    name: str
+    time: Vector
+    values: Matrix
+    note: str = ""
+
+    @property
+    def rate(self) -> float:
+        """The usual rate [Hz]."""
+        return sampling_rate(self.time)
+
+
+class Part(NamedTuple):
     """Part of a log between two restarts of its clock."""
 
     topics: dict[str, Topic]
@@ -53,8 +72,7 @@ class Part:
     segments: list[slice]
 
 
-@dataclass(frozen=True)
-class FlightLog:
+class FlightLog(NamedTuple):
     """A log resampled to one clock: its parts, the origin of each column, and remarks."""
 
     log: Log
@@ -64,18 +82,16 @@ class FlightLog:
     remarks: list[str]
 
 
-def is_log(path: Path) -> bool:
-    """Return whether a path is that of a log of an autopilot: it has its suffix, or is a folder of topics."""
-    return path.suffix.lower() in AUTOPILOTS or path.is_dir()
+def is_log(path: object) -> bool:
+    """Return whether this is the path of a log of an autopilot: with its suffix, or a folder of topics."""
+    return isinstance(path, str | os.PathLike) and (Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir())
 
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
-    if path.is_dir():
-        return read_topic_tables(path)
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    return AUTOPILOTS[path.suffix.lower()](path)
+    return read_topic_tables(path) if path.is_dir() else AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
@@ -87,7 +103,9 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
         log = read_log(path)
         servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
         topics, remarks = clock_parts(log.topics)
-        speed = threshold(log, airborne if airborne is not False else True)
+        slowest = log.slowest_airspeed
+        speed = AIRBORNE_SHARE * slowest if 0 < slowest < 200 else AIRBORNE_SPEED
+        speed = speed if isinstance(airborne, bool) else float(airborne)  # [m/s], above which it is airborne
         parts: list[Part] = []
         origin: dict[str, Origin] = {}
         useless: list[str] = []
@@ -117,8 +135,7 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
         why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
-            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) takes another "
-            "airspeed [m/s] for flight."
+            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
     names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
     return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)
@@ -130,19 +147,22 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
     f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the accelerometer (Klein & Morelli
     2006, Aircraft System Identification, equation 10.12).
     """
-    names, rates = ["ax", "ay", "az"], ["p", "q", "r"]
-    if not {*names, *rates} <= set(table.columns):
+    if not {*SPECIFIC_FORCE, *RATES} <= set(table.columns):
         return table
-    omega, time = table[rates].to_numpy(), table["time"].to_numpy()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
-            accelerations = differentiate(omega, time, cutoff=RATE_CUTOFF * rate)
+        accelerations = _rates_of_change(table, RATES, rate)
     except ValueError as error:
         raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
-    arm = np.asarray(position, float)
+    arm, omega = np.asarray(position, float), table[list(RATES)].to_numpy()
     extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
-    return table.assign(**dict(zip(names, (table[names].to_numpy() - extra).T, strict=True)))
+    force = table[list(SPECIFIC_FORCE)].to_numpy() - extra
+    return table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+
+
+def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> Matrix:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+        return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
 
 
 def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple[pd.DataFrame, dict[str, Origin]]:
@@ -151,14 +171,11 @@ def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple
     It is for logs without an accelerometer of use, and carries what the velocity does: little above a fifth of its
     rate.
     """
-    names = (*EARTH_VELOCITY, *EULER)
-    if not set(names) <= set(table.columns):
+    if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
         return table, origin
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
-            change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=RATE_CUTOFF * rate)
+        change = _rates_of_change(table, EARTH_VELOCITY, rate)
     except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
         return table, origin
     change[:, 2] -= STANDARD_GRAVITY
@@ -167,13 +184,6 @@ def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple
     words = Origin("velocity and attitude, as no accelerometer is of use", rate)
     table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
     return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(SPECIFIC_FORCE, words)
-
-
-def threshold(log: Log, airborne: bool | float) -> float:
-    """Return the airspeed [m/s] above which the aircraft is airborne."""
-    if airborne is not True:
-        return float(airborne)
-    return AIRBORNE_SHARE * log.slowest_airspeed if 0 < log.slowest_airspeed < 200 else AIRBORNE_SPEED
 
 
 def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
@@ -228,39 +238,34 @@ def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
 def _speed(table, log):
     if "airspeed" in table:
         return table["airspeed"].to_numpy()
-    velocity = [name for name in ("v_north", "v_east") if name in table]
-    if len(velocity) < 2 or log.vehicle in NOT_FLYING_ON_WINGS:
+    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
         return np.full(len(table), np.nan)
-    return np.hypot(*table[velocity].to_numpy().T)
+    return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
 
 
 def _landed(time, log, topics):
     """Return whether the autopilot reported to be landed, (n,), or None where it does not say."""
     name, field, value = log.landed or ("", "", 0.0)
-    topic = topics.get(name)
-    if topic is None or field not in topic:
+    if field not in topics.get(name, ()):
         return None
-    last = np.searchsorted(topic.time, time, side="right") - 1
-    return (topic[field] == value)[np.maximum(last, 0)]
+    last = np.searchsorted(topics[name].time, time, side="right") - 1
+    return (topics[name][field] == value)[np.maximum(last, 0)]
 
 
 def _gap_remarks(parts):
     """Yield a remark on the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():
-            found = gaps(source.time)
-            if found:
+            if found := gaps(source.time):
                 begin, length = max(found, key=lambda gap: gap[1])
-                columns = " ".join(source.columns)
-                yield (
-                    f"{source.name} ({columns}) has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
-                )
+                name = f"{source.name} ({' '.join(source.columns)})"
+                yield f"{name} has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
 
 
 def _check_options(rate, airborne, imu_position):
-    if rate is not None and not (_is_real(rate) and 0 < rate <= 1000):
+    if rate is not None and not (_is_positive(rate) and rate <= 1000):
         raise FlightReadError(f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000.")
-    if not isinstance(airborne, bool) and not (_is_real(airborne) and airborne > 0):
+    if not isinstance(airborne, bool) and not _is_positive(airborne):
         raise FlightReadError(f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s.")
     if imu_position is not None:
         position = np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
@@ -271,5 +276,119 @@ def _check_options(rate, airborne, imu_position):
             )
 
 
-def _is_real(value):
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+def _is_positive(value):
+    return isinstance(value, Real) and not isinstance(value, bool) and float(value) > 0
+
+
+def find_sources(
+    log: Log, topics: dict[str, Topic], servos: Mapping[str, Servo | Mixture]
+) -> tuple[list[Source], list[str]]:
+    """Return the source of each group of columns, and remarks on those that are of no use."""
+    part = replace(log, topics=topics)
+    candidates: dict[tuple[str, ...], list[Source]] = {}
+    useless = []
+    for rule in log.rules:
+        source = _source(part, rule)
+        if source is None:
+            continue
+        low, high = zip(*(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True)
+        wrong = ((source.values < low) | (source.values > high)).any(axis=1)
+        if len(source.time) < 2:
+            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
+        elif (share := wrong.mean()) > RARE:  # fewer are faults of a sensor
+            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is impossible")
+        else:
+            candidates.setdefault(rule.columns, []).append(source)
+    found = [
+        next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
+        for columns, sources in candidates.items()
+        if not servos.keys() & set(columns)
+    ]
+    for surface in (_surface(part, name, servo) for name, servo in servos.items()):
+        if len(surface.time) > 1:
+            found.append(surface)
+        else:
+            useless.append(f"{surface.name} sends no pulse, so there is no {surface.columns[0]}")
+    return found, list(dict.fromkeys(useless))
+
+
+def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
+    """Return the clock of the table and its rate [Hz]: those of the gyros, or the next best source."""
+    by_column = {name: source for source in sources for name in source.columns}
+    leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
+    leader = leader or max(sources, key=lambda source: source.rate, default=None)
+    if leader is None:
+        raise FlightReadError(
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
+        )
+    rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
+    try:
+        clock = uniform_clock(leader.time, rate)
+    except ValueError as error:
+        raise FlightReadError(f"{leader.name}: {error} Is the clock of the log sound?") from error
+    return clock, rate
+
+
+def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
+    columns: dict[str, Vector] = {"time": clock}
+    origin: dict[str, Origin] = {}
+    for source in sources:
+        names, turns = source.columns, source.columns == QUATERNION
+        values = without_sign_changes(source.values) if turns else source.values
+        values = resample(source.time, values, clock, rate)
+        if turns:
+            known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
+            names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
+        for name, column in zip(names, values.T, strict=True):
+            columns[name] = column
+            origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
+    if "density" not in columns and "altitude" in columns:
+        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
+        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
+    if EQUIVALENT in columns:
+        equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
+        dense = "density" in columns
+        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
+        note = "equivalent; true by density" if dense else "equivalent, taken for true: density unknown"
+        origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
+    table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
+    table = table.where(np.isfinite(table))
+    return table, {name: origin[name] for name in table.columns if name in origin}
+
+
+def _source(log, rule: Rule) -> Source | None:
+    name = log.find(rule.topic)
+    topic = log.topics.get(name)
+    if topic is None or not all(field in topic for field in rule.fields):
+        return None
+    values = rule.convert(topic.columns(rule.fields))
+    known = np.isfinite(values).all(axis=1)
+    for field in rule.valid:
+        known &= topic[field] > 0 if field in topic else True
+    first, last = rule.fields[0], rule.fields[-1]
+    is_array = first != last and first.endswith("[0]")
+    words = f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)  # q[0..3], GyrX GyrY GyrZ
+    return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
+
+
+def _surface(log, name, servo: Servo | Mixture) -> Source:
+    values = np.sum([w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0)
+    known = np.isfinite(values)
+    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in servo.parts)
+    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    channels = [each.channel for _, each in servo.parts]
+    time = log.topics[channels[0].partition(".")[0]].time  # parts are fields of one topic
+    return Source((name,), " ".join(channels), time[known], values[known][:, None], note)
+
+
+def _channel(log, name, channel: str) -> Vector:
+    """Return the values of a channel; raise FlightReadError if the log has none such."""
+    topic, _, field = channel.partition(".")
+    if field not in log.topics.get(topic, ()):
+        fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
+        raise FlightReadError(
+            f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
+            f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
+        )
+    return log.topics[topic][field]

@@ -6,6 +6,7 @@ Single time stamps may be wrong; the median of neighbouring messages in the file
 from __future__ import annotations
 
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -15,25 +16,16 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import GAP
 from skdgp.io._autopilot.formats import Topic
 
-BLOCK_SIZE = 25
-"""Messages whose median time is compared with that of the next."""
-RESTART_STEP = 5.0
-"""A clock that goes back by more than this was restarted [s]; messages out of order are less late."""
-STAMP_MARGIN = 5.0
-"""Distance of valid stamps from the medians of a part [s]."""
-LARGEST_STEP = 60.0
-"""Longest step between medians that widens this margin [s]."""
+BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
+RESTART_STEP = 5.0  # a clock that goes back by more than this was restarted [s]; messages out of order are less late
+STAMP_MARGIN = 5.0  # distance of valid stamps from the medians of a part [s]
+LARGEST_STEP = 60.0  # longest step between medians that widens this margin [s]
 FILTER_ORDER = 4
-CUTOFF = 0.4
-"""Corner of the low-pass in parts of the new rate: gain 1/2 there."""
-LEAST_RATIO = 1.2
-"""Ratio of rates from which a channel is low-passed."""
-LONGEST_PAUSE = (5.0, 50.0)
-"""In longer pauses, [s] and [usual steps], the clock has no rows."""
-MOST_ROWS_PER_SAMPLE = 20.0
-"""Of the clock, per sample of the channel that it follows."""
-LEAST_GAP = 0.5
-"""Seconds of a gap that is worth a remark."""
+CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
+LEAST_RATIO = 1.2  # ratio of rates from which a channel is low-passed
+LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
+MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
+LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
@@ -41,19 +33,18 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
     order = np.concatenate([topic.order for topic in topics.values()])
     rows = np.argsort(order, kind="stable")
     order, time = order[rows], np.concatenate([topic.time for topic in topics.values()])[rows]
-    centres = _medians(time)
-    edges = [0, *_restarts(time, centres), len(time)]
+    edges = [0, *_restarts(time), len(time)]
     parts: list[dict[str, Topic]] = []
     remarks: list[str] = []
     dropped: dict[str, int] = {}
     disordered = 0
     for first, last in pairwise(edges):
-        low, high = _span(_medians(time[first:last]))
-        place = order[first], order[last - 1]
+        steady = _steady(time[first:last])
+        margin = STAMP_MARGIN + min(np.abs(np.diff(steady)).max(initial=0.0), LARGEST_STEP)
         part = {}
         for name, topic in topics.items():
-            inside = (topic.order >= place[0]) & (topic.order <= place[1])
-            valid = inside & (topic.time >= low) & (topic.time <= high)
+            inside = (topic.order >= order[first]) & (topic.order <= order[last - 1])
+            valid = inside & (topic.time >= steady.min() - margin) & (topic.time <= steady.max() + margin)
             here = topic.select(valid)
             disordered += int((np.diff(here.time) < 0).sum())
             here = here.select(np.unique(here.time, return_index=True)[1])
@@ -64,50 +55,30 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
     if len(parts) > 1:
         steps = ", ".join(f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4])
         remarks.append(f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight of its own")
-    if any(dropped.values()):
-        worst = max(dropped, key=lambda name: dropped[name])
-        remarks.append(
-            f"{sum(dropped.values())} of {len(time)} messages have a time that cannot be ({dropped[worst]} of {worst})"
-        )
+    if n_dropped := sum(dropped.values()):
+        most, name = max(zip(dropped.values(), dropped, strict=True), key=itemgetter(0))
+        remarks.append(f"{n_dropped} of {len(time)} messages have a time that cannot be ({most} of {name})")
     if disordered:
         remarks.append(f"{disordered} messages stand out of order in time, and were sorted")
     return parts, remarks
 
 
-def _medians(time):
-    """Return the median of each block of messages, (m,)."""
-    whole = len(time) // BLOCK_SIZE * BLOCK_SIZE
-    if not whole:
-        return np.array([np.median(time)])
-    return np.median(time[:whole].reshape(-1, BLOCK_SIZE), axis=1)
-
-
-def _without_outliers(centres):
-    """Return the median of five neighbours, the ends repeated.
-
-    Not ``scipy.ndimage.median_filter``: of a single value, versions 1.15.0 to 1.15.2 overwrite memory and 1.15.3
-    returns 0.
-    """
+def _steady(time):
+    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
+    size = min(BLOCK_SIZE, len(time))
+    centres = np.median(time[: len(time) // size * size].reshape(-1, size), axis=1)
+    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and 1.15.3 returns 0.
     return np.median(sliding_window_view(np.pad(centres, 2, mode="edge"), 5), axis=1)
 
 
-def _restarts(time, centres) -> list[int]:
+def _restarts(time) -> list[int]:
     """Return the messages with which a clock that was set back begins."""
-    steady = _without_outliers(centres)
-    found = []
+    steady, found = _steady(time), []
     for block in np.flatnonzero(np.diff(steady) < -RESTART_STEP).tolist():
         window = slice(max(block - 3, 0) * BLOCK_SIZE, (block + 5) * BLOCK_SIZE)
         later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
         found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
     return sorted(set(found) - {len(time)})
-
-
-def _span(centres):
-    """Return the least and the greatest valid time."""
-    steady = _without_outliers(centres)
-    step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = STAMP_MARGIN + min(step, LARGEST_STEP)
-    return steady.min() - margin, steady.max() + margin
 
 
 def sampling_rate(time: Vector) -> float:

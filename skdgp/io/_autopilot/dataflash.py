@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from skdgp.io._autopilot.formats import (
     instance_name,
     whole,
 )
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 MARK, HEAD = b"\xa3\x95", 3
 FMT, FMT_LENGTH = 0x80, 89
@@ -37,10 +38,8 @@ TYPES = {
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
-DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
-"""Messages that describe the log, and are no topics."""
-INSTANCES = ("I", "Instance", "C")
-"""Fields that number the instances of a sensor or filter, in logs that do not say which field does."""
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")  # messages that describe the log, and are no topics
+INSTANCES = ("I", "Instance", "C")  # fields that number instances, in logs that do not say which field does
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -49,8 +48,8 @@ VEHICLES = {
 
 def _ground_course(values):
     """Return velocity north, east, down of ground speed, course [deg], velocity down."""
-    speed, course, down = values.T
-    return np.column_stack([speed * np.cos(np.deg2rad(course)), speed * np.sin(np.deg2rad(course)), down])
+    speed, course, down = values[:, 0], np.deg2rad(values[:, 1]), values[:, 2]
+    return np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
 
 
 def _attitude(degrees):
@@ -97,8 +96,9 @@ MOST_SERVOS = 16
 MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "aileron": {24: 0.5, 25: 0.5}}
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
 and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-LEFT_FLAPERON = 24
-"""Later versions of ArduPilot turn its sign. It moves with the right one or against it, which the outputs show."""
+LEFT_FLAPERON = 24  # later versions turn its sign: whether it moves with the right one the outputs show
+Outputs: TypeAlias = Topic | Mapping[str, Any]
+Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
 
 def read_dataflash(path: Path) -> Log:
@@ -106,7 +106,7 @@ def read_dataflash(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
-            f"Got {path}, which does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
+            "Got a file that does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
             "empty, or of another kind?"
         )
     reader = _Reader(data)
@@ -114,8 +114,8 @@ def read_dataflash(path: Path) -> Log:
     topics = reader.topics()
     if not topics:
         raise FlightReadError(
-            f"Got {path}, a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected "
-            "messages: was it cut off, or written before 2015?"
+            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected messages: was it "
+            "cut off, or written before 2015?"
         )
     messages, parameters = reader.texts("MSG", "Message"), reader.parameters()
     firmware = next((text for text in messages if text.split(" ")[0] in VEHICLES), "ArduPilot")
@@ -134,8 +134,8 @@ def read_dataflash(path: Path) -> Log:
         slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        servos=servos_of(topics.get("RCOU", ()), parameters),
-        mixing=mixing_of(topics.get("RCOU", ()), parameters),
+        servos=servos_of(topics.get("RCOU", {}), parameters),
+        mixing=mixing_of(topics.get("RCOU", {}), parameters),
     )
 
 
@@ -191,10 +191,10 @@ class _Reader:
         except (KeyError, ValueError, TypeError):  # a definition that makes no sense; its messages are skipped
             return
 
-    def records(self, name) -> tuple[_Format | None, np.ndarray]:
-        """Return the messages of a name."""
+    def records(self, name, *columns) -> np.ndarray | None:
+        """Return the messages of a name, None where it has no such columns."""
         of = next((of for of in self.formats.values() if of.name == name), None)
-        return of, np.empty(0) if of is None else self._gather(of)
+        return None if of is None or not {*columns} <= {*of.names} else self._gather(of)
 
     def _gather(self, of):
         size = of.dtype.itemsize
@@ -202,47 +202,38 @@ class _Reader:
 
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
-        of, records = self.records(name)
-        if of is None or column not in of.names or of.dtype[column].kind != "S":
+        records = self.records(name, column)
+        if records is None or records.dtype[column].kind != "S":
             return []
         return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
 
     def parameters(self) -> dict[str, float]:
         """Return what was set on the autopilot."""
-        of, records = self.records("PARM")
-        if of is None or "Value" not in of.names:
-            return {}
-        return dict(zip(self.texts("PARM", "Name"), records["Value"].astype(float).tolist(), strict=False))
+        records = self.records("PARM", "Value")
+        values = [] if records is None else records["Value"].astype(float).tolist()
+        return dict(zip(self.texts("PARM", "Name"), values, strict=False))
 
     def topics(self) -> dict[str, Topic]:
         """Return what has a time, by instance."""
         numbered = self._numbered()
         by_name: dict[str, Topic] = {}
         for kind, of in self.formats.items():
-            if (
-                of.name in DEFINITIONS
-                or not of.starts
-                or "TimeUS" not in of.names
-                or of.dtype["TimeUS"].kind not in "iu"
-            ):
+            timed = "TimeUS" in of.names and of.dtype["TimeUS"].kind in "iu"
+            if of.name in DEFINITIONS or not of.starts or not timed:
                 continue
-            records, order = self._gather(of), np.array(of.starts)
+            records = self._gather(of)
+            topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), records, of.scale)
             instance = numbered.get(kind, of.instance)
-            topic = Topic(records["TimeUS"] * 1e-6, order, records, of.scale)
-            if instance is None:
-                by_name.setdefault(of.name, topic)
-                continue
-            numbers = records[instance]
+            numbers = np.zeros(len(records), int) if instance is None else records[instance]
             for number in np.unique(numbers).tolist():
                 by_name.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
         return dict(sorted(by_name.items()))
 
     def _numbered(self) -> dict[int, str | None]:
         """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
-        of, records = self.records("FMTU")
-        if of is None or not {"FmtType", "UnitIds"} <= set(of.names):
+        records, fields = self.records("FMTU", "FmtType", "UnitIds"), {}
+        if records is None:
             return {}
-        fields = {}
         for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
             names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")
@@ -258,9 +249,7 @@ class _Reader:
             yield "the file ends within a message: it was cut off"
 
 
-def servos_of(
-    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, ServoChannel]:
+def servos_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> dict[str, ServoChannel]:
     """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
     channels: dict[str, ServoChannel] = {}
     for function, n in _numbers(outputs, parameters, name):
@@ -270,27 +259,20 @@ def servos_of(
     return channels
 
 
-def mixing_of(
-    outputs: Topic | tuple[()], parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
+def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
     """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
     by_function = dict(reversed(_numbers(outputs, parameters, name)))
-    return {
-        control: _mixed(weights, {each: by_function[each] for each in weights}, outputs, parameters, name)
-        for control, weights in MIXES.items()
-        if set(weights) <= set(by_function)
-    }
-
-
-def _mixed(weights, numbers, outputs, parameters, name) -> tuple[tuple[float, ServoChannel], ...]:
-    channels = {each: _channel(name.format(n), n, parameters, False) for each, n in numbers.items()}
-    sign = 1.0
-    if LEFT_FLAPERON in weights:
-        moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels.values()]
-        sign = -1.0 if moves[0] @ moves[1] < 0 else 1.0
-    return tuple(
-        (weight * (sign if each == LEFT_FLAPERON else 1.0), channels[each]) for each, weight in weights.items()
-    )
+    found: Mixing = {}
+    for control, weights in MIXES.items():
+        if set(weights) <= set(by_function):
+            numbers = [by_function[each] for each in weights]
+            channels = [_channel(name.format(n), n, parameters, False) for n in numbers]
+            signs = [1.0, 1.0]
+            if LEFT_FLAPERON in weights:
+                moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels]
+                signs = [-1.0 if moves[0] @ moves[1] < 0 else 1.0, 1.0]
+            found[control] = tuple(zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True))
+    return found
 
 
 def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:

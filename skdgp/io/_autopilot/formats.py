@@ -14,10 +14,8 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
-QUATERNION = ("qw", "qx", "qy", "qz")
-"""Columns of a rule for attitude: a quaternion, body to north-east-down, of any length."""
-EQUIVALENT = "equivalent_airspeed"
-"""Column of a rule for the airspeed that a pressure difference gives at sea level; the table gets the true one."""
+QUATERNION = ("qw", "qx", "qy", "qz")  # columns of a rule for attitude: body to north-east-down, of any length
+EQUIVALENT = "equivalent_airspeed"  # column of a rule for equivalent airspeed; the table gets the true one
 
 
 @dataclass(frozen=True)
@@ -150,10 +148,8 @@ class Log:
         Columns that the format knows, preferred sources first.
     parameters : dict of str to float
         Settings of the autopilot.
-    firmware : str
-        Name and version, as far as the log has them.
-    vehicle : str or None
-        ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ...; None where the log does not say.
+    firmware, vehicle : str
+        Name and version; ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ..., or None where the log does not say.
     remarks : tuple of str
         Damage of the file: bytes that could not be read, where it was cut off.
     slowest_airspeed : float
@@ -162,10 +158,9 @@ class Log:
         Topic, field, and its value while the autopilot is on the ground.
     outputs : tuple of str
         Topics that hold what was sent to servos.
-    servos : dict of str to ServoChannel
-        By surface, what the parameters say of its servo.
-    mixing : dict of str to tuple of (float, ServoChannel)
-        By control, weights of the outputs that make it together, such as those of a V-tail, each output from -1 to 1.
+    servos, mixing : dict
+        By surface, what the parameters say of its servo; by control, weights of the outputs, each from -1 to 1, that
+        make it together, such as those of a V-tail.
     """
 
     kind: str
@@ -193,11 +188,7 @@ def from_rpm(values: Array) -> Array:
 
 
 def density_at(pressure: Array) -> Array:
-    """Return the density [kg/m^3] at a pressure [Pa] of the standard atmosphere below 11 km (ISO 2533).
-
-    >>> round(float(density_at(89874.6)), 4)
-    1.1116
-    """
+    """Return the density [kg/m^3] at a pressure [Pa] of the standard atmosphere below 11 km (ISO 2533)."""
     return DENSITY * np.maximum(pressure / PRESSURE, 0.0) ** (1 - 1 / 5.25588)
 
 

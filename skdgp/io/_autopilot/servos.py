@@ -16,7 +16,7 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
 from skdgp._flight.checks import check_columns
 from skdgp.io._autopilot.formats import Log, ServoChannel
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
 PAIRS = {
@@ -28,8 +28,7 @@ PAIRS = {
 }
 """Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
 The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns down: nose left."""
-ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}
-"""Of elevons, which are columns of their own in a flight table."""
+ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}  # columns of their own in a flight table
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
@@ -38,8 +37,7 @@ FULL_THROW = "full throw"
 REVERSED = ", reversed "
 NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
-NO_PULSE = 500.0
-"""Pulses shorter than this [us] move no servo: an output that is switched off."""
+NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 TEMPLATE = """\
 # Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
 # elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
@@ -51,37 +49,23 @@ TEMPLATE = """\
 class Servo(NamedTuple):
     """The channel that moves a surface, and the angles of the surface at some values of the channel."""
 
-    channel: str
-    """Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``."""
-    inputs: tuple[float, ...]
-    """Values of the channel, increasing."""
-    angles: tuple[float, ...]
-    """Angles of the surface there [rad]; straight lines between them and beyond."""
+    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
+    inputs: tuple[float, ...]  # values of the channel, increasing
+    angles: tuple[float, ...]  # of the surface there [rad]; straight lines between them and beyond
 
     def deflection(self, values: Vector) -> Vector:
-        """Return angles [rad] of values of the channel.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).deflection(np.array([1500, 1700, 0.0])).round(3)
-        array([0.  , 0.15,  nan])
-        """
+        """Return angles [rad] of values of the channel; NaN where no pulse was sent."""
         if self.inputs[0] >= NO_PULSE:
             values = np.where(values < NO_PULSE, np.nan, values)
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
+    @property
+    def parts(self) -> tuple[tuple[float, Servo], ...]:
+        """The servo as a `Mixture` has it."""
+        return ((1.0, self),)
+
     def output(self, angles: Vector) -> Vector:
-        """Return the values of the channel that turn the surface to angles [rad], the inverse of `deflection`.
-
-        Raises FlightReadError if some angles belong to several values.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Servo("RCOU.C2", (1100, 1500, 1900), (-0.4, 0.0, 0.3)).output(np.array([0.0, 0.15, -0.2]))
-        array([1500., 1700., 1300.])
-        """
+        """Return the values of the channel that give angles [rad]; FlightReadError if some belong to several values."""
         sign = np.sign(self.angles[-1] - self.angles[0])
         rising = sign * np.array(self.angles)
         if not (np.diff(rising) > 0).all():
@@ -99,11 +83,10 @@ class Mixture(NamedTuple):
 
 
 class Throw(NamedTuple):
-    """The angle of a surface at full throw [rad]; the autopilot's parameters name its servos."""
+    """The angle of a surface at full throw [rad], and its deviation; the autopilot's parameters name its servos."""
 
     angle: float
     std: float = 0.0
-    """Its standard deviation [rad]."""
 
 
 def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw | Mixture]:
@@ -171,7 +154,7 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
     """Return the values of the channels of servos that turn surfaces as a table says.
 
     The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls, so the two surfaces
-    of an aileron turn by the same angle to either side. Reading the channels again gives the same controls.
+    of an aileron turn by the same angle to either side.
 
     Parameters
     ----------
@@ -190,8 +173,7 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
     Raises
     ------
     FlightReadError
-        If the file makes no sense, gives a throw instead of a channel, a channel does not follow from angles, or the
-        servos cannot make the controls.
+        If the file makes no sense, gives a throw, has angles of several values, or cannot make the controls.
     ValueError
         If the table lacks a control.
 
@@ -205,7 +187,10 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
        time  RCOU.C2  RCOU.C4
     0   0.0   1700.0   1500.0
     """
-    controls = {name: _parts_of(name, each) for name, each in read_servos(servos).items()}
+    found = read_servos(servos)
+    if throws := [name for name, each in found.items() if isinstance(each, Throw)]:
+        raise FlightReadError(f"Got a throw of the {throws[0]}, but expected its channel: write its servo in full.")
+    controls = {name: each.parts for name, each in found.items() if not isinstance(each, Throw)}
     elevons = [controls[name][0][1] for name in ELEVONS if name in controls]
     if len(elevons) == len(ELEVONS) and not set(ELEVONS) & set(table):
         controls = {name: parts for name, parts in controls.items() if name not in ELEVONS}
@@ -221,12 +206,6 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
     angles = table[list(controls)].to_numpy(float) @ np.linalg.pinv(matrix).T
     outputs = {channel: servo.output(angle) for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)}
     return pd.DataFrame({"time": table["time"].to_numpy(float), **outputs})
-
-
-def _parts_of(name, servo: Servo | Throw | Mixture) -> tuple[tuple[float, Servo], ...]:
-    if isinstance(servo, Throw):
-        raise FlightReadError(f"Got a throw of the {name}, but expected its channel: write its servo in full.")
-    return servo.parts if isinstance(servo, Mixture) else ((1.0, servo),)
 
 
 def reversed_of(servos: Any) -> tuple[str, ...] | None:
@@ -252,37 +231,14 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mix
 
     Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
     aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
-
-    Examples
-    --------
-    >>> from skdgp.io._autopilot.formats import Log, ServoChannel
-    >>> full_throws(Log("", {}, servos={"rudder": ServoChannel("RCOU.C4", 1100, 1500, 1900, turned=True)}))
-    {'rudder': Servo(channel='RCOU.C4', inputs=(1100, 1500, 1900), angles=(1.0, 0.0, -1.0))}
     """
     if not log.mixing:
         _check_names_servos(log)
-    found: dict[str, Servo | Mixture] = {
-        name: _full_throw(name, channel)
-        for name, channel in log.servos.items()
-        if not (log.mixing and name in ELEVONS)  # elevator and aileron are among the mixed
-    }
-    found |= {
-        name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
-        for name, parts in log.mixing.items()
-    }
+    own = {name: each for name, each in log.servos.items() if not (log.mixing and name in ELEVONS)}  # these are mixed
+    found: dict[str, Servo | Mixture] = {name: _full_throw(name, channel) for name, channel in own.items()}
+    for name, parts in log.mixing.items():
+        found[name] = Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
     return {name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()}
-
-
-def throw_errors(servos: str | Path | Mapping[str, Any] | None) -> dict[str, float]:
-    """Return the relative standard deviations of the full throws, of those that a servo file gives one.
-
-    Examples
-    --------
-    >>> throw_errors({"elevator": "25 +- 2 deg", "rudder": "30 deg"})
-    {'elevator': 0.08}
-    """
-    throws = {name: each for name, each in read_servos(servos).items() if isinstance(each, Throw)}
-    return {name: each.std / each.angle for name, each in throws.items() if each.std}
 
 
 def with_throws(servos: Mapping[str, Servo | Throw | Mixture], log: Log) -> dict[str, Servo | Mixture]:
@@ -327,19 +283,19 @@ def _servo(name, entry, known) -> Servo | Throw:
         raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
     if set(entry) - KEYS:
         raise FlightReadError(f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}.")
-    pairs = _points(name, entry) if "points" in entry else _ends(name, entry)
-    pairs = np.array(sorted(pairs), dtype=float)
+    if not isinstance(turned := entry.get("reversed", False), bool):
+        raise FlightReadError(f"Got reversed = {turned!r} for {name}, but expected true or false.")
+    pairs = np.array(sorted(_points(name, entry) if "points" in entry else _ends(name, entry)), dtype=float)
     if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
         raise FlightReadError(
             f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value of the channel "
             "once: measure the angle of the surface at these values, in rad."
         )
-    if np.abs(pairs[:, 1]).max() > np.pi / 2:
+    if (most := np.abs(pairs[:, 1]).max()) > np.pi / 2:
         raise FlightReadError(
-            f"Got angles up to {np.abs(pairs[:, 1]).max():g} for {name}, but expected radians, at most pi/2: convert "
-            "degrees."
+            f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
-    sign = -1.0 if _flag(name, entry) else 1.0
+    sign = -1.0 if turned else 1.0
     return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist()))
 
 
@@ -358,13 +314,6 @@ def _throw(name, text) -> Throw:
             "of both controls."
         )
     return Throw(angle, std)
-
-
-def _flag(name, entry):
-    flag = entry.get("reversed", False)
-    if not isinstance(flag, bool):
-        raise FlightReadError(f"Got reversed = {flag!r} for {name}, but expected true or false.")
-    return flag
 
 
 def _points(name, entry):

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,40 +20,16 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._autopilot.dataflash import mixing_of, servos_of
-from skdgp.io._autopilot.formats import (
-    EQUIVALENT,
-    QUATERNION,
-    Log,
-    Rule,
-    Topic,
-    density_at,
-    from_rpm,
-    instance_name,
-)
+from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, Topic, density_at, from_rpm, instance_name
 from skdgp.io._autopilot.ulog import MAV_TYPES
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
-STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13
-"""Bytes: time of arrival; of a message beside its payload, by its first byte; of a signature."""
-PX4, INT32 = 12, 6
-"""MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float."""
+STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13  # bytes: of the arrival; beside a payload, by its first byte
+PX4, INT32 = 12, 6  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
-LONGEST_DELAY = 5.0
-"""Where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts."""
+LONGEST_DELAY = 5.0  # where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
-
-
-def _milli_g(values):
-    return 1e-3 * STANDARD_GRAVITY * values
-
-
-def _milli(values):
-    return 1e-3 * values
-
-
-def _centi(values):
-    return 0.01 * values
 
 
 def _wind_from(values):
@@ -64,6 +42,7 @@ def _axes(name):
     return tuple(f"{axis}{name}" for axis in "xyz")
 
 
+_milli, _centi, _milli_g = (partial(np.multiply, factor) for factor in (1e-3, 0.01, 1e-3 * STANDARD_GRAVITY))
 RULES = (
     Rule(("p", "q", "r"), "HIGHRES_IMU", _axes("gyro")),
     Rule(("p", "q", "r"), "RAW_IMU", _axes("gyro"), _milli),
@@ -101,8 +80,8 @@ def read_tlog(path: Path) -> Log:
     systems = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
     if not systems:
         raise FlightReadError(
-            f"Got {path} without a message ATTITUDE of MAVLink, but expected the telemetry of an aircraft: is it "
-            "empty, or of another kind?"
+            "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an aircraft: is it empty, "
+            "or of another kind?"
         )
     system = systems.most_common(1)[0][0]
     by_name: dict[str, list[int]] = {}
@@ -115,11 +94,15 @@ def read_tlog(path: Path) -> Log:
     parameters = dict(_parameter(messages[place], px4) for place in by_name.pop("PARAM_VALUE", ()))
     clocks = {name: np.array([_clock(messages[place]) for place in places]) for name, places in by_name.items()}
     delay = float(np.median(arrivals[by_name["ATTITUDE"]] - clocks["ATTITUDE"]))
-    topics = {
-        name: _topic([messages[place] for place in places], np.array(places), arrivals[places] - delay, clocks[name])
-        for name, places in sorted(by_name.items())
-    }
+    topics = {}
+    for name, places in sorted(by_name.items()):
+        found, arrived, clock = [messages[place] for place in places], arrivals[places] - delay, clocks[name]
+        time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
+        numbers = [key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)]
+        fields = {key: [getattr(each, key) for each in found] for key in numbers}
+        topics[name] = replace(Topic.of(time, **fields), order=np.array(places, dtype=float))
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
+    speeds = [parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters]
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
@@ -128,14 +111,11 @@ def read_tlog(path: Path) -> Log:
         firmware="PX4" if px4 else "ArduPilot",
         vehicle=vehicle,
         remarks=(f"{skipped} bytes could not be read and were skipped",) if skipped else (),
-        slowest_airspeed=next(
-            (parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters),
-            np.nan,
-        ),
+        slowest_airspeed=next(iter(speeds), np.nan),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        servos=servos_of(topics.get(OUTPUTS, ()), parameters, OUTPUTS + ".servo{}_raw"),
-        mixing=mixing_of(topics.get(OUTPUTS, ()), parameters, OUTPUTS + ".servo{}_raw"),
+        servos=servos_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
+        mixing=mixing_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
     )
 
 
@@ -154,10 +134,8 @@ def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
             if number in known and known[number].msgname not in READ:
                 position = start + size
                 continue
-            try:
+            with suppress(mavlink.MAVError, struct.error, UnicodeDecodeError):
                 message = decoder.decode(bytearray(data[start : start + size]))
-            except (mavlink.MAVError, struct.error, UnicodeDecodeError):
-                message = None
         if message is None:
             position, skipped = position + 1, skipped + 1
             continue
@@ -177,10 +155,3 @@ def _parameter(message: Any, px4: bool) -> tuple[str, float]:
 def _clock(message: Any) -> float:
     """Return the time of a message by the clock of the vehicle [s], NaN where it has none."""
     return next((factor * getattr(message, name) for name, factor in CLOCKS.items() if hasattr(message, name)), np.nan)
-
-
-def _topic(messages: list[Any], order: Vector, arrived: Vector, clock: Vector) -> Topic:
-    time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
-    names = [name for name in messages[0].get_fieldnames() if not isinstance(getattr(messages[0], name), str)]
-    fields = {name: [getattr(each, name) for each in messages] for name in names}
-    return replace(Topic.of(time, **fields), order=order.astype(float))

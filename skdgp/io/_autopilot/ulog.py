@@ -11,12 +11,13 @@ from __future__ import annotations
 import re
 import struct
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from skdgp._compute.files import read_json
 from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
-from skdgp.io._errors import FlightReadError
+from skdgp.io._tables import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
 SYNC = bytes.fromhex("2f731320250cbb12")
@@ -30,15 +31,11 @@ TYPES = {
     **{f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
     "float": "<f4", "double": "<f8", "bool": "u1", "char": "u1",
 }  # fmt: skip
-LARGEST = 2**16
-"""A message cannot be longer [bytes]: its length is 16 bits."""
+LARGEST = 2**16  # a message cannot be longer [bytes]: its length is 16 bits
 LONGEST_TEXT = 2000
-LATEST = 1_000_000
-"""Microseconds from sampling to publishing, at most."""
-DEEPEST = 8
-"""Levels of nested messages."""
-RELEASED = 64
-"""The last byte of a version from which it is an alpha, beta or release, not a state of development."""
+LATEST = 1_000_000  # microseconds from sampling to publishing, at most
+DEEPEST = 8  # levels of nested messages
+RELEASED = 64  # the last byte of a version from which it is an alpha, beta or release, not a state of development
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
@@ -91,8 +88,7 @@ OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuato
 TOPICS = {*OUTPUTS, *(rule.topic for rule in RULES)}
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
 """By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up, against our signs."""
-MIXED_TYPES = (*range(1, 9), 12)
-"""Ailerons, elevator, rudder, elevons, halves of a V-tail, custom: flaps and airbrakes are left out."""
+MIXED_TYPES = (*range(1, 9), 12)  # ailerons, elevator, rudder, elevons, V-tail, custom: no flaps, no airbrakes
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
 """Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a positive torque."""
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
@@ -104,15 +100,14 @@ def read_ulog(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
-            f"Got {path}, which does not begin as a ULog does, but expected a log of PX4: is it empty, or of "
-            "another kind?"
+            "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, or of another kind?"
         )
     reader = _Reader(data)
     reader.read()
     topics = reader.topics()
     if not topics:
         raise FlightReadError(
-            f"Got {path}, a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
+            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
         )
     return _log("PX4 ULog", topics, reader.parameters, reader.information, reader.remarks())
 
@@ -129,41 +124,30 @@ def read_topic_tables(path: Path) -> Log:
         raise ImportError(
             "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]'."
         ) from error
-    metadata, topics = _metadata(path / "metadata.json"), {}
+    metadata, topics = {}, {}
+    if (path / "metadata.json").exists():
+        try:
+            metadata = read_json(path / "metadata.json")
+        except ValueError as error:
+            raise FlightReadError(f"Got metadata.json, but expected JSON: {error}") from error
     for file in sorted(path.glob("*.parquet")):
         try:
             table = read_table(file)
         except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
-            raise FlightReadError(f"Got {file}, which is no whole Parquet file ({error}): copy it again.") from error
+            raise FlightReadError(f"Got no whole Parquet file {file.name} ({error}): copy it again.") from error
         records = table.to_pandas().select_dtypes(["number", "bool"]).to_records(index=False)
         if len(records) and "timestamp" in (records.dtype.names or ()):
-            name = _topic_name(file.stem)
+            name, _, number = file.stem.rpartition("_")
+            is_instance = name and number.isdecimal() and file.stem not in TOPICS  # some topics end in a number
+            name = instance_name(name, int(number)) if is_instance else file.stem
             topics[name] = Topic(_sampled(name, records) * 1e-6, records["timestamp"].astype(float), records)
     if not topics:
         raise FlightReadError(
-            f"Got the folder {path}, but expected Parquet files of the topics of PX4 in it, with a timestamp, such as "
+            "Got a folder, but expected Parquet files of the topics of PX4 in it, with a timestamp, such as "
             "vehicle_attitude.parquet."
         )
-    parameters = {key: float(value) for key, value in metadata.get("parameters", {}).items() if _is_number(value)}
-    return _log("PX4 Parquet", topics, parameters, metadata, ())
-
-
-def _metadata(path) -> dict:
-    try:
-        return read_json(path) if path.exists() else {}
-    except ValueError as error:
-        raise FlightReadError(f"Got {path}, but expected JSON: {error}") from error
-
-
-def _is_number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _topic_name(stem: str) -> str:
-    """Return topic or topic#1 of the name of a file; names of topics may end in a number themselves."""
-    name, _, number = stem.rpartition("_")
-    is_instance = name and number.isdecimal() and stem not in TOPICS
-    return instance_name(name, int(number)) if is_instance else stem
+    numbers = {key: value for key, value in metadata.get("parameters", {}).items() if type(value) in (int, float)}
+    return _log("PX4 Parquet", topics, {key: float(value) for key, value in numbers.items()}, metadata, ())
 
 
 def _log(kind, topics, parameters, information, remarks) -> Log:
@@ -183,13 +167,14 @@ def _log(kind, topics, parameters, information, remarks) -> Log:
     )
 
 
-class _Subscription:
+class _Subscription(NamedTuple):
     """Layout of one topic, and the positions of its messages."""
 
-    def __init__(self, name, instance, layout):
-        self.name, self.instance = name, instance
-        self.dtype, self.largest = layout
-        self.starts = []
+    name: str
+    instance: int
+    dtype: np.dtype
+    largest: int
+    starts: list[int]
 
 
 class _Reader:
@@ -199,10 +184,12 @@ class _Reader:
         self.subscriptions, self.finished = {}, []
         self.parameters, self.information = {}, {}
         self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
-        by_kind = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum, "S": self._sync}
-        by_kind |= {"I": self._information, "P": self._parameter, "M": self._after_a_byte, "Q": self._after_a_byte}
-        by_kind |= {"O": self._two_bytes, "R": self._two_bytes, "L": self._text, "C": self._text}
-        self.handlers = {ord(kind): method for kind, method in by_kind.items()}
+        by_kind = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum}
+        by_kind |= {"I": self._information, "P": self._parameter, "S": lambda start, end: data[start:end] == SYNC}
+        by_kind |= dict.fromkeys("MQ", lambda start, end: end - start > 1 and self._keyed(start + 1, end) is not None)
+        by_kind |= dict.fromkeys("OR", lambda start, end: end - start == 2)
+        by_kind |= dict.fromkeys("LC", lambda start, end: 9 <= end - start <= LONGEST_TEXT)
+        self.handlers = {ord(kind): makes_sense for kind, makes_sense in by_kind.items()}
 
     def read(self):
         """Collect definitions and the places of all messages."""
@@ -215,7 +202,8 @@ class _Reader:
             elif self._read_message(kind, start, end):
                 position = end
             else:
-                following = self._next(position + 1)
+                starts = (match.start() for match in NEXT.finditer(data, position + 1))
+                following = next((start for start in starts if self._chain(start, 3)), len(data))
                 complete = end <= len(data) or kind not in KINDS
                 self.cut = self.cut or (following == len(data) and not complete)
                 self.skipped += following - position if complete else 0
@@ -239,10 +227,6 @@ class _Reader:
             if kind not in KINDS or not size or position > len(self.data):
                 return False
         return True
-
-    def _next(self, position):
-        starts = (match.start() for match in NEXT.finditer(self.data, position))
-        return next((start for start in starts if self._chain(start, 3)), len(self.data))
 
     # Each of these reads the bytes of one message from start to end, and returns whether they make sense.
 
@@ -274,10 +258,10 @@ class _Reader:
         name = match[0].decode()
         if name not in self.layouts:
             self.layouts[name] = self._layout(name)
-        if self.layouts[name] is not None:
+        if (layout := self.layouts[name]) is not None:
             if number in self.subscriptions and self.subscriptions[number].starts:
                 self.finished.append(self.subscriptions[number])
-            self.subscriptions[number] = _Subscription(name, instance, self.layouts[name])
+            self.subscriptions[number] = _Subscription(name, instance, layout[0], layout[1], [])
         return True
 
     def _layout(self, name):
@@ -346,23 +330,11 @@ class _Reader:
             self.information[key] = int(np.frombuffer(value, TYPES[kind])[0]) if scalar else text
         return keyed is not None
 
-    def _after_a_byte(self, start, end):
-        return end - start > 1 and self._keyed(start + 1, end) is not None
-
     def _parameter(self, start, end):
         keyed = self._keyed(start, end)
         if keyed is not None and len(keyed[2]) == np.dtype(TYPES[keyed[0]]).itemsize:
             self.parameters[keyed[1]] = float(np.frombuffer(keyed[2], TYPES[keyed[0]])[0])
         return keyed is not None
-
-    def _sync(self, start, end):
-        return self.data[start:end] == SYNC
-
-    def _two_bytes(self, start, end):
-        return end - start == 2
-
-    def _text(self, start, end):
-        return 9 <= end - start <= LONGEST_TEXT
 
     def topics(self) -> dict[str, Topic]:
         """Return the topics by name; of two of one name the longer."""
@@ -406,26 +378,27 @@ def _firmware(information) -> str:
 
 
 def _vehicle(topics, parameters) -> str | None:
-    status = topics.get("vehicle_status")
-    if status is not None:
-        if "is_vtol" in status and status["is_vtol"].any():
-            return "VTOL"
-        for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
-            if field in status:
-                found = names.get(whole(np.median(status[field])))
-                if found is not None:
-                    return found
+    status = topics.get("vehicle_status", {})
+    if "is_vtol" in status and status["is_vtol"].any():
+        return "VTOL"
+    for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
+        if field in status and (found := names.get(whole(np.median(status[field])))):
+            return found
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
+
+
+def _surface_types(topics, parameters) -> dict[int, int]:
+    """Return the type of each surface of control allocation whose output is logged, by its number."""
+    outputs = topics.get("actuator_servos", ())
+    return {n: whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)) for n in range(8) if f"control[{n}]" in outputs}
 
 
 def _servos(topics, parameters) -> dict[str, ServoChannel]:
     """Return the servos of control allocation, else those of a plane mixed by fixed rules."""
-    outputs = topics.get("actuator_servos")
     channels: dict[str, ServoChannel] = {}
-    for n in range(8):
-        surface = SURFACES.get(whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)))
-        if surface is not None and outputs is not None and f"control[{n}]" in outputs:
-            channels.setdefault(surface, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True))
+    for n, kind in _surface_types(topics, parameters).items():
+        if kind in SURFACES:
+            channels.setdefault(SURFACES[kind], ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True))
     if channels:
         return channels
     name = "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"  # 1: a VTOL's wings
@@ -436,16 +409,10 @@ def _servos(topics, parameters) -> dict[str, ServoChannel]:
 
 def _mixing(topics, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
     """Return the controls by the torques of control allocation: any number of surfaces, mixed in any way."""
-    outputs = topics.get("actuator_servos")
+    mixed = [n for n, kind in _surface_types(topics, parameters).items() if kind in MIXED_TYPES]
     found = {}
     for control, (axis, sign) in TORQUES.items():
-        torques = {
-            n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0)
-            for n in range(8)
-            if whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)) in MIXED_TYPES
-            and outputs is not None
-            and f"control[{n}]" in outputs
-        }
+        torques = {n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0) for n in mixed}
         total = sum(map(abs, torques.values()))
         if 0 < total < np.inf:
             found[control] = tuple(

@@ -1,17 +1,20 @@
-"""Units: conversion of stated units to SI, and errors for numbers in other units."""
+"""What all readers of tables check: size, names, units, magnitudes; FlightReadError, which names the file."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX
 from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
-from skdgp.io._errors import FlightReadError
 
+MOST_COLUMNS = 10_000
+ROOM, ROOM_PER_BYTE = 2**28, 100  # bytes that any file may take when unpacked, and bytes more for each byte of it
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
@@ -30,11 +33,53 @@ SPELLINGS = {
 
 # Above these the 99th percentile of a flight is not in radians.
 LIMITS = {
-    **dict.fromkeys(["alpha", "beta", "theta"], 1.7),
-    **dict.fromkeys(["elevator", "aileron", "rudder", "elevon_left", "elevon_right"], 1.6),
-    **dict.fromkeys(["p", "q", "r"], 20.0),
+    **dict.fromkeys(("alpha", "beta", "theta"), 1.7),
+    **dict.fromkeys(ALL_SURFACES, 1.6),
+    **dict.fromkeys(RATES, 20.0),
 }
 LONGEST_STEP = 5.0  # s
+
+
+class FlightReadError(ValueError):
+    """A file cannot be read as a flight; its path stands before the message."""
+
+    path: str | os.PathLike | None = None
+
+    def __str__(self) -> str:
+        return super().__str__() if self.path is None else f"{self.path}: {super().__str__()}"
+
+
+@contextmanager
+def reading(path: str | os.PathLike) -> Iterator[None]:
+    """Name the file in a FlightReadError of the block."""
+    try:
+        yield
+    except FlightReadError as error:
+        error.path = path
+        raise
+
+
+def check_width(n_columns: int) -> None:
+    """Raise a FlightReadError if a table has too many columns."""
+    if n_columns > MOST_COLUMNS:
+        raise FlightReadError(
+            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: keep those of the flight, with a row for "
+            "each sample."
+        )
+
+
+def room_for(n_bytes: int) -> int:
+    """Return how many bytes a file of n_bytes may take when unpacked."""
+    return ROOM + ROOM_PER_BYTE * n_bytes
+
+
+def check_room(needed: int, room: int) -> None:
+    """Raise a FlightReadError if what is unpacked takes more bytes than there is room for."""
+    if needed > room:
+        raise FlightReadError(
+            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most {room / 2**20:.0f} "
+            f"MiB (256 MiB and {ROOM_PER_BYTE} times its size): write each flight into a file of its own."
+        )
 
 
 def base_name(column: str) -> str:
@@ -94,11 +139,13 @@ def check_magnitudes(table: pd.DataFrame) -> None:
 
     Warn of surfaces that are probably commands from -1 to 1.
     """
-    large = {name: _typical_maximum(table, name) for name in (*LIMITS, *GYROS) if name in table}
-    degrees = {name: round(large[name], 1) for name in LIMITS if name in table and large[name] > LIMITS[name]}
-    for name in GYROS:
-        if name in table and large[name] > LARGEST_ANGLE[name] + ANGLE_NOISE and not is_unwrapped(table, name):
-            degrees[name] = round(large[name], 1)
+    limits = LIMITS | {name: LARGEST_ANGLE[name] + ANGLE_NOISE for name in GYROS}
+    large = {name: _typical_maximum(table, name) for name in limits if name in table}
+    degrees = {
+        name: round(most, 1)
+        for name, most in large.items()
+        if most > limits[name] and not (name in GYROS and is_unwrapped(table, name))
+    }
     if degrees:
         raise FlightReadError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians per second: these "
@@ -106,14 +153,15 @@ def check_magnitudes(table: pd.DataFrame) -> None:
             + " Roll and heading in radians can be wrapped by numpy.angle(numpy.exp(1j * psi))."
             * bool(degrees.keys() & GYROS)
         )
-    if "throttle" in table and _typical_maximum(table, "throttle") > 1.5:
+    if "throttle" in table and (most := _typical_maximum(table, "throttle")) > 1.5:
         raise FlightReadError(
-            f"Got throttle up to {_typical_maximum(table, 'throttle'):g}, but expected 0 to 1: divide it by its full "
-            "range (100 for per cent, or 'throttle [%]' in the header)."
+            f"Got throttle up to {most:g}, but expected 0 to 1: divide it by its full range (100 for per cent, or "
+            "'throttle [%]' in the header)."
         )
-    if {"ax", "ay", "az"} <= set(table.columns):
-        sizes = np.linalg.norm(table[["ax", "ay", "az"]].to_numpy(float), axis=1)
-        force = float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else np.nan
+    if {*SPECIFIC_FORCE} <= {*table}:
+        sizes = np.linalg.norm(table[list(SPECIFIC_FORCE)].to_numpy(float), axis=1)
+        sizes = sizes[np.isfinite(sizes)]
+        force = float(np.median(sizes)) if sizes.size else np.nan
         if 0.5 < force < 2.0:
             raise FlightReadError(
                 f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near 9.8 m/s^2: this "

@@ -58,10 +58,21 @@ def common_folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _flown_once(common_folder):
-    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
+    """Let all processes of a test run share the example flights: to simulate them takes 10 s.
+
+    A shorter flight is the beginning of the long one (test_example_flights), and is taken from it.
+    """
+    fly = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
+    whole = lru_cache(maxsize=1)(fly)
+
+    def flights(*world, duration=_example_flights.DURATION):
+        if world != (0, 1.0, 1.0):
+            return fly(*world, duration)
+        train, test = whole(*world)
+        return train[train["time"] < duration].reset_index(drop=True), test[test["time"] < duration]
+
     with pytest.MonkeyPatch.context() as patch:
-        flights = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
-        patch.setattr(_example_flights, "_flights", lru_cache(maxsize=2)(flights))
+        patch.setattr(_example_flights, "_flights", flights)
         yield
 
 

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
+from skdgp.design import _library
 from skdgp.identification import _identification
 from skdgp.inference import _search
 from skdgp.report import FlightMechanics
@@ -105,7 +106,7 @@ def short_fits(monkeypatch):
 
 @pytest.fixture
 def hasty_fits(monkeypatch, short_fits, request):
-    """Stop every search of this process after two iterations, or another number, with few inducing inputs.
+    """Stop every search of this process after two iterations, or another number; few inducing inputs, no average.
 
     For pages and commands that only use what was learned.
     """
@@ -115,7 +116,15 @@ def hasty_fits(monkeypatch, short_fits, request):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
     monkeypatch.setattr(_search, "minimize", hasty)
-    monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, "n_inducing", 40)
+    for name, value in {"n_inducing": 24, "structure": "joint"}.items():
+        monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
+
+
+@pytest.fixture
+def few_manoeuvres(monkeypatch):
+    """Let plans choose from few candidates."""
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
+    monkeypatch.setattr(_library, "MULTISINES", ())
 
 
 @pytest.fixture

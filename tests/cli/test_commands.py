@@ -14,7 +14,7 @@ import pytest
 
 from skdgp._cli import _output, _plan, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import _card, _library
+from skdgp.design import _card
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
 
@@ -357,14 +357,9 @@ class TestDerivatives:
         assert "derivatives.png" not in files(tmp_path / "out")
 
 
+@pytest.mark.usefixtures("few_manoeuvres")
 class TestPlan:
     WORDS = ("--airspeed", "35", "--seconds", "10", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
-
-    @pytest.fixture(autouse=True)
-    def few_candidates(self, monkeypatch):
-        """Let plans choose from few manoeuvres, for time."""
-        monkeypatch.setattr(_library, "WIDTHS", (1.0,))
-        monkeypatch.setattr(_library, "MULTISINES", ())
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")

@@ -3,6 +3,7 @@
 import os
 import signal
 import tempfile
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -92,16 +93,30 @@ def short_flights(monkeypatch, request):
         monkeypatch.setattr(module, "load_example_flights", first)
 
 
-@pytest.fixture
-def short_fits(monkeypatch):
-    """Cut short what ``max_iter`` does not rule, in this process: fits of each output alone, from one width, few rows.
+@pytest.fixture(scope="session")
+def cut_short():
+    """Return a context, for fixtures that tests share, that cuts short what ``max_iter`` does not rule.
 
-    For tests of what is done with a model, whatever it has learned.
+    Fits of each output alone, from one width, few rows: for tests of what is done with a model, whatever it learned.
     """
-    monkeypatch.setattr(_search, "SEARCH_VALUES", (300, 300))
-    monkeypatch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
-    monkeypatch.setattr(_search, "TRIAL_ITERATIONS", 2)
-    monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 2)
+
+    @contextmanager
+    def cut_short():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_search, "SEARCH_VALUES", (300, 300))
+            patch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
+            patch.setattr(_search, "TRIAL_ITERATIONS", 2)
+            patch.setattr(_search, "SINGLE_ITERATIONS", 2)
+            yield
+
+    return cut_short
+
+
+@pytest.fixture
+def short_fits(cut_short):
+    """Fit as in `cut_short` in one test."""
+    with cut_short():
+        yield
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ def regressors():
 
 
 @pytest.fixture(scope="session")
-def fitted(regressors):
+def fitted(regressors, cut_short):
     """Return fitted pipelines by name, each fitted once."""
     shared = ConvolvedGaussian(1, private_latents=False, length_scale_bounds="spacing")
     noise = np.array([1e-3, 1e-3, 5e-3, 3e-4, 2e-3, 3e-4])
@@ -89,7 +89,8 @@ def fitted(regressors):
         regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
         model = make_pipeline(StandardScaler(), regressor)
         model[0].set_output(transform="pandas")
-        return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
+        with cut_short():
+            return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
 
     return get
 

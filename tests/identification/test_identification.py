@@ -195,9 +195,9 @@ def example():
 
 
 @pytest.fixture(scope="module")
-def result(example):
+def result(example, cut_short):
     aircraft, train, test = example
-    with pytest.warns((FewRowsWarning, ConvergenceWarning)):
+    with pytest.warns((FewRowsWarning, ConvergenceWarning)), cut_short():
         found = identify(train, aircraft, test=test, samples=40, regressor=AVERAGE, horizons=[1.0])
     assert found.metrics["flight_mechanics"]["derivatives"]
     return found

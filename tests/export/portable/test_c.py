@@ -104,7 +104,7 @@ def test_make_test_passes(portable_of, tmp_path):
 
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_a_size_is_kept(portable_of, precision, tmp_path):
-    model = portable_of("sparse")
+    model = portable_of("sparse-constant")
     most = 0.6 * c_bytes(model, precision) / 1024
     small = write_c(tmp_path, model, precision=precision, max_kb=most)
     compiled(tmp_path, "-Os", "-c", "aero.c", "-o", "aero.o")

@@ -45,8 +45,8 @@ def write_flights(folder):
     data.aircraft.to_json(folder / "uav.json")
     measured = [name for name in data.train if not name.endswith("_true")]
     for name, table in data.train.groupby("flight", observed=True):
-        table[measured].iloc[1000:1700].to_csv(folder / f"{name}.csv", index=False)
-    data.test.iloc[900:1400].to_csv(folder / "test.csv", index=False)
+        table[measured].iloc[1000:1400].to_csv(folder / f"{name}.csv", index=False)
+    data.test.iloc[900:1200].to_csv(folder / "test.csv", index=False)
 
 
 @pytest.fixture(autouse=True)

@@ -68,7 +68,7 @@ class TestPredict:
         np.testing.assert_array_equal(table["time"], flight["time"])
         np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
         np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
-        assert said["flights"] == {"two_altitudes": 500}
+        assert said["flights"] == {"two_altitudes": 300}
         assert said["coefficients"]["CZ"]["median_std"] == pytest.approx(np.median(std[:, 2]))
 
     def test_noise_and_parquet(self, run, model, tmp_path):
@@ -86,9 +86,9 @@ class TestPredict:
         table.to_csv(tmp_path / "holes.csv", index=False)
         assert main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")]) == 0
         said = capsys.readouterr()
-        assert "10 of 500 rows are left out" in said.err
-        assert "490 rows of flight two_altitudes" in said.out
-        assert len(pd.read_csv(tmp_path / "out.csv")) == 490
+        assert "10 of 300 rows are left out" in said.err
+        assert "290 rows of flight two_altitudes" in said.out
+        assert len(pd.read_csv(tmp_path / "out.csv")) == 290
 
     def test_a_table_of_no_known_kind(self, path, capsys):
         with pytest.raises(SystemExit) as end:
@@ -281,7 +281,7 @@ class TestSimulate:
                 "Got --climb, --bank without --trim",
             ),
             (["--flight", "test.csv"], "Got --flight without --at"),
-            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 34.9"),
+            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 29.9"),
             (["--flight", "test.csv", "--at", "25", "--duration", "99"], "lasts 99 s: give a shorter duration"),
             (["--flight", "none.csv", "--at", "25"], "Got none.csv, but there is no such file"),
             (["--trim", "350"], "There is no trim of brumby"),

@@ -29,7 +29,7 @@ def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.usefixtures("hasty_fits", "no_report")
+@pytest.mark.usefixtures("hasty_fits", "few_manoeuvres", "no_report")
 def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).touch())

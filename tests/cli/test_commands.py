@@ -359,7 +359,20 @@ class TestDerivatives:
 
 @pytest.mark.usefixtures("few_manoeuvres")
 class TestPlan:
-    WORDS = ("--airspeed", "35", "--seconds", "10", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
+    WORDS = (
+        "--airspeed",
+        "35",
+        "--seconds",
+        "10",
+        "--axes",
+        "rudder",
+        "--altitude",
+        "300",
+        "--gusts",
+        "none",
+        "--rate",
+        "25",
+    )
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")

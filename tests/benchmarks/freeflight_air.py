@@ -17,8 +17,6 @@ the ground, attitude, rates), the nine states v_north ... r. "wind" is ``wind=``
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

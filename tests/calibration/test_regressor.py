@@ -56,10 +56,7 @@ def model(flights):
 class TestScikitLearnContract:
     @pytest.mark.parametrize(
         "estimator",
-        [
-            CalibratedRegressor(BayesianRidge()),
-            CalibratedRegressor(QUICK, cv=2, method="variance"),
-        ],
+        [CalibratedRegressor(BayesianRidge()), CalibratedRegressor(QUICK, cv=2, method="variance")],
         ids=["single output", "several outputs"],
     )
     @pytest.mark.filterwarnings("ignore")

@@ -31,7 +31,8 @@ def page():
 
     Two worker processes import the package once for all tests.
     """
-    names, blocks = {}, list(enumerate(re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.M), 1))
+    names, code = {}, re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    blocks = list(enumerate(code, start=1))
     while "client" not in names:
         run(*blocks.pop(0), names)
     yield names, blocks

@@ -121,7 +121,8 @@ class TestPredict:
         np.testing.assert_allclose(
             again.predict(test_flight, return_std=True), model.predict(test_flight, return_std=True), rtol=1e-9
         )
-        linear, train = make_identification_pipeline(flights.aircraft, regressor=LinearRegression()), flights.train[:400]
+        train = flights.train[:400]
+        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
         linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
         assert linear.predict(test_flight).shape == (400, 6)
         with pytest.raises(TypeError, match="return_std"):
@@ -137,11 +138,7 @@ class TestPredict:
         Y = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 40)
         nlpd = SCORERS["log_predictive_density"]
         search = GridSearchCV(
-            clone(model),
-            {"dependentgpregressor__structure": ["joint"]},
-            scoring=nlpd,
-            cv=GroupKFold(2),
-            refit=False,
+            clone(model), {"dependentgpregressor__structure": ["joint"]}, scoring=nlpd, cv=GroupKFold(2), refit=False
         ).fit(train, Y, groups=train["flight"])
         best = clone(model).set_params(**search.best_params_)
         folds = cross_validate(best, train, Y, groups=train["flight"], cv=GroupKFold(2), scoring=nlpd)

@@ -120,9 +120,7 @@ class TestPipeline:
         model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=regressor)
         name = f"{model.steps[-1][0]}__"
         search = GridSearchCV(
-            model,
-            {name + ("estimator__" if calibrated else "") + "trend": ["linear"]},
-            cv=LeaveOneGroupOut(),
+            model, {name + ("estimator__" if calibrated else "") + "trend": ["linear"]}, cv=LeaveOneGroupOut()
         )
         groups = {"groups": table["flight"]}
         search.fit(table, thin_targets(Y, 60), **groups, **({name + "groups": table["flight"]} if calibrated else {}))
@@ -349,8 +347,7 @@ class TestIdentify:
 
     @pytest.mark.filterwarnings("always")
     @pytest.mark.parametrize(
-        ("regressors", "lacks"),
-        [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)],
+        ("regressors", "lacks"), [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)]
     )
     def test_an_unknown_thrust_is_part_of_the_coefficients(self, example, regressors, lacks):
         aircraft, train, test = example

@@ -63,9 +63,9 @@ def uav():
 
 @pytest.fixture(scope="session")
 def regressors():
-    """Return 90 samples of eight regressors."""
+    """Return 60 samples of eight regressors."""
     low, high = np.array(list(RANGES.values())).T
-    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (90, 8)), columns=list(RANGES))
+    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (60, 8)), columns=list(RANGES))
 
 
 @pytest.fixture(scope="session")

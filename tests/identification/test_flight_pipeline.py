@@ -149,10 +149,10 @@ class TestPredict:
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
-        train, test = flights.train.iloc[:2000], flights.test.iloc[:600]
+        train, test = flights.train.iloc[:1200], flights.test.iloc[:400]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
-        result = identify(train, flights.aircraft, test=test, samples=200, regressor=regressor, horizons=[2.0])
-        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 200)
+        result = identify(train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0])
+        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])

@@ -3,6 +3,7 @@
 import os
 import signal
 import tempfile
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _identify
 from skdgp.datasets import _example_flights
+from skdgp.design import _library
 from skdgp.identification import _identification
 from skdgp.inference import _search
 from skdgp.report import FlightMechanics
@@ -58,10 +60,21 @@ def common_folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _flown_once(common_folder):
-    """Let all processes of a test run share the example flights: to simulate them takes 10 s."""
+    """Let all processes of a test run share the example flights: to simulate them takes 10 s.
+
+    A shorter flight is the beginning of the long one (test_example_flights), and is taken from it.
+    """
+    fly = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
+    whole = lru_cache(maxsize=1)(fly)
+
+    def flights(*world, duration=_example_flights.DURATION):
+        if world != (0, 1.0, 1.0):
+            return fly(*world, duration)
+        train, test = whole(*world)
+        return train[train["time"] < duration].reset_index(drop=True), test[test["time"] < duration]
+
     with pytest.MonkeyPatch.context() as patch:
-        flights = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
-        patch.setattr(_example_flights, "_flights", lru_cache(maxsize=2)(flights))
+        patch.setattr(_example_flights, "_flights", flights)
         yield
 
 
@@ -80,21 +93,35 @@ def short_flights(monkeypatch, request):
         monkeypatch.setattr(module, "load_example_flights", first)
 
 
-@pytest.fixture
-def short_fits(monkeypatch):
-    """Cut short what ``max_iter`` does not rule, in this process: fits of each output alone, from one width, few rows.
+@pytest.fixture(scope="session")
+def cut_short():
+    """Return a context, for fixtures that tests share, that cuts short what ``max_iter`` does not rule.
 
-    For tests of what is done with a model, whatever it has learned.
+    Fits of each output alone, from one width, few rows: for tests of what is done with a model, whatever it learned.
     """
-    monkeypatch.setattr(_search, "SEARCH_VALUES", (300, 300))
-    monkeypatch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
-    monkeypatch.setattr(_search, "TRIAL_ITERATIONS", 2)
-    monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 2)
+
+    @contextmanager
+    def cut_short():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_search, "SEARCH_VALUES", (300, 300))
+            patch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
+            patch.setattr(_search, "TRIAL_ITERATIONS", 2)
+            patch.setattr(_search, "SINGLE_ITERATIONS", 2)
+            yield
+
+    return cut_short
+
+
+@pytest.fixture
+def short_fits(cut_short):
+    """Fit as in `cut_short` in one test."""
+    with cut_short():
+        yield
 
 
 @pytest.fixture
 def hasty_fits(monkeypatch, short_fits, request):
-    """Stop every search of this process after two iterations, or another number, with few inducing inputs.
+    """Stop every search of this process after two iterations, or another number; few inducing inputs, no average.
 
     For pages and commands that only use what was learned.
     """
@@ -104,7 +131,15 @@ def hasty_fits(monkeypatch, short_fits, request):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
     monkeypatch.setattr(_search, "minimize", hasty)
-    monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, "n_inducing", 40)
+    for name, value in {"n_inducing": 24, "structure": "joint"}.items():
+        monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
+
+
+@pytest.fixture
+def few_manoeuvres(monkeypatch):
+    """Let plans choose from few candidates."""
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
+    monkeypatch.setattr(_library, "MULTISINES", ())
 
 
 @pytest.fixture

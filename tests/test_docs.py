@@ -30,7 +30,7 @@ RUN_ELSEWHERE = {
 }
 UNJUDGED = {"ten_minutes.md"}  # what their models learned matters little: short fits do
 SHORT = {"ten_minutes.md"}  # and short flights
-SECONDS = {"preprocessing.md": 40.0, "simulation.md": 90.0, "design.md": 90.0}  # of flights, as far as pages use them
+SECONDS = {"preprocessing.md": 40.0, "simulation.md": 90.0, "design.md": 60.0}  # of flights, as far as pages use them
 PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
 
 
@@ -49,6 +49,8 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
         request.getfixturevalue("no_mechanics")
     if page.name in SHORT:
         request.getfixturevalue("short_flights")
+    if page.name == "design.md":
+        request.getfixturevalue("few_manoeuvres")
     if page.name in SECONDS:
         made = partial(_example_flights._flights, duration=SECONDS[page.name])
         monkeypatch.setattr(_example_flights, "_flights", made)
@@ -63,9 +65,9 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
 
 
 @pytest.mark.usefixtures("short_flights", "hasty_fits")
-@pytest.mark.parametrize("hasty_fits", [8], indirect=True)
+@pytest.mark.parametrize(("short_flights", "hasty_fits"), [(800, 6)], indirect=True)
 def test_front_page_shows_the_known_derivatives(capsys):
-    """What its code prints, of the first 25 s of each flight, and what its text says that it prints."""
+    """What its code prints, of the first 20 s of each flight, and what its text says that it prints."""
     page, names = ROOT / "README.md", {}
     (code,) = blocks(page)
     exec(compile(code, page.name, "exec"), names)

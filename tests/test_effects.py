@@ -37,6 +37,9 @@ def alone(X):
     return np.stack([[np.sin(2 * a), 0.5 * a], [0 * b, b**2], [0.3 * e, -e]], axis=0).transpose(2, 0, 1)
 
 
+pytestmark = pytest.mark.usefixtures("short_fits")
+
+
 @pytest.fixture(scope="module")
 def data():
     rng = np.random.default_rng(0)

@@ -33,12 +33,12 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
 @pytest.mark.shared
 @pytest.mark.usefixtures("short_fits")
 def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
-    """On four minutes of a flight at two altitudes, from 150 noisy samples of two minutes at one."""
+    """On four minutes of a flight at two altitudes, from 100 noisy samples of two minutes at one."""
     folder = shared_data / "flights"
     aircraft = Aircraft.from_json(folder / "viggen_uav.json")
     train, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in ("train_latlon", "test_twoalt"))
     train, test = train.iloc[:4800], test.iloc[:9600]
-    targets = thin_targets(aerodynamic_coefficients(train, aircraft), 150)
+    targets = thin_targets(aerodynamic_coefficients(train, aircraft), 100)
     model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
     transform, regressor = model[:-1], model[-1]
     X, asked = np.asarray(transform.fit_transform(train)), np.asarray(transform.transform(test))[::10]

@@ -103,12 +103,12 @@ def identify(
     ...     example.train[example.train["time"] < 20],
     ...     example.aircraft,
     ...     test=example.test[example.test["time"] < 10],
-    ...     samples=60,
-    ...     regressor=DependentGPRegressor(n_latent=1, max_iter=30, random_state=0),
+    ...     samples=40,
+    ...     regressor=DependentGPRegressor(structure="joint", n_latent=1, max_iter=10, random_state=0),
     ...     horizons=[2.0],
     ... )
     >>> result.fit["samples"], sorted(result.metrics["test"])
-    (60, ['two_altitudes'])
+    (40, ['two_altitudes'])
     >>> mean, std = result.pipeline.predict(example.test[:400], return_std=True)
     >>> mean.shape
     (400, 6)

@@ -1,7 +1,5 @@
 """Aircraft with known truth that fly given inputs: an autopilot between manoeuvres, held controls during them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple

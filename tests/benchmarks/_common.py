@@ -1,7 +1,5 @@
 """What the benchmarks share: arguments, turns taken on the clock, memory of a process, and where results are kept."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -16,13 +14,17 @@ from pathlib import Path
 VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpy", "mogptk", "jsbsim")
 
 
-def parser_of(description):
-    """Return a parser of the command line that all benchmarks have."""
+def parser_of(description, *, data=False, redo=False):
+    """Return a parser of the command line that all benchmarks have; ``data`` and ``redo``: what some have too."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json; page.py reads them there")
     parser.add_argument("--repeats", type=int, default=3, help="of each measurement; the shortest counts")
     parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     parser.add_argument("--no-peers", action="store_true", help="leave out what other packages do")
+    if data:
+        parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    if redo:
+        parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     return parser
 
 

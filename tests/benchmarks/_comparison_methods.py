@@ -1,7 +1,5 @@
 """What is compared: regressors made from a flight table in three ways, and methods with the settings they are given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -131,10 +129,7 @@ METHODS = {
     "ols_all": Method("least squares", "linear in the regressors", EquationError, all_samples=True),
     "stepwise2": Method("stepwise, second order", STEPWISE.format("second"), lambda: EquationError(2, stepwise=True)),
     "stepwise2_all": Method(
-        "stepwise, second order",
-        STEPWISE.format("second"),
-        lambda: EquationError(2, stepwise=True),
-        all_samples=True,
+        "stepwise, second order", STEPWISE.format("second"), lambda: EquationError(2, stepwise=True), all_samples=True
     ),
     "stepwise3": Method("stepwise, third order", STEPWISE.format("third"), lambda: EquationError(3, stepwise=True)),
     "stepwise3_all": Method(

@@ -1,7 +1,5 @@
 """The comparison's runs as tables: for each flight a summary over inputs, and errors of each coefficient."""
 
-from __future__ import annotations
-
 import numpy as np
 from _comparison_methods import METHODS, ORDER
 

@@ -13,8 +13,6 @@ everything of the fit that a user may. Sound means, with deviations in units of 
   rows in another order change predictions by at most 1e-4 of the prior's deviation.
 """
 
-from __future__ import annotations
-
 import copy
 import pickle
 import traceback

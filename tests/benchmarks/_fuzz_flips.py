@@ -1,7 +1,5 @@
 """Fuzz of model files: one flipped bit, and the file is refused, or the model predicts the same bits."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

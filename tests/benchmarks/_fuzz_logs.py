@@ -6,8 +6,6 @@ compressed inside. A table is sound if its columns of the vocabulary are finite 
 name, time increases strictly within each flight, and it has no more rows than the bytes can tell of.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import os

@@ -1,7 +1,5 @@
 """What the campaigns of the fuzz share: the outcome of a case, and the workers that run cases."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import re

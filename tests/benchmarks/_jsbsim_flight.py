@@ -1,7 +1,5 @@
 """JSBSim flown for its loads and motion: what it says acts on the aircraft, and where that takes it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -4,8 +4,6 @@
 (n, P): of the function, and of a new measurement.
 """
 
-from __future__ import annotations
-
 import warnings
 from itertools import islice
 

@@ -5,8 +5,6 @@ of the place. "turning" adds what else acts on a body seen from an Earth that tu
 aircraft is, the Coriolis force, and the Earth's share of what gyroscopes feel. What is left there is arithmetic.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from _jsbsim_flight import EARTH_RATE, air, earth_to_ned, fly
 

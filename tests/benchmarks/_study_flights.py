@@ -1,7 +1,5 @@
 """Flights with known truth for the study: what each regressor was, what turned with the air, what was commanded."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple
 

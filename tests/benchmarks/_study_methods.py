@@ -1,7 +1,5 @@
 """Methods of the study: what each finds from one log with stated causes of error."""
 
-from __future__ import annotations
-
 import warnings
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ Flights, samples and scores are those of comparison.py; ``PARTS`` says what "off
 OUT/ablation/FLIGHT-PART.json, and not run again unless ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

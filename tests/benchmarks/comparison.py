@@ -14,8 +14,6 @@ Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again 
 are of all runs that are there. Peers take some hours on one core.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -182,10 +180,8 @@ class Kept:
 
 def runs_parser(description, flights):
     """Return a parser of scripts that keep their runs: folder of the data, flights, ``--redo``."""
-    parser = parser_of(description)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(description, data=True, redo=True)
     parser.add_argument("--flights", nargs="+", choices=flights, default=list(flights))
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     return parser
 
 

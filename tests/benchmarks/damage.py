@@ -6,8 +6,6 @@ Copies of a log, each with n bytes at random places replaced by random ones. Cou
 are those of the processor for one log without damage.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import struct
@@ -17,7 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from _common import finish, parser_of
+from _common import finish, parsed, parser_of
 
 from skdgp.io import FlightReadError
 from skdgp.io._autopilot.dataflash import DEFINITIONS, read_dataflash
@@ -133,12 +131,9 @@ def toy():
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--copies", type=int, default=20)
-    options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
-        parser.error("name the folder that holds logs/")
+    options = parsed(parser, words)
     came_back, times = [], []
     for kind, (name, read) in LOGS.items():
         peers = {} if options.no_peers else {"ULog": {"pyulog": pyulog}, "DataFlash": {"pymavlink": pymavlink}}[kind]

@@ -10,8 +10,6 @@ data hold is the known derivative plus that by alpha_dot times the slope of alph
 squares on the noise-free columns of the training flights, for scoring alone. These are the "merged" ones.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 

@@ -8,10 +8,7 @@ one hundredth of it. Evaluations are those of all values together; the ones of s
 each, and count in the seconds. The error is that on the test flight. Without the folder of flights, random functions.
 """
 
-from __future__ import annotations
-
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,8 +74,7 @@ def climbed(start, X, Y, max_iter):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--samples", type=int, default=755)
     options = parser.parse_args(words)
     n, most, more = (20, 6, 10) if options.smoke else (options.samples, 60, 300)

@@ -20,8 +20,6 @@ Replay: coefficients of the first model at the measured regressors, integrated f
 --models keeps fitted pipelines there and takes those that are there.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from pathlib import Path
@@ -180,10 +178,7 @@ def airs(aircraft, flight):
     """Return the options of `Air` for what is known of it."""
     turbulence = Turbulence.from_flight(flight, aircraft.span)
     mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
-    return {
-        "true wind": {},
-        "mean wind, turbulence of the flight": {"gusts": turbulence, "wind": mean},
-    }
+    return {"true wind": {}, "mean wind, turbulence of the flight": {"gusts": turbulence, "wind": mean}}
 
 
 def segments(model, log):
@@ -291,8 +286,7 @@ def _off(value, reference, name):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--seeds", type=int, default=3, help="of the search: models of each training flight")
     parser.add_argument("--paths", type=int, default=100, help="of the ensembles")

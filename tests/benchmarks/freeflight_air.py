@@ -19,8 +19,6 @@ the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` 
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
 """
 
-from __future__ import annotations
-
 import warnings
 from itertools import pairwise
 from pathlib import Path

@@ -13,8 +13,6 @@ if any exception was foreign or any difference silent:
 - flips: one bit of a model file is flipped; the file is refused, or the model predicts the same bits.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 import tempfile

@@ -9,8 +9,6 @@ each over that of the plan for derivatives of the same seed. Medians over seeds 
 kept under OUT/goals and not done again.
 """
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 from typing import Any

@@ -5,8 +5,6 @@
 One thing at a time is varied from 755 samples of six outputs, six shared latents, 15 regressors, diagonal filters.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from _common import finish, interleaved, parser_of

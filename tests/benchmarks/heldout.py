@@ -11,8 +11,6 @@ both are run. ``--tried`` runs the configurations of
 GPyTorch from which the best was taken by its error on the test flight itself: more than we allow ourselves.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings
@@ -194,8 +192,7 @@ def has_gpytorch():
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--tried", action="store_true", help="the configurations of GPyTorch instead of the curves")
     options = parsed(parser, words)
     task = toy() if options.smoke else flights(options.data)

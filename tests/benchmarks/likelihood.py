@@ -7,22 +7,12 @@ potri of the same N x N matrix are what every exact method needs. Ratios, not ti
 the same machine. Memory is what the evaluation adds to a process of its own, at its peak.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from typing import NamedTuple
 
 import numpy as np
-from _common import (
-    available_memory,
-    extra_memory,
-    finish,
-    in_own_process,
-    interleaved,
-    parser_of,
-    use_torch_threads,
-)
+from _common import available_memory, extra_memory, finish, in_own_process, interleaved, parser_of, use_torch_threads
 from scipy.linalg import lapack
 
 from skdgp.inference import Data, log_likelihood

@@ -12,11 +12,8 @@ so their bands are those of the log alone. "width" is the median ratio of bands 
 The error of the held-out flight is over the spread of what was measured there, with the same sizes.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -152,8 +149,7 @@ def row_of(name, withheld, table, told, error):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--samples", type=int, default=755, help="to learn from")
     parser.add_argument("--aircraft", nargs="*", choices=FLIGHTS, help="by default both")
     parser.add_argument("--withheld", nargs="*", choices=WITHHELD, help="beside nothing; by default each in turn")

@@ -7,8 +7,6 @@ FOLDER is what the scripts were given as --out. A table stands on the page betwe
 What has no results stays as it is.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -14,8 +14,6 @@ best without an aircraft, scored on it.
 Each run is kept as OUT/pairs/PAIR-LATENTS-SEED.json, and not run again unless ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from functools import partial
@@ -274,13 +272,12 @@ def left_out(runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
+    parser = parser_of(__doc__, redo=True)
     parser.add_argument("repository", type=Path, nargs="?", help="the unpacked copy of the repository")
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data")
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--latents", type=int, default=2, help="shared latents")
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.data is None and not options.smoke:
         parser.error("the copy of the repository and the folder of the shared data are needed")

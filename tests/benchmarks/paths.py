@@ -8,8 +8,6 @@ of the truth, which the check does not see. A table is of the first 100 s of eac
 ``used`` whether it was chosen, and ``loss`` the largest error of the choice over that of the better of the two.
 """
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -152,8 +150,7 @@ def judged(damage, tables):
 
 
 def main(arguments=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", help="folder of the shared flights")
+    parser = parser_of(__doc__, data=True)
     options = parser.parse_args(arguments)
     tables = {"example": load_example_flights().train.query("flight == flight.iloc[0]")}
     if options.data:

@@ -7,8 +7,6 @@ posterior the floor of a mean is K alpha, that of a standard deviation K alpha a
 the same turns, the covariances K given. One row at a time is asked of the estimator, as a controller would.
 """
 
-from __future__ import annotations
-
 import pickle
 import time
 from types import SimpleNamespace

@@ -7,8 +7,6 @@ are those of comparison.py, with seed 0 and all rows or N of them. Differences a
 rows, for every row of the test flight and all six coefficients.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile
@@ -46,8 +44,7 @@ def differences(one, other):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--flight", default="c172p", choices=FLIGHTS)
     parser.add_argument("--samples", nargs="+", type=int, default=[None], help="rows to learn from; by default all")
     parser.add_argument("--cores", nargs="+", default=CORES)

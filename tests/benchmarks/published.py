@@ -16,8 +16,6 @@ run is kept as OUT/published/CASE-METHOD-SEED.json, and not run again unless ``-
 runs that are there. OUT/published.png shows the exchange rates.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings
@@ -286,12 +284,11 @@ def picture(case, runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
+    parser = parser_of(__doc__, redo=True)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the data, see above")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parsed(parser, words)
     cases = {name: CASES[name] for name in options.cases}
     if options.smoke:

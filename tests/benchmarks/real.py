@@ -13,8 +13,6 @@ regressors, as in comparison.py. Each run is kept as OUT/real/FLIGHT-METHOD-SEED
 ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path
@@ -207,12 +205,11 @@ def table(runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
+    parser = parser_of(__doc__, redo=True)
     parser.add_argument("folder", type=Path, nargs="?", help="the unpacked copy of the repository")
     parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
     parser.add_argument("--methods", nargs="+", choices=[*PEERS, *PIPELINES], default=[*PEERS, *PIPELINES])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="of our methods; the others take none")
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.folder is None and not options.smoke:
         parser.error("the copy of the repository is needed")

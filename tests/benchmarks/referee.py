@@ -10,11 +10,8 @@ for the largest error.
 --live flies JSBSim itself (``pip install jsbsim``) and compares in double precision: see _referee_live.py.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -146,8 +143,7 @@ def _significant_bits(values):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--live", action="store_true", help="fly JSBSim too")
     options = parsed(parser, words)
     if options.live and importlib.util.find_spec("jsbsim") is None:

@@ -8,8 +8,6 @@ pipeline. NRMSE is the mean over the six coefficients, against the truth where t
 measured coefficients. Each run is kept as OUT/rows/FLIGHT-ROWS-SEED.json, and not run again unless ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings

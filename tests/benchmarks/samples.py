@@ -7,8 +7,6 @@ over all samples, the part that grows. Over linear: time over that of half a fli
 over that of half a flight. Without the folder of flights, random functions.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -57,8 +55,7 @@ def fit(X, Y, **parameters):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--one", type=int, help="only this many samples, as JSON")
     options = parser.parse_args(words)
     if options.one:

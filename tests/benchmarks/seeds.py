@@ -7,8 +7,6 @@ which blocks of the log tell the search when to stop. Each run is kept as OUT/se
 unless ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

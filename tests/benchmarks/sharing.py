@@ -7,13 +7,10 @@ noisy as the case says. Jura: cadmium where nickel and zinc are known. Drawn: fo
 independent, or have nine tenths of their variance in common and one of them on every fifth sample alone.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from _common import finish, parsed, parser_of
@@ -126,8 +123,7 @@ def run(name, options):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data: flights/ and jura/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--samples", type=int, default=150, help="of the flight, learned from (default: 150)")
     parser.add_argument("--trend", choices=("linear", "constant"), default="linear")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)

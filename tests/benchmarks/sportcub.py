@@ -18,8 +18,6 @@ Choices are made on the nine records alone: each is left out in turn ("left out"
 Runs are kept as OUT/sportcub/WAY-METHOD.json, and not run again unless ``--redo`` says so.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 import time
@@ -364,12 +362,11 @@ def mean_of(errors, which=slice(None)):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
+    parser = parser_of(__doc__, redo=True)
     parser.add_argument("folder", type=Path, nargs="?", help="unpacked copy of jgoppert/sysid_litreview_26")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--ways", nargs="+", choices=("direct", "poses"), default=["direct", "poses"])
     parser.add_argument("--paths", type=int, default=100, help="functions drawn for bands")
-    parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     options = parser.parse_args(words)
     if options.smoke:
         options.methods, options.ways, options.paths = ["hold", "least_squares", "pipeline"], ["direct"], 4

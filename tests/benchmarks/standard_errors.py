@@ -23,8 +23,6 @@ the share of the power that stays the same when the same flight is recorded with
 An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from dataclasses import replace

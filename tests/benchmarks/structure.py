@@ -7,12 +7,9 @@ is one flight alone, on the odd eighths of it after learning from the even ones.
 pipeline; inference is exact, regressors count as exact.
 """
 
-from __future__ import annotations
-
 import json
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 from _common import finish, parsed, parser_of
@@ -35,7 +32,7 @@ PARTS = {  # samples, regressors, and what is compared
         300,
         "quasi-steady",
         {"constant": {"trend": "constant"}, "linear": {}, "PolynomialFeatures(2)": {"trend": PolynomialFeatures(2)}},
-    ),
+    )
 }
 EVERY = 4  # of the rows that are scored
 
@@ -91,8 +88,7 @@ def row_of(pair, part, variant, task, parameters, max_iter):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--samples", type=int, help="to learn from")
     options = parsed(parser, words)

@@ -19,8 +19,6 @@ other air, ``--others`` by other dependent processes, all ``--seeds`` by linear 
 OUT/study and not done again. Aircraft of JSBSim need the jsbsim wheel.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from functools import partial

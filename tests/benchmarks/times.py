@@ -8,8 +8,6 @@ included; the trees learn what a linear trend leaves, each output by itself; GPy
 2000 steps. The error is that of the coefficients of test_twoalt, whose truth is known. Each fit has its own process.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -70,8 +68,7 @@ def one(folder, method, n):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--one", nargs=2, metavar=("METHOD", "SAMPLES"), help="only this row, as JSON")
     options = parser.parse_args(words)

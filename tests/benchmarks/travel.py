@@ -7,8 +7,6 @@ of JSBSim beside ``trim``; a flight of 60 s with doublets from a trim, over an E
 in the air of JSBSim; bands of such flights of posterior aircraft.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from time import process_time

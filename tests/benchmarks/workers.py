@@ -8,11 +8,8 @@ sending the state, fetching the sums; an evaluation with its gradient has one su
 the folder of flights, random numbers of the same shape.
 """
 
-from __future__ import annotations
-
 import sys
 from contextlib import nullcontext
-from pathlib import Path
 
 import numpy as np
 from _common import finish, interleaved, parser_of
@@ -71,8 +68,7 @@ def price(n_features, shares):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the shared data")
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args(words)
     n, n_inducing, copies = (400, 5, (1,)) if options.smoke else (14400, 100, (1, 4))

@@ -36,6 +36,9 @@ def make_flights(names="abcd", n=200, seed=0):
     return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
 
 
+pytestmark = pytest.mark.usefixtures("short_fits")
+
+
 @pytest.fixture(scope="module")
 def flights():
     table, Y = make_flights()
@@ -49,17 +52,15 @@ def pipeline(regressor=QUICK):
 
 
 @pytest.fixture(scope="module")
-def model(flights):
-    return CalibratedRegressor(pipeline(), level=0.8).fit(*flights)
+def model(flights, cut_short):
+    with cut_short():
+        return CalibratedRegressor(pipeline(), level=0.8).fit(*flights)
 
 
 class TestScikitLearnContract:
     @pytest.mark.parametrize(
         "estimator",
-        [
-            CalibratedRegressor(BayesianRidge()),
-            CalibratedRegressor(QUICK, cv=2, method="variance"),
-        ],
+        [CalibratedRegressor(BayesianRidge()), CalibratedRegressor(QUICK, cv=2, method="variance")],
         ids=["single output", "several outputs"],
     )
     @pytest.mark.filterwarnings("ignore")
@@ -177,9 +178,10 @@ def rows():
 
 
 @pytest.fixture(scope="module")
-def inside(rows):
+def inside(rows, cut_short):
     X, Y, flight = rows
-    return CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y, groups=flight)
+    with cut_short():
+        return CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y, groups=flight)
 
 
 class TestFunctions:

@@ -45,8 +45,8 @@ def write_flights(folder):
     data.aircraft.to_json(folder / "uav.json")
     measured = [name for name in data.train if not name.endswith("_true")]
     for name, table in data.train.groupby("flight", observed=True):
-        table[measured].iloc[1000:1700].to_csv(folder / f"{name}.csv", index=False)
-    data.test.iloc[900:1400].to_csv(folder / "test.csv", index=False)
+        table[measured].iloc[1000:1400].to_csv(folder / f"{name}.csv", index=False)
+    data.test.iloc[900:1200].to_csv(folder / "test.csv", index=False)
 
 
 @pytest.fixture(autouse=True)
@@ -67,14 +67,14 @@ def leave_report_out(patch):
 
 
 @pytest.fixture(scope="session")
-def identified(folder, common_folder):
+def identified(folder, common_folder, cut_short):
     """Return what a whole run wrote and said, but for its report, which takes longer to draw than all else."""
 
     def write(results):
         arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
         words = [*arguments, *QUICK, "--horizons", "1", "-o", str(results / "deep" / "er")]
         said = io.StringIO(), io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, redirect_stdout(said[0]), redirect_stderr(said[1]):
+        with pytest.MonkeyPatch.context() as patch, cut_short(), redirect_stdout(said[0]), redirect_stderr(said[1]):
             patch.chdir(folder)
             leave_report_out(patch)
             done = subprocess.CompletedProcess(words, main(words), *(stream.getvalue() for stream in said))

@@ -14,7 +14,7 @@ import pytest
 
 from skdgp._cli import _output, _plan, _predict, main
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import _card, _library
+from skdgp.design import _card
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
 from skdgp.identification import _identification, load_model, predict_flight, save_model
 
@@ -68,7 +68,7 @@ class TestPredict:
         np.testing.assert_array_equal(table["time"], flight["time"])
         np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
         np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
-        assert said["flights"] == {"two_altitudes": 500}
+        assert said["flights"] == {"two_altitudes": 300}
         assert said["coefficients"]["CZ"]["median_std"] == pytest.approx(np.median(std[:, 2]))
 
     def test_noise_and_parquet(self, run, model, tmp_path):
@@ -86,9 +86,9 @@ class TestPredict:
         table.to_csv(tmp_path / "holes.csv", index=False)
         assert main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")]) == 0
         said = capsys.readouterr()
-        assert "10 of 500 rows are left out" in said.err
-        assert "490 rows of flight two_altitudes" in said.out
-        assert len(pd.read_csv(tmp_path / "out.csv")) == 490
+        assert "10 of 300 rows are left out" in said.err
+        assert "290 rows of flight two_altitudes" in said.out
+        assert len(pd.read_csv(tmp_path / "out.csv")) == 290
 
     def test_a_table_of_no_known_kind(self, path, capsys):
         with pytest.raises(SystemExit) as end:
@@ -281,7 +281,7 @@ class TestSimulate:
                 "Got --climb, --bank without --trim",
             ),
             (["--flight", "test.csv"], "Got --flight without --at"),
-            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 34.9"),
+            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 29.9"),
             (["--flight", "test.csv", "--at", "25", "--duration", "99"], "lasts 99 s: give a shorter duration"),
             (["--flight", "none.csv", "--at", "25"], "Got none.csv, but there is no such file"),
             (["--trim", "350"], "There is no trim of brumby"),
@@ -357,14 +357,22 @@ class TestDerivatives:
         assert "derivatives.png" not in files(tmp_path / "out")
 
 
+@pytest.mark.usefixtures("few_manoeuvres")
 class TestPlan:
-    WORDS = ("--airspeed", "35", "--seconds", "10", "--axes", "rudder", "--altitude", "300", "--gusts", "none")
-
-    @pytest.fixture(autouse=True)
-    def few_candidates(self, monkeypatch):
-        """Let plans choose from few manoeuvres, for time."""
-        monkeypatch.setattr(_library, "WIDTHS", (1.0,))
-        monkeypatch.setattr(_library, "MULTISINES", ())
+    WORDS = (
+        "--airspeed",
+        "35",
+        "--seconds",
+        "10",
+        "--axes",
+        "rudder",
+        "--altitude",
+        "300",
+        "--gusts",
+        "none",
+        "--rate",
+        "25",
+    )
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")

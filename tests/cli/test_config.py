@@ -32,7 +32,7 @@ def config(tmp_path):
 
 
 class TestRepeat:
-    @pytest.mark.usefixtures("no_report")
+    @pytest.mark.usefixtures("no_report", "short_fits")
     def test_of_identify(self, identified, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)  # files are found from anywhere
         output, _, metrics = identified

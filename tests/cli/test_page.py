@@ -16,7 +16,20 @@ QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
     "simulate": ["--duration", ".2", "--paths", "2"],
     "derivatives": ["--paths", "4"],
-    "plan": ["--seconds", "10", "--axes", "rudder", "--limits", "rudder=0.1", "--growth", "2", "--paths", "20"],
+    "plan": [
+        "--seconds",
+        "10",
+        "--rate",
+        "25",
+        "--axes",
+        "rudder",
+        "--limits",
+        "rudder=0.1",
+        "--growth",
+        "2",
+        "--paths",
+        "20",
+    ],
 }
 
 
@@ -29,7 +42,7 @@ def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.usefixtures("hasty_fits", "no_report")
+@pytest.mark.usefixtures("hasty_fits", "few_manoeuvres", "no_report")
 def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).touch())

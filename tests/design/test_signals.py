@@ -3,16 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.design import (
-    Limits,
-    Multisine,
-    Steps,
-    chirp,
-    doublet,
-    multisine,
-    orthogonal_multisines,
-    three_two_one_one,
-)
+from skdgp.design import Limits, Multisine, Steps, chirp, doublet, multisine, orthogonal_multisines, three_two_one_one
 
 TIME = np.arange(-1.0, 40.0, 0.01)
 LIMITS = Limits(0.1, rate=0.8)
@@ -99,10 +90,7 @@ def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
     np.testing.assert_allclose(np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12))
 
 
-@pytest.mark.parametrize(
-    ("duration", "band"),
-    [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))],
-)
+@pytest.mark.parametrize(("duration", "band"), [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))])
 def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
     inputs = orthogonal_multisines(dict.fromkeys(axes, 0.1), duration, band, n_tones=8, n_starts=2)

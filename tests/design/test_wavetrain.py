@@ -5,16 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skdgp.design import (
-    Limits,
-    Wavetrain,
-    chirp,
-    doublet,
-    input_bands,
-    multisine,
-    three_two_one_one,
-    wavetrain,
-)
+from skdgp.design import Limits, Wavetrain, chirp, doublet, input_bands, multisine, three_two_one_one, wavetrain
 from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
 from skdgp.dynamics._control.linearize import Matrices
 

@@ -63,13 +63,13 @@ def uav():
 
 @pytest.fixture(scope="session")
 def regressors():
-    """Return 90 samples of eight regressors."""
+    """Return 60 samples of eight regressors."""
     low, high = np.array(list(RANGES.values())).T
-    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (90, 8)), columns=list(RANGES))
+    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (60, 8)), columns=list(RANGES))
 
 
 @pytest.fixture(scope="session")
-def fitted(regressors):
+def fitted(regressors, cut_short):
     """Return fitted pipelines by name, each fitted once."""
     shared = ConvolvedGaussian(1, private_latents=False, length_scale_bounds="spacing")
     noise = np.array([1e-3, 1e-3, 5e-3, 3e-4, 2e-3, 3e-4])
@@ -89,7 +89,8 @@ def fitted(regressors):
         regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
         model = make_pipeline(StandardScaler(), regressor)
         model[0].set_output(transform="pandas")
-        return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
+        with cut_short():
+            return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
 
     return get
 

@@ -205,10 +205,7 @@ def test_structure_is_that_of_the_standard(path, form):
 
 @pytest.mark.parametrize(
     ("options", "match"),
-    [
-        ({"form": "graph"}, "expected 'functions' or 'tables'"),
-        ({"aircraft": None}, "without an aircraft"),
-    ],
+    [({"form": "graph"}, "expected 'functions' or 'tables'"), ({"aircraft": None}, "without an aircraft")],
 )
 def test_bad_input(pipeline, uav, options, match, tmp_path):
     with pytest.raises(ValueError, match=match):

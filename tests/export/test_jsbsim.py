@@ -14,9 +14,7 @@ from skdgp.export import write_jsbsim
 from skdgp.export._gaussians import gaussian_sums
 from skdgp.export._jsbsim import SOURCES
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:Compacting to"),
-]
+pytestmark = [pytest.mark.filterwarnings("ignore:Compacting to")]
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 AIRSPEED = 25.0

@@ -14,9 +14,7 @@ from skdgp.identification import make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian
 
 pytest.importorskip("casadi", reason='plans with IPOPT: pip install "skdgp[export]"')
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from"),
-]
+pytestmark = [pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from")]
 PATHS, ALTITUDE, LIMITS, ELEVATOR = 200, 200.0, (0.16, 2.0), (-0.3, 0.3)
 DENSITY = float(standard_density(ALTITUDE))
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]

@@ -17,9 +17,9 @@ DEGREES = 180 / np.pi
 
 @pytest.fixture(scope="module")
 def flight():
-    """Return 45 s with all controls moving."""
+    """Return 36 s with all controls moving."""
     train = load_example_flights().train
-    return train[(train["flight"] == "latlon") & (train["time"] < 45)].reset_index(drop=True)
+    return train[(train["flight"] == "latlon") & (train["time"] < 36)].reset_index(drop=True)
 
 
 def scaled(factor, *names):

@@ -120,9 +120,7 @@ class TestPipeline:
         model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=regressor)
         name = f"{model.steps[-1][0]}__"
         search = GridSearchCV(
-            model,
-            {name + ("estimator__" if calibrated else "") + "trend": ["linear"]},
-            cv=LeaveOneGroupOut(),
+            model, {name + ("estimator__" if calibrated else "") + "trend": ["linear"]}, cv=LeaveOneGroupOut()
         )
         groups = {"groups": table["flight"]}
         search.fit(table, thin_targets(Y, 60), **groups, **({name + "groups": table["flight"]} if calibrated else {}))
@@ -191,16 +189,27 @@ class TestPipeline:
 def example():
     """Return short example flights: two to learn from, one to test."""
     data = load_example_flights()
-    return data.aircraft, data.train[data.train["time"] < 15], data.test[data.test["time"] < 10]
+    return data.aircraft, data.train[data.train["time"] < 15], data.test[data.test["time"] < 8]
 
 
 @pytest.fixture(scope="module")
-def result(example):
+def result(example, cut_short):
     aircraft, train, test = example
-    with pytest.warns((FewRowsWarning, ConvergenceWarning)):
-        found = identify(train, aircraft, test=test, samples=40, regressor=AVERAGE, horizons=[1.0])
+    with pytest.warns((FewRowsWarning, ConvergenceWarning)), cut_short():
+        found = identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
     assert found.metrics["flight_mechanics"]["derivatives"]
     return found
+
+
+@pytest.fixture(scope="module")
+def averaged(example, cut_short):
+    """Return what comes of tables by name and no test flight, with an average, the stages, and what was warned of."""
+    aircraft, train, _ = example
+    tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)}
+    stages = []
+    with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown, cut_short():
+        found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizons=[1.0])
+    return found, stages, shown
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +254,8 @@ class TestIdentify:
         assert result.fit["flights"] == {"lateral": 600, "latlon": 600}
         assert result.held_out is None
 
-    def test_says_the_weights_of_the_average(self, result):
+    def test_says_the_weights_of_the_average(self, averaged):
+        result = averaged[0]
         weights = result.metrics["fit"]["weights"]
         assert list(weights) == ["joint", "additive", "trend"]
         for name in COEFFICIENTS:
@@ -317,12 +327,8 @@ class TestIdentify:
         assert json.loads((folder / "metrics.json").read_text()) == result.metrics
         assert "two_altitudes" in (folder / "report.html").read_text(encoding="utf-8")
 
-    def test_takes_tables_by_name_and_holds_out_the_last(self, example):
-        aircraft, train, _ = example
-        tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)}
-        stages = []
-        with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown:
-            found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizons=[1.0])
+    def test_takes_tables_by_name_and_holds_out_the_last(self, averaged):
+        found, stages, shown = averaged
         assert found.held_out == "the last flight, latlon"
         assert list(found.fit["flights"]) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]
@@ -349,8 +355,7 @@ class TestIdentify:
 
     @pytest.mark.filterwarnings("always")
     @pytest.mark.parametrize(
-        ("regressors", "lacks"),
-        [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)],
+        ("regressors", "lacks"), [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)]
     )
     def test_an_unknown_thrust_is_part_of_the_coefficients(self, example, regressors, lacks):
         aircraft, train, test = example

@@ -67,7 +67,7 @@ class TestSymmetry:
         assert random[0].n_samples == random[1].n_samples
 
     def test_errors_of_slopes_are_of_measured_samples_in_an_average_too(self):
-        table, Y = symmetric_flight(0, n=120)
+        table, Y = symmetric_flight(0, n=60)
         model = DependentGPRegressor(n_latent=0, max_iter=3, random_state=0)
         found = [pipeline_of(NAMES, clone(model), symmetric=s).fit(table, Y)[-1] for s in (False, True)]
         assert len(found[1].weights_) == 3

@@ -124,11 +124,7 @@ class TestChoices:
         log = self.gyro(ulog(), t)
         valid = (t < 5) | (t > 6)
         log.topic(
-            "vehicle_local_position",
-            t,
-            vx=("float", np.sin(t)),
-            vy=("float", np.cos(t)),
-            v_xy_valid=("bool", valid),
+            "vehicle_local_position", t, vx=("float", np.sin(t)), vy=("float", np.cos(t)), v_xy_valid=("bool", valid)
         )
         with pytest.warns(FlightDataWarning, match=r"vx vy \(v_north v_east\) has 1 gaps"):
             table = read_flight(write("a.ulg", log), airborne=False)

@@ -16,10 +16,7 @@ DEGREE = np.pi / 180
 
 # Case of the page: files, and the columns that come of each, or words of the refusal.
 CASES = {
-    "separator": (
-        ["time,alpha\n0,.1\n.02,.2\n", "time;alpha\n0;.1\n.02;.2\n", "time\talpha\n0\t.1\n.02\t.2\n"],
-        RIGHT,
-    ),
+    "separator": (["time,alpha\n0,.1\n.02,.2\n", "time;alpha\n0;.1\n.02;.2\n", "time\talpha\n0\t.1\n.02\t.2\n"], RIGHT),
     "byte order mark, line ends": (
         ["\ufefftime,alpha\r\n0,.1\r\n.02,.2\r\n", "time,alpha\r0,.1\r.02,.2\r", "time,alpha\n0,.1\n.02,.2"],
         RIGHT,

@@ -117,7 +117,7 @@ def of_zeros(size, kind=9, width=8, array=6):
         + element(5, struct.pack("<ii", size // width, 1))
         + element(1, b"time")
     )
-    packing = zlib.compressobj(9)
+    packing = zlib.compressobj(1)
     packed = packing.compress(struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", kind, size))
     packed += b"".join(packing.compress(bytes(2**20)) for _ in range(size // 2**20)) + packing.flush()
     return HEADS[".mat"][0] + struct.pack("<II", 15, len(packed)) + packed

@@ -130,10 +130,6 @@ class TestSummary:
 
 
 class TestCommand:
-    def test_text(self, whole, capsys):
-        assert main(["inspect", str(whole)]) == 0
-        assert "vehicle_angular_velocity.xyz[0..2]" in capsys.readouterr().out
-
     def test_json(self, whole, capsys):
         assert main(["inspect", str(whole), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"

@@ -27,9 +27,7 @@ class TestFlightReview:
         return folder
 
     def test_it_is_read_as_the_log(self, folder):
-        servos = {
-            "elevator": {"channel": "actuator_outputs.output[1]", "points": [[1000, -0.5], [2000, 0.5]]},
-        }
+        servos = {"elevator": {"channel": "actuator_outputs.output[1]", "points": [[1000, -0.5], [2000, 0.5]]}}
         expected = read_flight(folder.with_suffix(".ulg"), servos=servos)
         table = read_flight(folder, servos=servos)
         pd.testing.assert_frame_equal(table, expected)

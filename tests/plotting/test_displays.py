@@ -136,7 +136,7 @@ def n_points(display):
 
 def assert_drawn(display, full):
     """Assert that a display has the panels and labels of another one, and finite limits."""
-    display.figure_.canvas.draw()
+    display.figure_.draw_without_rendering()
     panels, others = ([ax for ax in one.figure_.axes if ax.get_visible()] for one in (display, full))
     assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in panels] == [
         (ax.get_xlabel(), ax.get_ylabel()) for ax in others
@@ -168,9 +168,10 @@ class TestEveryDisplay:
         figure.canvas.draw()
         assert not right.has_data()
 
-    @pytest.mark.parametrize("corrupt", [holes, nothing, constant])
-    def test_poor_data_leave_labelled_panels(self, make, corrupt):
-        assert_drawn(make(50, Figure(), corrupt), make(50, Figure()))
+    def test_poor_data_leave_labelled_panels(self, make):
+        full = make(50, Figure())
+        for corrupt in (holes, nothing, constant):
+            assert_drawn(make(50, Figure(), corrupt), full)
 
     def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
         monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
@@ -442,11 +443,7 @@ class TestFlight:
             ({"a": flight()[["time"]]}, {"kind": "path"}, "lacks the columns 'v_north'"),
             ({"a": flight()}, {"kind": "speed"}, "expected 'inputs' or 'path'"),
             ({"a": flight()}, {"kind": "path", "color_by": "speed"}, "expected 'flight', 'altitude' or 'time'"),
-            (
-                {"a": flight().drop(columns="altitude")},
-                {"kind": "path", "color_by": "altitude"},
-                "without that column",
-            ),
+            ({"a": flight().drop(columns="altitude")}, {"kind": "path", "color_by": "altitude"}, "without that column"),
         ],
     )
     def test_says_what_is_wrong(self, flights, options, message):

@@ -13,13 +13,7 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._flights import usable_flights
 from skdgp.io import FlightReadError, read_flight
-from skdgp.preprocessing import (
-    FlightCheck,
-    FlightDataWarning,
-    FlightSmoother,
-    RegressorSelector,
-    inspect_flight,
-)
+from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother, RegressorSelector, inspect_flight
 
 STEP = 0.025
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)

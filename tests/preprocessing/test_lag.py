@@ -60,8 +60,7 @@ class TestEstimate:
         assert (lags.lag[["air", "surfaces"]].abs() < 0.01).all()
         assert (lags.applied == 0).all()
 
-    @pytest.mark.parametrize("air", [0.08, -0.08])
-    @pytest.mark.parametrize("surfaces", [0.05, -0.05, 0.0])
+    @pytest.mark.parametrize(("air", "surfaces"), [(0.08, 0.05), (0.08, -0.05), (-0.08, 0.0)])
     def test_lags_put_in_together_are_found(self, latlon, air, surfaces):
         lags = found_in(late(latlon, air=air, surfaces=surfaces))
         assert lags.lag["surfaces"] == pytest.approx(surfaces, abs=0.01)

@@ -345,11 +345,7 @@ class TestWords:
 
     @pytest.mark.parametrize(
         ("n_iter", "converged", "shown"),
-        [
-            (60, True, "60 (limit reached)"),
-            (60, False, "60 (not converged: raise max_iter)"),
-            (59, True, "59 Time"),
-        ],
+        [(60, True, "60 (limit reached)"), (60, False, "60 (not converged: raise max_iter)"), (59, True, "59 Time")],
     )
     def test_says_when_the_limit_of_iterations_was_reached(self, n_iter, converged, shown, numbers_only):
         model = ModelSummary(n_iter=n_iter, max_iter=60, converged=converged, fit_seconds=1.0)

@@ -44,7 +44,7 @@ AIRCRAFT = Aircraft(
 )
 
 
-def make_flight(n=40, seed=0, noise=0.01):
+def make_flight(n=28, seed=0, noise=0.01):
     """Return a flight of random states, and coefficients that are smooth functions of them plus noise."""
     rng = np.random.default_rng(seed)
     flight = pd.DataFrame(rng.normal(0.0, 0.1, (n, 5)), columns=["alpha", "beta", "q", "elevon_left", "elevon_right"])

@@ -92,10 +92,7 @@ def test_of_samples(run, fitted_of, words, file, tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ["--to", "portable", "--precision", "float"],
-            r"options \['precision'\] for the format portable",
-        ),
+        (["--to", "portable", "--precision", "float"], r"options \['precision'\] for the format portable"),
         (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
         (["--to", "c", "--aircraft", "no.json"], "no.json"),
     ],

@@ -198,7 +198,7 @@ class TestSimulate:
 
     def test_gusts_are_those_of_the_training_flights_unless_none_are_asked_for(self, model, tmp_path, capsys):
         pipeline, name = copy(model.pipeline), str(tmp_path / "gusty.joblib")
-        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=5.0)
+        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
         save_model(name, pipeline, model.aircraft, options=model.options)
         words, found = [name, "--trim", "35", "--duration", ".5", "--paths", "10", "--json", "-o"], []
         for more in ([], ["--gusts", "none"]):

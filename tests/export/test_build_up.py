@@ -146,8 +146,8 @@ def test_effects_are_parts_of_the_sum(built):
 
 class TestBadInput:
     def test_loss_is_refused_with_its_figure(self, fitted, uav):
-        with pytest.raises(ValueError, match=r"change by \{.*'\w+': '\d.*expected at most 0\.001"):
-            build_up(fitted("joint"), uav, max_loss=1e-3, return_std=False)
+        with pytest.raises(ValueError, match=r"change by \{.*'\w+': '\d.*expected at most 1e-06"):
+            build_up(fitted("joint"), uav, max_loss=1e-6, return_std=False)
 
     @pytest.mark.parametrize(
         ("options", "match"), [({"pairs": "beta"}, "expected 'all'"), ({"tolerance": 0.0}, "positive fractions")]

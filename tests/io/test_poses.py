@@ -228,7 +228,7 @@ def put(array, row, value):
     ("name", "change", "message"),
     [
         ("frame", lambda _: "FRD/NED", r"frame='FRD/NED', but expected one of \['NED/FRD'"),
-        ("time", lambda t: put(t, 4, t[3]), "row 4, but expected time to increase"),
+        ("time", lambda t: put(t, 4, t[3]), "at row 4 .*expected time to increase"),
         ("time", lambda t: put(t, 4, np.nan), "time that is not finite in 1 of 100 rows .the first is row 4"),
         ("time", lambda t: t[:, None], r"time of shape \(100, 1\), but expected \(100,\)"),
         ("time", lambda t: t[:5], r"position of shape \(100, 3\), but expected \(5, 3\)"),

@@ -61,8 +61,8 @@ def replay(
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
     correlation_time : float, default=0.5
-        Of the errors of the coefficients [s], whose correlation is exp(-|t - t'| / correlation_time). 0: every sample
-        anew; ``numpy.inf``: one error for a whole window, the widest bands.
+        Of the errors of the coefficients [s], whose correlation is ``exp(-|t - t'| / correlation_time)``. 0: every
+        sample anew; ``numpy.inf``: one error for a whole window, the widest bands.
     initial_std : mapping of str to float, optional
         Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).
     thrust, external_forces

@@ -207,7 +207,7 @@ class Identification:
                 n_samples=fit.get("samples"),
                 n_available=fit.get("samples_available"),
                 regressors=fit["regressors"],
-                n_latent=regressor.n_latent if coupled else 0,
+                n_latent=sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands()),
                 n_private=len(COEFFICIENTS) if coupled else 0,
                 kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "none",
                 trend=regressor.trend or "none",

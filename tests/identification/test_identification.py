@@ -372,11 +372,12 @@ class TestIdentify:
     def test_the_report_names_the_kernel_and_the_thrust(self, example):
         aircraft, train, test = example
         options = {"samples": 40, "horizons": [1.0], "regressors": ["alpha", "elevator", "throttle"], "thrust": None}
-        regressor = clone(QUICK).set_params(structure="additive")
+        regressor = clone(QUICK).set_params(structure="additive", n_latent=None)  # two shared ones, of a log
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             model = identify(train, aircraft, test=test, regressor=regressor, **options)._report_content().model
         assert model.kernel == "convolved Gaussian, one width for each regressor"
+        assert (model.n_latent, model.n_private) == (2, 6)
         assert model.correlation is not None
         assert "part of the coefficients" in model.extra["Thrust"]
 

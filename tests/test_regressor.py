@@ -361,6 +361,25 @@ class TestInterrupted:
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_a_log_is_sparse_earlier_and_searched_shorter():
+    X = np.random.default_rng(0).normal(size=(2001, 1))
+    Y = np.sin(X)
+    found = {}
+    for n, time in ((2001, None), (1200, None), (1200, 0.1), (400, 0.1)):
+        model = DependentGPRegressor(optimizer=None, n_inducing=10, structure="joint")
+        model.fit(X[:n], Y[:n], time=None if time is None else time * np.arange(n))
+        found[n, time] = model.inference_, model.max_iter_
+    assert found[2001, None] == found[1200, None] == ("exact", 150)  # searches of one output learn from 1000 values
+    assert found[1200, 0.1] == ("sparse", 60)
+    assert found[400, 0.1] == ("exact", 60)
+    Y = np.repeat(Y, 6, axis=1)
+    for n, at_most in ((250, 150), (300, 87), (900, 87)):  # 1500 and 1800 values: the time of N^3 stays
+        model = DependentGPRegressor(optimizer=None, structure="joint", inference="sparse", n_inducing=10)
+        assert at_most - 1 <= model.fit(X[:n], Y[:n]).max_iter_ <= at_most
+    assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_rounding_of_the_regressors_decides_nothing():
     """Far from an optimum a search would multiply it, and end at another one."""
     rng = np.random.default_rng(0)

@@ -95,10 +95,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         transformer, such as ``PolynomialFeatures(2)``, adds a function that is linear in its columns (``BasisTrend``).
         None: no trend and no centring.
     inference : {"auto", "exact", "sparse"}
-        "exact" uses every observed value. "sparse" learns hyperparameters from a subset and then uses all values
-        through inducing variables, in linear time and constant memory. It estimates the correlation of neighbouring
-        errors from the order of the rows, so rows must be in the order of the log. "auto" is "exact" up to 6000
-        observed values, 1000 of a log, which ``fit`` gets with ``time``. The result is in ``inference_``.
+        "exact" computes the posterior from every observed value. "sparse" computes it from all values through inducing
+        variables, in linear time and constant memory. It estimates the correlation of neighbouring errors from the
+        order of the rows, so rows must be in the order of the log. Both learn hyperparameters from at most 1800 values.
+        "auto" is "exact" up to 6000 observed values, 1000 of a log, which ``fit`` gets with ``time``. The result is in
+        ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
     input_noise : "auto", "learned", None, float, array (d,) or (d, d)

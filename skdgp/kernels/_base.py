@@ -360,6 +360,13 @@ class MultiOutputKernel(Kernel):
         """Return a parameter as an array of its full shape."""
         return np.asarray(getattr(self, name), dtype=float)
 
+    def _cached(self, name, compute):
+        """Return what ``compute()`` returned before: it depends on the parameters alone."""
+        cache = self.__dict__.setdefault("_cache", {})
+        if name not in cache:
+            cache[name] = compute()
+        return cache[name]
+
     def __setattr__(self, name, value):
         if name != "theta":  # which sets parameters in turn
             self.__dict__.pop("_cache", None)  # values derived from the parameters

@@ -146,12 +146,6 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _arrays(self):
         """Return a dict of the parameters broadcast to (M, P, ...) and of ``feeds`` (M, P)."""
-        cache = self.__dict__.setdefault("_cache", {})
-        if "arrays" not in cache:
-            cache["arrays"] = self._broadcast()
-        return cache["arrays"]
-
-    def _broadcast(self):
         if self.covariance_type not in COVARIANCE_TYPES:
             raise ValueError(f"Got covariance_type={self.covariance_type!r}, but expected one of {COVARIANCE_TYPES}.")
         if self.amplitude is None or self.length_scale is None:
@@ -200,7 +194,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return feed_matrix(self.feeds, self.n_latent, self.private_latents, P)
 
     def _value(self, name):
-        return self._arrays()[name]
+        return self._cached("arrays", self._arrays)[name]
 
     @property
     def n_outputs(self) -> int:
@@ -353,10 +347,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
 
     def free_parameters(self) -> list[FreeParameter]:
-        cache = self.__dict__.setdefault("_cache", {})
-        if "free" not in cache:
-            cache["free"] = self._free_parameters()
-        return cache["free"]
+        return self._cached("free", self._free_parameters)
 
     def _free_parameters(self):
         feeds = self._value("feeds").astype(bool)
@@ -423,16 +414,16 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _pair(self, i, j):
         """Return the latents of both outputs, gains, c, F of Sigma = F F^T (or its diagonal), and mu_i - mu_j."""
-        cache = self.__dict__.setdefault("_cache", {})
-        if (i, j) not in cache:
-            latents = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
-            w, mu = self._value("amplitude")[latents], self._value("shift")[latents]
-            if self.covariance_type == "full":
-                c, F = full_pair(*self._roots()[latents][:, [i, j]].swapaxes(0, 1))
-            else:
-                c, F = diagonal_pair(*self._value("length_scale")[latents][:, [i, j]].swapaxes(0, 1))
-            cache[i, j] = latents, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
-        return cache[i, j]
+        return self._cached((i, j), lambda: self._filters(i, j))
+
+    def _filters(self, i, j):
+        latents = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
+        w, mu = self._value("amplitude")[latents], self._value("shift")[latents]
+        if self.covariance_type == "full":
+            c, F = full_pair(*self._roots()[latents][:, [i, j]].swapaxes(0, 1))
+        else:
+            c, F = diagonal_pair(*self._value("length_scale")[latents][:, [i, j]].swapaxes(0, 1))
+        return latents, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
 
     def couples(self, i: int, j: int) -> bool:
         return len(self._pair(i, j)[0]) > 0

@@ -120,15 +120,18 @@ class Trend(MultiOutputKernel):
         return self._value("slope_scale").shape[1] + 1
 
     def _value(self, name):
-        if name == "center":
-            return np.zeros(1) if self.center is None else np.asarray(self.center, dtype=float)
+        return self._cached("arrays", self._arrays)[name]
+
+    def _arrays(self):
         if not self.has_values():
             raise ValueError(
                 f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, or let "
                 "DependentGPRegressor.fit estimate them from the data."
             )
         slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
-        return slope if name == "slope_scale" else as_shape(name, np.ravel(self.intercept_scale), (len(slope),))
+        intercept = as_shape("intercept_scale", np.ravel(self.intercept_scale), (len(slope),))
+        center = np.zeros(1) if self.center is None else np.asarray(self.center, dtype=float)
+        return {"slope_scale": slope, "intercept_scale": intercept, "center": center}
 
     def has_values(self) -> bool:
         return self.intercept_scale is not None and self.slope_scale is not None
@@ -265,6 +268,9 @@ class Trend(MultiOutputKernel):
         return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
 
     def free_parameters(self) -> list[FreeParameter]:
+        return self._cached("free", self._free_parameters)
+
+    def _free_parameters(self):
         P, K = self.n_outputs, self.n_weights - 1
         intercept, slope = np.arange(P), np.arange(P * K).reshape(P, K)
         return [

@@ -45,7 +45,8 @@ pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the er
 (tests/benchmarks/pairs.py); records of the Sport Cub, on which nothing was chosen, have errors of .165, .143, .134 and
 .104 (sportcub.py).
 """
-MOST_ROWS = 4000  # largest number of rows that weights are learned from
+MOST_ROWS, MOST_VALUES = 4000, 4000
+"""Largest numbers of rows that weights are learned from, and of values of an exact posterior, for the sake of time."""
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
 STEPS = 200  # of expectation maximisation for the weights
 
@@ -235,7 +236,7 @@ class AveragePosterior:
 
 def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from what they predict of held-out blocks."""
-    rows = np.arange(0, len(X), -(-len(X) // MOST_ROWS))
+    rows = np.arange(0, len(X), max(-(-len(X) // MOST_ROWS), -(-members[0].size // MOST_VALUES)))
     found = [held_out(*pair, X, Y, rows, loading) for pair in zip(members, noises, strict=True)]
     K, P = len(members), Y.shape[1]
     weights = np.empty((K, P))

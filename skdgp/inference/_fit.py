@@ -179,10 +179,10 @@ def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix, l
         data = fit.posterior.data
         noise, n_evaluations = noise_alone(kernel, X, Y, data)
         learned = learned._replace(noise=noise, n_evaluations=n_evaluations)
-        posterior: Any = ExactPosterior(kernel, learned.noise, data)
-        if kernel.n_processes == 0:  # its few weights are all that there is to know, so this is exact, and small
-            posterior = posterior.sparse(kernel.features(X[:1]))
-        return Fit(posterior, learned, fit.value)
+        if kernel.n_processes:
+            return Fit(ExactPosterior(kernel, noise, data), learned, fit.value)
+        # The few weights of a trend are all that there is to know, so this is exact, and small.
+        return Fit(SparsePosterior(kernel, kernel.features(X[:1]), noise, shares_of(data)), learned, fit.value)
     shares = shares_of(Data.from_table(X, Y))
     learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
     return _final_fit(learned, posterior, X, Y, inflation, value, loading)

@@ -17,6 +17,14 @@ from skdgp.kernels._features import TrendFeatures
 from skdgp.kernels._prior_paths import PathBundle, TrendPaths
 
 BASIS_STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
+SLOPE_BOUNDS = 0.05, 1e2
+"""Bounds on ``slope_scale``, over the standard deviation of the output for one of the column.
+
+With few rows the likelihood takes a weight for zero that is not, and bands become narrow. Of 60 rows in 40 regressors
+that all matter, 88 % of new values are inside 95 % bands from a least scale of 0.001, 92 % from 0.05, at an error of
+0.27 and 0.15 standard deviations. Where five matter, the error of the trend is 0.07 and 0.11, and 85 % and 94 % are
+inside (0.03: 0.09 and 93 %, but 90 % where all matter).
+"""
 
 
 def check_transformer(transformer: Any) -> None:
@@ -162,7 +170,7 @@ class Trend(MultiOutputKernel):
             "slope_scale": slope,
             "center": phi.mean(axis=0),
             "intercept_scale_bounds": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
-            "slope_scale_bounds": np.multiply.outer(unit, [1e-3, 1e2]),
+            "slope_scale_bounds": np.multiply.outer(unit, SLOPE_BOUNDS),
         }
         params = {name: start[name] if given[name] is None else given[name] for name in start}
         for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, K)), ("center", (K,))):

@@ -1,4 +1,23 @@
-"""Which rows of flights a model learns from: blocks held out, with a gap in time, and thinned targets."""
+"""Training subsets and splits of flights.
+
+Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``. Neighbouring
+samples of one flight are nearly equal, so a random split inside a flight gives scores that are too good. With a single
+flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
+
+>>> import numpy as np, pandas as pd
+>>> from sklearn.linear_model import LinearRegression
+>>> from sklearn.model_selection import LeaveOneGroupOut, cross_validate
+>>> from skdgp.metrics import SCORERS
+>>> rng = np.random.default_rng(0)
+>>> flight = pd.DataFrame({"flight": np.repeat(["a", "b", "c"], 40), "alpha": rng.normal(size=120)})
+>>> Y = pd.DataFrame({"CZ": -5 * flight.alpha, "Cm": -0.5 * flight.alpha})
+>>> scores = cross_validate(
+...     LinearRegression(), flight[["alpha"]], Y, groups=flight.flight, cv=LeaveOneGroupOut(),
+...     scoring=SCORERS["neg_normalized_rmse"],
+... )
+>>> scores["test_score"].shape
+(3,)
+"""
 
 from __future__ import annotations
 
@@ -14,6 +33,8 @@ from skdgp._compute.tables import column_names
 from skdgp._compute.typing import ArrayLike, Indices, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_rows
+
+__all__ = ["BlockSplit", "thin_targets"]
 
 MIN_BLOCK_ROWS = 3  # a hole of three rows is longer than 2.5 steps, so flight_segments splits the rest there
 

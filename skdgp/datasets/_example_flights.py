@@ -28,8 +28,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.datasets._flight_controls import ALPHA, FlightControls
-from skdgp.datasets._flight_plans import FLIGHT_PLANS, FlightPlan
+from skdgp.datasets._flight_plans import ALPHA, FLIGHT_PLANS, FlightControls, FlightPlan
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
 from skdgp.dynamics._air.air import GustyAir, LocalAir
 from skdgp.dynamics._air.dryden import dryden_gusts, low_altitude_turbulence
@@ -41,16 +40,11 @@ from skdgp.dynamics._simulation.trajectory import channels
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
-LOG_STEP = 0.025
-"""Between autopilot commands, integration steps and log rows [s]."""
-SETTLING = 8.0
-"""Flown before the log begins, so that it does not open with the transients of a guessed trim [s]."""
-FIELD_ELEVATION = 60.0
-"""Height of the ground, above which turbulence scales [m]."""
-AIRSPEED = 36.0
-"""At which the gusts are crossed [m/s]."""
-PASSES = 8
-"""Of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer."""
+LOG_STEP = 0.025  # between autopilot commands, integration steps and log rows [s]
+SETTLING = 8.0  # flown before the log begins, so that it does not open with the transients of a guessed trim [s]
+FIELD_ELEVATION = 60.0  # height of the ground, above which turbulence scales [m]
+AIRSPEED = 36.0  # at which the gusts are crossed [m/s]
+PASSES = 8  # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
 DEGREE = np.pi / 180.0
 
 SENSOR_NOISE = {

@@ -12,10 +12,8 @@ from typing import Any
 from skdgp._display.style import PALETTE, QUIET, ROLES
 
 INK = "#20242a"
-WIDTH = 4.6
-"""Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
-POINTS = 72
-"""Units of an SVG in an inch."""
+WIDTH = 4.6  # width of a panel [in]: half a desktop page, or a phone with letters still readable
+POINTS = 72  # units of an SVG in an inch
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "skdgp",

@@ -26,14 +26,12 @@ from skdgp._excitation.signals import (
     freeze,
 )
 
-POWERS = (4, 8, 16, 32, 64, 128, 256)
-"""Powers p of the norms that approach the peak in the search for phases."""
+POWERS = (4, 8, 16, 32, 64, 128, 256)  # powers p of the norms that approach the peak in the search for phases
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
 MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
 """Steps of a search for one norm, samples in all its steps together (some seconds), searches for one signal."""
-LEAST_COVERAGE = 0.7
-"""Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
+LEAST_COVERAGE = 0.7  # share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly
 
 
 @dataclass(frozen=True)

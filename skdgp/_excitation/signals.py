@@ -14,12 +14,9 @@ from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Vector
 
-EDGE = 1e-5
-"""Time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
-ROUNDING = 1e-9
-"""Relative excess of a limit that is rounding."""
-RMS_SAMPLES = 10_000
-"""Samples of a signal, for its root mean square."""
+EDGE = 1e-5  # time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded
+ROUNDING = 1e-9  # relative excess of a limit that is rounding
+RMS_SAMPLES = 10_000  # samples of a signal, for its root mean square
 RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
 """For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples at most."""
 MOST_PERIODS = RMS_SAMPLES // 2

@@ -14,8 +14,7 @@ from skdgp._excitation.signals import ROUNDING, UNLIMITED, Limits, Signal, Steps
 from skdgp._flight.checks import check_names
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
-MOST_ROWS = 1_000_000
-"""Largest number of rows of a table: five hours at 50 Hz."""
+MOST_ROWS = 1_000_000  # largest number of rows of a table: five hours at 50 Hz
 SAMPLES_PER_PERIOD = 10
 """Least number of samples in the shortest period of a signal: held for one, it is late by a twentieth of it."""
 

@@ -12,47 +12,30 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.html import DASH, THIN, figure, number, percent, table, text
-from skdgp._display.page import can_draw, render_page
+from skdgp._display.html import DASH, THIN, can_draw, figure, number, percent, render_page, symbol, table, text
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._display.svg import strip
 from skdgp._excitation.signals import Steps
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._html import (
-    GOALS,
-    MOST_LISTED,
-    by_coefficient,
-    derivative,
-    heading,
-    label_of,
-    milli,
-    name_of,
-    shown,
-    unit_of,
-)
-from skdgp.design._plan import Plan, errors_of
+from skdgp.design._information import errors_of
+from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import REACTION, RESPONSE
 
-QUICK = 0.5
-"""Shortest step that a pilot can time by counting [s]."""
+QUICK = 0.5  # shortest step that a pilot can time by counting [s]
 SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")
 """Responses that are drawn; altitude stands in the table of limits."""
-NEAR = 0.6
-"""A limit is drawn if it is nearer to the response than this part of its range."""
+NEAR = 0.6  # A limit is drawn if it is nearer to the response than this part of its range
 DIRECTIONS = {
     "elevator": ("nose down", "nose up"), "aileron": ("roll right", "roll left"), "rudder": ("nose left", "nose right"),
     "throttle": ("more power", "less power"),
 }  # fmt: skip
-SOME = 0.95
-"""Part of an error that is left, above which a manoeuvre teaches nothing worth naming."""
+SOME = 0.95  # part of an error that is left, above which a manoeuvre teaches nothing worth naming
 NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
 CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
 FLOWN = ("Flown at", "Remarks", "Signed")
-MOST_NAMED = 4
-"""Derivatives that a manoeuvre teaches which are named."""
-MOST_KINDS = 4
-"""Of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight."""
+MOST_NAMED = 4  # derivatives that a manoeuvre teaches which are named
+MOST_KINDS = 4  # of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight
 WIND_TO_GUST = 10.0
 """Wind 6 m above ground over the standard deviation of vertical gusts below 1000 ft (MIL-F-8785C, 3.7.3)."""
 MODES = (
@@ -61,6 +44,14 @@ MODES = (
     ("pauses", "FBWB or CRUISE (ArduPilot), Altitude (PX4), or by hand: back to the trim."),
 )  # fmt: skip
 """Of the autopilot, during and between the manoeuvres."""
+MOST_LISTED = 16  # derivatives in one list; more stand in a table of coefficients by regressors
+GOALS = {
+    "function": ("all coefficients", "over the flown range, each in units of its spread"),
+    "free-flight": ("free flight", "after 2 s: of alpha, beta, bank and pitch [rad]"),
+}
+"""In words: the goals that are no derivatives."""
+LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
+NO_BREAK = "\u00a0"
 
 
 def write_flight_card(
@@ -426,3 +417,58 @@ def _signed(value: float, shown: str) -> str:
 
 def _count(n: int, name: str) -> str:
     return f"{n} {name}{'' if n == 1 else 's'}"
+
+
+def label_of(name: str) -> tuple[str, float, str]:
+    """Return the words of a quantity, the factor from SI to the displayed unit, and that unit."""
+    return LABELS.get(name, (name.replace("_", " "), *display_unit(name)))
+
+
+def name_of(name: str) -> str:
+    """Return the words of a quantity."""
+    return text(label_of(name)[0])
+
+
+def unit_of(name: str) -> str:
+    """Return the displayed unit of a quantity."""
+    return text(label_of(name)[2])
+
+
+def heading(name: str, unit: bool = True) -> str:
+    """Return the head of a column."""
+    named = {"phi": "bank", "theta": "pitch"}.get(name, name_of(name))
+    return f"{named}<br>[{unit_of(name)}]" if unit and unit_of(name) else named
+
+
+def shown(name: str, value: float) -> str:
+    """Return a value in the displayed unit."""
+    _, factor, unit = label_of(name)
+    return number(factor * value, ".0f" if name == "altitude" else ".2f" if not unit else ".1f")
+
+
+def derivative(name: str) -> str:
+    """Return a derivative with its indices lowered, or another goal in words."""
+    coefficient, _, regressor = name.partition("_")
+    if not regressor:  # another goal
+        return text(GOALS[name][0])
+    return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
+
+
+def by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
+    pairs = [name.split("_", 1) for name in errors.index if "_" in name]
+    regressors = list(dict.fromkeys(second for _, second in pairs))
+    rows = []
+    for coefficient in dict.fromkeys(first for first, _ in pairs):
+        keys = [f"{coefficient}_{name}" for name in regressors]
+        values = [[milli(errors[name][key]) for name in names] if key in errors.index else [""] for key in keys]
+        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in values]
+        rows.append([symbol(coefficient), *cells])
+    return ["", *(heading(name, unit=False) for name in regressors)], rows
+
+
+def milli(value: float) -> str:
+    """Return a thousandth's number with two digits that count, never in powers of ten."""
+    if not np.isfinite(value):
+        return number(value)
+    return np.format_float_positional(float(f"{1e3 * value:.2g}"), trim="-")

@@ -19,13 +19,11 @@ OPTIONS = {
 }  # fmt: skip
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
-GROWTH = "growth of "
-"""Before the name of a limit that comes from what was flown."""
+GROWTH = "growth of "  # before the name of a limit that comes from what was flown
 BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
            "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
-WHOLE_RANGE = {"throttle": (0.0, 1.0)}
-"""Lowest and highest value that a control can have, beyond which no limit grows."""
+WHOLE_RANGE = {"throttle": (0.0, 1.0)}  # lowest and highest value that a control can have, beyond which no limit grows
 
 
 @dataclass(frozen=True)

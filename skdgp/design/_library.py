@@ -12,24 +12,18 @@ from skdgp._excitation.multisines import orthogonal_multisines
 from skdgp._excitation.signals import Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.dynamics import LinearModel
 
-DOUBLET_PEAK = 2.331
-"""Frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x."""
+DOUBLET_PEAK = 2.331  # frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x
 LONGITUDINAL, LATERAL = ("short period",), ("Dutch roll", "roll")
 """How names of the modes begin that surfaces excite; a pair that has split also has numbers."""
 MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
 MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
 MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
-BELOW, ABOVE = 0.4, 2.5
-"""The band begins at this part of the slowest mode and ends at this multiple of an oscillation."""
-WIDTHS = (1.0, 2.5)
-"""Widths of pulses, in units of the suggested one."""
-MULTISINES = (5.0, 10.0)
-"""Durations of multisines [s]."""
-TICK = 0.5
-"""Unit of time of a pilot's steps [s]."""
+BELOW, ABOVE = 0.4, 2.5  # the band begins at this part of the slowest mode and ends at this multiple of an oscillation
+WIDTHS = (1.0, 2.5)  # widths of pulses, in units of the suggested one
+MULTISINES = (5.0, 10.0)  # durations of multisines [s]
+TICK = 0.5  # unit of time of a pilot's steps [s]
 MOST_TONES = 8
-STARTS = 2
-"""Searches for the phases of a multisine."""
+STARTS = 2  # searches for the phases of a multisine
 Inputs = dict[str, Signal]
 
 

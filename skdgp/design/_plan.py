@@ -1,10 +1,13 @@
-"""Planned flights: their manoeuvres, what they will teach, and what they risk."""
+"""Planned flights: their manoeuvres, what they will teach, what they risk, and the file that says so."""
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,12 +17,12 @@ from skdgp._excitation.signals import UNLIMITED, Signal
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._information import Information
+from skdgp.design._information import Information, errors_of
 from skdgp.design._rehearsal import ROW_STEP
 from skdgp.dynamics import Aircraft, Trim
 
-SAMPLES = 20
-"""Stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most."""
+SAMPLES = 20  # stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most
+GEOMETRY = ("wing_area", "span", "chord")
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +174,80 @@ class Plan:
         return pairs[names.isin(self.goal).any(axis=1)].reset_index(drop=True)
 
 
-def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
-    """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
-    errors, covariance = information.std, information.whole_covariance
-    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
-    for name, weight in (weights or {}).items():
-        found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
-    return pd.Series(found, dtype=float)
+class Record(NamedTuple):
+    """What `Plan.to_dict` says of a plan, read again."""
+
+    aircraft: Mapping[str, Any]
+    before: Information
+    at: list[float]  # regressors about which derivatives are meant, in the order of ``before``
+    step: float  # of the inputs [s]
+    curvature: bool
+    weights: dict[str, Array]
+    errors: pd.DataFrame
+    limits: dict[str, tuple[float, float]]  # lowest and highest value; NaN: no limit
+    manoeuvres: list[dict[str, Any]]
+
+
+def read_plan(plan: Plan | str | os.PathLike[str]) -> Record:
+    """Return the record of a plan, or of the plan.json of ``python -m skdgp plan``; errors are as of `flown_plan`."""
+    if isinstance(plan, Plan):
+        return record_of(plan.to_dict())
+    if not Path(plan).is_file():
+        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
+    try:
+        found = json.loads(Path(plan).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):  # no JSON, too deep, or no text
+        found = None
+    return record_of(found, str(plan))
+
+
+def record_of(plan: Any, source: str = "a dictionary") -> Record:
+    """Return the record of what `Plan.to_dict` returns; raise ValueError if a part is missing or damaged."""
+    part = "aircraft"
+    try:
+        aircraft = plan[part]
+        _finite([aircraft[name] for name in GEOMETRY])
+        part = "known"
+        known = plan[part]
+        before = Information(_finite(known["fisher"]), tuple(known["coefficients"]), tuple(known["regressors"]))
+        errors_of(before)
+        part = "at"
+        at = _finite([plan[part][name] for name in before.regressors]).tolist()
+        part = "step"
+        if (step := float(_finite(plan[part]))) <= 0:
+            raise ValueError
+        part = "curvature"
+        curvature = bool(plan[part])
+        part = "weights"
+        weights = {name: np.asarray(value, dtype=float) for name, value in plan[part].items()}
+        told = errors_of(before, weights)
+        part = "errors"
+        errors = pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
+        told[[*errors.index]]
+        part = "limits"
+        ends = {name: (limit["low"], limit["high"]) for name, limit in plan[part].items()}
+        limits = {name: (np.nan if low is None else low, np.nan if high is None else high)
+                  for name, (low, high) in ends.items()}  # fmt: skip
+        part = "manoeuvres"
+        for one in plan[part]:
+            expected = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
+            _finite([len(one["name"]), one["duration"], one["pause"], len(expected), len(one["inputs"]) or np.nan])
+            for values in one["inputs"].values():
+                _finite(values)
+        if not plan[part]:
+            raise ValueError
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+        what = f"whose {part!r} is missing or damaged" if isinstance(plan, dict) and plan else "which is none"
+        raise ValueError(
+            f"Got {source} as the plan, {what}, but expected the plan.json that python -m skdgp plan writes: copy it "
+            "again, or plan again."
+        ) from None
+    return Record(aircraft, before, at, step, curvature, weights, errors, limits, plan["manoeuvres"])
+
+
+def _finite(values: Any) -> Array:
+    """Return numbers; raise ValueError if there is none, or one that is not finite."""
+    found = np.asarray(values, dtype=float)
+    if not (found.size and np.isfinite(found).all()):
+        raise ValueError
+    return found

@@ -17,14 +17,11 @@ from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
 from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
 
-ROW_STEP = 0.04
-"""Time between rows of a simulation, which count as independent measurements [s]."""
-ENTRY = {"phi": 0.035, "theta": 0.035}
-"""Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
+ROW_STEP = 0.04  # time between rows of a simulation, which count as independent measurements [s]
+ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of the angles from trim in which a manoeuvre begins [rad]
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """Standard deviations of the airspeed, relative to it, and of held controls, relative to their limits."""
-LEAST = 0.2
-"""Part of the limits below which a manoeuvre is left out."""
+LEAST = 0.2  # part of the limits below which a manoeuvre is left out
 RESPONSE, REACTION = 3.0, 1.0
 """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
 
@@ -32,17 +29,12 @@ RESPONSE, REACTION = 3.0, 1.0
 class Hold(NamedTuple):
     """Trimmed flight of the mean and of aircraft that are drawn, and the envelope around it."""
 
-    centre: Matrix
-    """Channels of the envelope by the mean, (n, c)."""
-    drawn: Array
-    """The same by each aircraft, (paths, n, c)."""
-    low: Vector
-    """Of the envelope, (c,)."""
+    centre: Matrix  # channels of the envelope by the mean, (n, c)
+    drawn: Array  # the same by each aircraft, (paths, n, c)
+    low: Vector  # of the envelope, (c,)
     high: Vector
-    margin: Vector
-    """Part of the response by which it may be larger, (c,)."""
-    allowed: int
-    """Paths that may leave."""
+    margin: Vector  # part of the response by which it may be larger, (c,)
+    allowed: int  # paths that may leave
 
     def response(self, values: Matrix) -> Matrix:
         """Return the deviation of channels (n, c) from trimmed flight."""
@@ -64,14 +56,10 @@ class Checked(NamedTuple):
     """What a manoeuvre risks."""
 
     risk: float
-    causes: str
-    """The limits that it leaves."""
-    flight: pd.DataFrame
-    """By the mean."""
-    paths: pd.DataFrame
-    """By aircraft that are drawn, or by the mean without a posterior."""
-    factor: float
-    """By which it may be larger, if responses grow with it."""
+    causes: str  # the limits that it leaves
+    flight: pd.DataFrame  # by the mean
+    paths: pd.DataFrame  # by aircraft that are drawn, or by the mean without a posterior
+    factor: float  # by which it may be larger, if responses grow with it
 
 
 @dataclass(eq=False)
@@ -84,8 +72,7 @@ class Rehearsal:
     limits: Mapping[str, Limits]
     envelope: Envelope
     rate: float
-    response: float
-    """Time after each manoeuvre that is flown too [s]."""
+    response: float  # time after each manoeuvre that is flown too [s]
     thrust: Any
     seed: int
 

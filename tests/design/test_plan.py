@@ -16,13 +16,13 @@ from skdgp.design import (
     Known,
     Limits,
     Pilot,
-    _goals,
+    _information,
     _library,
     doublet,
     expected_information,
     posterior_information,
 )
-from skdgp.design._plan import errors_of
+from skdgp.design._information import errors_of
 from skdgp.design._planner import pause_of
 from skdgp.design._rehearsal import Hold, Rehearsal
 from skdgp.dynamics import Aerodynamics, Turbulence, linearize, simulate, trim
@@ -280,7 +280,7 @@ def test_the_goal_decides_what_is_learned_best(model, uav):
 
 
 def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(model, uav):
-    weights = _goals.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)["function"]
+    weights = _information.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)["function"]
     rows = np.random.default_rng(1).uniform(*model.limits, size=(3000, 8))
     variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
     expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))
@@ -299,7 +299,7 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
     ]
     names = ["alpha", "beta", "phi", "theta"]
     moved = (ends[0][names].iloc[-1] - ends[1][names].iloc[-1]) / 2e-4
-    found = _goals._growth(model, uav, point, "auto")[k]
+    found = _information._growth(model, uav, point, "auto")[k]
     assert np.sqrt(found) == pytest.approx(np.sqrt((moved**2).mean()), rel=0.02)
 
 

@@ -59,7 +59,7 @@ class DerivativeDisplay(Display):
     truth: Matrix | None = None
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
-        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
+        """Draw the panels; see :mod:`skdgp.plotting`."""
         level = check_level(level)
         at = self.at * display_unit(self.over)[0]
 
@@ -72,10 +72,8 @@ class DerivativeDisplay(Display):
             tidy(ax)
             return line, band, known
 
-        keys, label = range(len(self.names)), axis_label(self.over)
-        artists = self._draw_panels(
-            ax, draw, keys, min(3, len(keys)), (3.2, 1.9), xlabel=label, legend=legend, sharex=True
-        )
+        keys, options = range(len(self.names)), {"xlabel": axis_label(self.over), "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, keys, min(3, len(keys)), (3.2, 1.9), **options)
         self.lines_, self.bands_, self.truth_ = artists
         return self
 

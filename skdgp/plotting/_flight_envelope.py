@@ -136,22 +136,13 @@ class EnvelopeDisplay(Display):
 
     @classmethod
     def compute(cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16) -> Self:
-        """Compute the uncertainty of a fitted estimator around its data, without drawing it.
+        """Compute the uncertainty of a fitted estimator around its training data X, without drawing it.
 
-        Parameters
-        ----------
-        estimator : fitted estimator or Pipeline
-            A pipeline with a ``RegressorSelector``, or an estimator fitted on a DataFrame of regressors. It ends in a
-            ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``.
-        X : DataFrame (n, ...)
-            Training data of the pipeline or estimator.
-        flight : DataFrame (m, ...), optional
-            Another flight like X to draw.
-        pairs : list of (name, name), optional
-            Regressors of the panels; default: alpha with beta, elevator and q, beta with r and rudder, p with aileron,
-            where present, or else neighbouring columns.
-        n_grid : int, default=16
-            Points of the grid along each axis.
+        The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of regressors; it ends in
+        a ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``. X and ``flight``, another one
+        to draw, are tables like its training data. The regressors of the panels, ``pairs``, are by default alpha with
+        beta, elevator and q, beta with r and rudder, p with aileron, where present, or else neighbouring columns. Grids
+        have ``n_grid`` points along each axis.
         """
         selection, scaling, last = _split_steps(estimator)
         flown, path = (

@@ -92,8 +92,8 @@ class TrajectoryDisplay(Display):
             tidy(ax)
             return line, band, truth, self._mark_beyond(ax)
 
-        keys, label = range(len(self.names)), "time [s]"
-        artists = self._draw_panels(ax, draw, keys, 2, (5, 1.7), xlabel=label, legend=legend, sharex=True)
+        options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, range(len(self.names)), 2, (5, 1.7), **options)
         self.lines_, self.bands_, self.truth_, self.beyond_ = artists
         if legend:
             first = self.axes_.flat[0]
@@ -121,19 +121,9 @@ class TrajectoryDisplay(Display):
     ) -> Self:
         """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
-        Parameters
-        ----------
-        trajectories : DataFrame
-            One trajectory, or the paths of one start (column ``path``).
-        truth, mean : DataFrame, optional
-            The recorded flight, interpolated to the times of the simulation; and, beside paths, the trajectory that the
-            mean of the model flies: the line.
-        start : optional
-            Start to draw, where there are several; by default the first.
-        columns : names
-            Columns to draw.
-        **plot_options
-            See :meth:`plot`.
+        ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start`` is the one to draw,
+        by default the first. ``truth`` is the recorded flight, interpolated to the times of the simulation. ``mean``,
+        beside paths, is the trajectory that the mean of the model flies, the line.
         """
         names = list(columns)
         check_columns(trajectories, ["time", *names], what="trajectory")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from importlib.resources import files
 from numbers import Real
 from typing import Any
 
@@ -69,21 +70,7 @@ TRUTH = (
     *("u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS),
 )
 
-DESCR = """\
-Example flights: a simulated Brumby-like UAV
---------------------------------------------
-A 45 kg cropped delta with two elevons, a rudder and a pusher propeller, span 2.8 m, about 36 m/s, flown by an
-autopilot through steady wind and Dryden turbulence (MIL-F-8785C) while doublets, 3-2-1-1s and multisines excite
-it. Nonlinear aerodynamics: vortex lift and its breakdown, dihedral effect and damping that change with alpha,
-elevons that saturate and so couple elevator and aileron. 40 Hz, SI units, radians.
-
-train  flight "lateral": one altitude, aileron and rudder excited; flight "latlon": elevator and throttle too.
-test   flight "two_altitudes": another path, another wind, more turbulence, a climb of 75 m.
-
-Plain columns are what sensors saw, with white noise (airspeed 0.3 m/s, vanes and attitude 0.3 deg, rates
-0.002 rad/s, accelerations 0.05 m/s2, ground velocity 0.1 m/s, position 0.5 m); surfaces, throttle, propeller
-speed, thrust, altitude and density are known. Columns ending in _true are noise-free: score with them, never fit.
-"""
+DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
 
 
 @validate_params(
@@ -97,8 +84,8 @@ speed, thrust, altitude and density are known. Columns ending in _true are noise
 def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.
 
-    Nothing is downloaded: `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the
-    same process. The aircraft, its equations and the manoeuvres are described in docs/example_flights.md.
+    `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the same process. The aircraft,
+    its equations and the manoeuvres are described in docs/example_flights.md.
 
     Parameters
     ----------
@@ -135,13 +122,9 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
         seed = check_random_state(seed).randint(np.iinfo(np.int32).max)
     train, test = _flights(int(seed), float(turbulence), float(sensor_noise))
     return Bunch(
-        train=train.copy(),
-        test=test.copy(),
-        aircraft=BRUMBY,
-        aerodynamics=brumby_coefficients,
-        regressor_names=list(REGRESSORS),
-        DESCR=DESCR,
-    )
+        train=train.copy(), test=test.copy(), aircraft=BRUMBY, aerodynamics=brumby_coefficients,
+        regressor_names=list(REGRESSORS), DESCR=DESCR,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=2)
@@ -188,9 +171,6 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
     """
     measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis([*SENSOR_NOISE], axis=1)
     return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(measured.shape)
-
-
-# -- simulation --------------------------------------------------------------------------------------------------
 
 
 def brumby_motion() -> Motion:

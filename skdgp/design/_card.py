@@ -23,9 +23,8 @@ from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import REACTION, RESPONSE
 
 QUICK = 0.5  # shortest step that a pilot can time by counting [s]
-SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")
-"""Responses that are drawn; altitude stands in the table of limits."""
-NEAR = 0.6  # A limit is drawn if it is nearer to the response than this part of its range
+SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")  # responses that are drawn; altitude stands in the table
+NEAR = 0.6  # a limit is drawn if it is nearer to the response than this part of its range
 DIRECTIONS = {
     "elevator": ("nose down", "nose up"), "aileron": ("roll right", "roll left"), "rudder": ("nose left", "nose right"),
     "throttle": ("more power", "less power"),
@@ -59,10 +58,10 @@ def write_flight_card(
 ) -> Path:
     """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
-    First come the crew's pages: who flies when, in which wind and gusts, how to trim and to enter, in which mode of the
-    autopilot, when to abort, the order of the manoeuvres, and their risk and that of the flight. A page for each kind
-    of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps; the responses expected of 95 %
-    of the aircraft drawn; and its risk. The last page is the engineer's: what the flight teaches.
+    The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort limits, the order of the
+    manoeuvres, and the risks. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly
+    them, as steps; the responses expected of 95 % of the aircraft drawn; and its risk. The last page is the engineer's:
+    what the flight teaches.
 
     Parameters
     ----------
@@ -125,56 +124,50 @@ def _fields(names: Sequence[str]) -> str:
     return f'<div class="sign">{"".join(f"<p>{name}</p>" for name in names)}</div>'
 
 
+def _tiles(*tiles: tuple[str, str]) -> str:
+    return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+
+
 def _headline(plan: Plan) -> str:
     rows = plan.manoeuvres
-    tiles = [
+    return _tiles(
         (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
         (f"{len(rows)}", "manoeuvres, one after another" if len(rows) > 1 else "manoeuvre"),
         (percent(plan.risk) + "<small>%</small>", "risk of the flight: that any manoeuvre leaves a limit"),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre"),
-    ]
-    return _tiles(tiles)
-
-
-def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
-    return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+    )
 
 
 def _go(plan: Plan) -> str:
     """Return in which wind and gusts the flight may begin."""
+    caption = "When the flight may begin. Risks and expected responses are those "
     if plan.gusts is None:
         rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
+        caption += "of calm air."
     else:
         wind, swing = (f"{number(v, '.1f')}{THIN}m/s" for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0]))
         rows = [
             [f"wind 6{THIN}m above ground", f"at most {wind}", "above"],
             ["airspeed in trimmed flight, hands off", f"within ±{swing} for 10{THIN}s", "beyond"],
         ]
-    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
-    caption = "When the flight may begin. Risks and expected responses are those "
-    if plan.gusts is None:
-        caption += "of calm air."
-    else:
         along, across, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
-        caption += f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: "
-        caption += f"below 300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller "
-        caption += "than this."
+        caption += (
+            f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: below "
+            f"300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller than this."
+        )
+    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
     return f"<section><h2>Go or no-go</h2>{table(['', 'go', 'no-go'], rows, caption=caption)}</section>"
 
 
 def _entry(plan: Plan) -> str:
-    axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
-    head = ["", *map(heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
+    states = ("airspeed", "altitude", "phi", "alpha", "theta")
+    axes = dict.fromkeys(axis for one in plan.trims for axis in one.controls)
+    head = ["", *map(heading, (*states, *axes)), "pause<br>[s]"]
     pauses = plan.manoeuvres.groupby("train")["start"].first()
-    rows = [
-        [
-            _train(plan, k),
-            *(shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
-            *(shown(name, one.controls.get(name, np.nan)) for name in axes),
-            number(pauses[k], ".1f"),
-        ]
-        for k, one in enumerate(plan.trims)
-    ]
+    rows = []
+    for k, one in enumerate(plan.trims):
+        values = {name: getattr(one, name) for name in states} | {name: one.controls.get(name, np.nan) for name in axes}
+        rows.append([_train(plan, k), *(shown(*item) for item in values.items()), number(pauses[k], ".1f")])
     steps = (
         "<li>Trim at the values of the table, hands off, for the pause.</li>"
         "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
@@ -191,8 +184,9 @@ def _entry(plan: Plan) -> str:
 def _order(plan: Plan) -> str:
     head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>deflection allowed]", "risk [%]", "flown"]
     rows: list[list[str]] = []
+    begins = ~plan.manoeuvres["train"].duplicated()
     for k, row in enumerate(plan.manoeuvres.to_dict("records")):
-        if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
+        if len(plan.trims) > 1 and begins.iloc[k]:
             rows.append([_train(plan, row["train"])])
         numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
         rows.append([f"{k + 1}. {text(row['name'])}", *numbers, percent(row["risk"]), "☐"])
@@ -252,24 +246,15 @@ def _teaching(plan: Plan) -> str:
     others = [name for name in plan.goal if name not in GOALS]
     what = text(" and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])]))
     tile = (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {what} is left (geometric mean)")
-    tiles = _tiles([tile if known else ("new", f"nothing was known of {what}")])
-    if len(errors) <= MOST_LISTED:
-        known = np.isfinite(errors["before"]) & (errors["before"] > 0)
-        rows = [
-            [derivative(str(name)), *map(milli, row.drop("left")), percent(row["left"], ".0f")]
-            for name, row in errors.assign(left=(errors["after"] / errors["before"]).where(known)).iterrows()
-        ]
-        head = ["", *errors.rename(columns={"std": "std now"}), "left [%]"]
-        caption = (
-            f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if plan.merged else ''}"
-        )
-        caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
-        shown = table(head, rows, caption=caption, classes="narrow")
-    else:
-        head, rows = by_coefficient(errors, ("after", "before", *(["std"] if plan.merged else [])))
-        caption = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
-        caption += f", and std now{NAMED}." if plan.merged else "."
-        shown = table(head, rows, caption=caption)
+    tiles = _tiles(tile if known else ("new", f"nothing was known of {what}"))
+    left = (errors["after"] / errors["before"]).where(np.isfinite(errors["before"]) & (errors["before"] > 0))
+    now = {"std": "std now"} if plan.merged else {}
+    of_list = f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if now else ''}"
+    of_list += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
+    of_grid = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
+    of_grid += f", and std now{NAMED}." if now else "."
+    heads = {"before": "before", "after": "after"} | now | {"left": "left [%]"}
+    shown = error_table(errors.assign(left=left), heads, ("after", "before", *now), of_list, of_grid)
     pairs = plan.confounded
     if len(pairs):
         named = [
@@ -454,17 +439,28 @@ def derivative(name: str) -> str:
     return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
 
 
-def by_coefficient(errors: pd.DataFrame, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """Return heads and rows of a table of coefficients by regressors; all names but the first stand in grey."""
+def error_table(
+    errors: pd.DataFrame, heads: Mapping[str, str], inside: Sequence[str], of_list: str, of_grid: str
+) -> str:
+    """Return standard errors as a list of derivatives, or many as a table of coefficients by regressors.
+
+    The cells of that hold the columns ``inside``, all but the first in grey. The last two are the captions of either.
+    """
+    if len(errors) <= MOST_LISTED:
+        rows = [
+            [derivative(str(name)), *(percent(row[key], ".0f") if key == "left" else milli(row[key]) for key in heads)]
+            for name, row in errors.iterrows()
+        ]
+        return table(["", *heads.values()], rows, caption=of_list, classes="narrow")
     pairs = [name.split("_", 1) for name in errors.index if "_" in name]
     regressors = list(dict.fromkeys(second for _, second in pairs))
     rows = []
     for coefficient in dict.fromkeys(first for first, _ in pairs):
         keys = [f"{coefficient}_{name}" for name in regressors]
-        values = [[milli(errors[name][key]) for name in names] if key in errors.index else [""] for key in keys]
+        values = [[milli(errors[name][key]) for name in inside] if key in errors.index else [""] for key in keys]
         cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in values]
         rows.append([symbol(coefficient), *cells])
-    return ["", *(heading(name, unit=False) for name in regressors)], rows
+    return table(["", *(heading(name, unit=False) for name in regressors)], rows, caption=of_grid)
 
 
 def milli(value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -36,12 +36,10 @@ class Envelope:
 
     Parameters
     ----------
-    alpha, beta, load_factor : tuple of float, optional
-        Lowest and highest [rad], and of -az / g.
+    alpha, beta, load_factor, airspeed : tuple of float, optional
+        Lowest and highest [rad], of -az / g, [m/s].
     bank : float, optional
         Largest, to either side [rad].
-    airspeed : tuple of float, optional
-        Lowest and highest [m/s].
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
@@ -95,12 +93,12 @@ class Envelope:
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
-        given = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
-        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
+        given: dict[str, Any] = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
         if "bank" in given:
-            found["bank"] = (-given["bank"], given["bank"])
+            given["bank"] = (-given["bank"], given["bank"])
         if "altitude" in given:
-            found["altitude"] = (given["altitude"], np.inf)
+            given["altitude"] = (given["altitude"], np.inf)
+        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
         if np.isfinite(self.growth):
             ranges = {name: pair for name, pair in flown_quantities(model).items() if name not in given}
             if model.limits is not None:
@@ -128,10 +126,7 @@ class Envelope:
     def left(
         self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics, more: Matrix | float = 0.0
     ) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``.
-
-        ``more`` (n, c) is added to its channels.
-        """
+        """Return which limits each row of a flight leaves, with ``more`` (n, c) added; ``ended``: it ended early."""
         low, high = np.array([*self.bounds(model).values()]).T
         values = self.channels(flight, aircraft, model) + more
         return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")

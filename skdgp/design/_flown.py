@@ -18,7 +18,7 @@ from skdgp._display.html import DASH, THIN, number, percent, table, text
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments
-from skdgp.design._card import MOST_LISTED, by_coefficient, derivative, heading, milli, shown
+from skdgp.design._card import error_table, heading, shown
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import (
     Information,
@@ -78,21 +78,15 @@ class FlownPlan:
 
     def section(self) -> str:
         """Return its section of the report on the flight, HTML."""
-        names = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
-        errors = self.errors
-        if len(errors) <= MOST_LISTED:
-            rows = [[derivative(str(name)), *(milli(row[key]) for key in names)] for name, row in errors.iterrows()]
-            head, classes, each = ["", *names.values()], "narrow", ""
-        else:
-            (head, rows), classes = by_coefficient(errors, ("found", "expected", "before")), ""
-            each = " Each cell: found and, in grey, expected and before."
+        heads = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
         caption = (
             "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from "
             "what the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this "
             "flight only if it learned from it. Geometric mean, of those before: "
         )
-        caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in self.remaining.items())
-        tables = table(head, rows, caption=f"{caption}.{each}", classes=classes)
+        caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in self.remaining.items()) + "."
+        each = f"{caption} Each cell: found and, in grey, expected and before."
+        tables = error_table(self.errors, heads, ("found", "expected", "before"), caption, each)
         rows = [
             [
                 f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",

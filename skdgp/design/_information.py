@@ -39,7 +39,7 @@ class Information:
     r"""Fisher information about the derivatives of P named coefficients by d named regressors.
 
     ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of each coefficient, and
-    of its curvature if that is estimated too. The information of several flights is their sum: ``first + second``.
+    of its curvature if that is estimated too. Several flights have their sum: ``first + second``.
     """
 
     fisher: Array
@@ -82,11 +82,10 @@ class Information:
         return pd.DataFrame(values, index=self.regressors, columns=self.regressors)
 
     def confounded(self, least: float = 0.7) -> pd.DataFrame:
-        """Return the pairs of regressors that the flight does not tell apart.
+        """Return the pairs of regressors that the flight does not tell apart, the strongest correlation first.
 
-        They are the rows ``coefficient``, ``first``, ``second``, ``correlation`` of a table, the strongest first:
-        ``least`` is the least correlation, positive or negative, between the errors of their derivatives. Derivatives
-        that are not determined at all have an infinite `std`; they are in no pair.
+        A table of ``coefficient``, ``first``, ``second``, ``correlation``; ``least`` is the least correlation, of
+        either sign, between errors of derivatives. Those that are not determined at all are in no pair.
         """
         tables = {name: self.correlation(name) for name in self.coefficients}
         pairs = [*combinations(self.regressors, 2)]
@@ -113,19 +112,18 @@ def expected_information(
     are not included.
 
     With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then
-    those of the derivatives at this point by a polynomial of second order. Where manoeuvres and gusts take the aircraft
-    far from the trim, derivatives of a linear function scatter with the curvature, more than predicted.
+    those of the derivatives at this point. Far from the trim, derivatives of a linear function scatter with the
+    curvature, more than predicted.
 
     Parameters
     ----------
     flight : DataFrame
-        As of :func:`skdgp.dynamics.simulate`: ``time``, airspeed, states, controls. With a column ``flight`` several.
-        Its rows are those of the log: white noise counts for each.
+        As of :func:`skdgp.dynamics.simulate`; with a column ``flight`` several. Its rows are those of the log: white
+        noise counts for each.
     aircraft : Aircraft
         For the lengths of non-dimensional rates.
     regressors : sequence of str
-        Such as ``alpha``, ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight
-        lacks them.
+        Such as ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight lacks them.
     noise : mapping of str to float, or DataFrame
         Standard deviation of the white noise of each coefficient; or a table with the coefficients as index and the
         columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as `coefficient_noise` returns.
@@ -159,7 +157,7 @@ def expected_information(
     noise = noise_table(noise)
     check_columns(noise, ("white", "drift", "memory"), what="noise")
     check_columns(table := check_table(flight), ["time"])
-    white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
+    white, drift, memory = noise[["white", "drift", "memory"]].to_numpy(float).T
     if not (len(noise) and len(regressors)):
         raise ValueError(
             f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at least one of each."
@@ -188,10 +186,9 @@ def expected_information(
 def coefficient_noise(model: Any) -> pd.DataFrame:
     """Return the noise of coefficients that a fitted model has found: ``white``, ``drift`` and ``memory`` [s] of each.
 
-    The model is a `DependentGPRegressor` or a pipeline that ends with it; fitted with ``time`` it knows the drift, else
-    all noise is white. A pipeline of :func:`skdgp.identification.identify` has the noise of its flights at the
-    frequencies of their motion, see :func:`skdgp.identification.flight_noise`. The first two are standard deviations.
-    Raises ValueError if the model has no noise, or is not fitted.
+    The first two are standard deviations. The model is a `DependentGPRegressor`, fitted with ``time`` to know the
+    drift, or a pipeline that ends with it; one of :func:`skdgp.identification.identify` has the noise of its flights
+    (:func:`skdgp.identification.flight_noise`). Raises ValueError if the model has no noise, or is not fitted.
 
     Examples
     --------
@@ -216,14 +213,9 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
         )
     drift, memory = regressor.drift_variance_, regressor.drift_memory_
     total = regressor.noise_variance_ + regressor.misfit_variance_  # the drift contains misfit
-    return pd.DataFrame(
-        {
-            "white": np.sqrt(np.maximum(total - drift, 0.0)),
-            "drift": np.sqrt(drift),
-            "memory": np.where(drift > 0, memory, 1.0),
-        },
-        index=list(regressor.output_names_),
-    )
+    white, memory = np.sqrt(np.maximum(total - drift, 0.0)), np.where(drift > 0, memory, 1.0)
+    columns = {"white": white, "drift": np.sqrt(drift), "memory": memory}
+    return pd.DataFrame(columns, index=list(regressor.output_names_))
 
 
 def noise_table(noise: Mapping[str, float] | pd.DataFrame) -> pd.DataFrame:
@@ -294,10 +286,9 @@ def _inverse(fisher: Matrix) -> Matrix:
 def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
     r"""Return what a model knows of its derivatives: the inverse of the covariance of their errors.
 
-    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). The errors are those of
-    :func:`skdgp.dynamics.stability_derivatives` without what is merged: of the posterior, and of a model learned from
-    flights also ``std_random`` and ``std_method``. Its standard errors are ``std_unmerged`` there. Raises ValueError if
-    the model has no posterior covariance.
+    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). Standard errors are
+    ``std_unmerged`` of :func:`skdgp.dynamics.stability_derivatives`. Raises ValueError if the model has no posterior
+    covariance.
 
     Examples
     --------

@@ -48,22 +48,18 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     >>> from skdgp.design import input_bands
     >>> from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
     >>> def linear(X):
-    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
-    ...     lift = 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
-    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
-    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
-    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-    >>> model = Aerodynamics(linear, names)
+    ...     alpha, q, elevator = X.T
+    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
+    >>> model = Aerodynamics(linear, ["alpha", "q_hat", "elevator"])
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> bands = input_bands(linearize(model, aircraft, trim(model, aircraft, 20.0)))
-    >>> bands.loc["aileron"].round(2)
-    frequency                  4.98
-    doublet_width              0.47
-    three_two_one_one_width    0.32
-    lowest                     0.32
-    highest                    3.11
-    Name: aileron, dtype: float64
+    >>> input_bands(linearize(model, aircraft, trim(model, aircraft, 20.0), inputs=["elevator"])).T.round(2)
+                             elevator
+    frequency                   10.12
+    doublet_width                0.23
+    three_two_one_one_width      0.16
+    lowest                       0.64
+    highest                      4.03
     """
     table = linear.modes()
     rows = {}

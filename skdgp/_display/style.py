@@ -16,18 +16,11 @@ from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
 # Okabe & Ito (2008), Color Universal Design.
 PALETTE = {
-    "blue": "#0072B2",
-    "vermillion": "#D55E00",
-    "green": "#009E73",
-    "purple": "#CC79A7",
-    "sky": "#56B4E9",
-    "orange": "#E69F00",
-    "yellow": "#F0E442",
-    "grey": "#8A8A8A",
-}
+    "blue": "#0072B2", "vermillion": "#D55E00", "green": "#009E73", "purple": "#CC79A7", "sky": "#56B4E9",
+    "orange": "#E69F00", "yellow": "#F0E442", "grey": "#8A8A8A",
+}  # fmt: skip
 CYCLE = tuple(PALETTE.values())[:6]
-QUIET = "#5F6973"
-"""Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
+QUIET = "#5F6973"  # of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)
 MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 
@@ -43,8 +36,6 @@ _SYMBOLS = {
     "airspeed": "V",
     "altitude": "h",
 }
-
-
 _UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 

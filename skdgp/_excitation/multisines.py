@@ -150,7 +150,8 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
     With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE Trans. Inf. Theory 16,
-    1970). `Multisine.optimized` finds better ones.
+    1970). `Multisine.optimized` finds better ones. Raises ValueError if harmonics are not distinct integers > 0, the
+    rms is not > 0, or a limit is exceeded.
 
     Parameters
     ----------
@@ -165,11 +166,6 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
     Returns
     -------
     Multisine
-
-    Raises
-    ------
-    ValueError
-        If harmonics are not distinct integers > 0, the rms is not > 0, or a limit is exceeded.
 
     Examples
     --------
@@ -197,7 +193,8 @@ def orthogonal_multisines(
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700);
     those of an axis are evenly spaced where that covers most of the band, since peaks are then lower.
-    Phases are those of `Multisine.optimized`: each input begins and ends at zero.
+    Phases are those of `Multisine.optimized`: each input begins and ends at zero. Raises ValueError if there are fewer
+    harmonics in the band than tones, or no axis.
 
     Parameters
     ----------
@@ -215,11 +212,6 @@ def orthogonal_multisines(
     Returns
     -------
     dict of str to Multisine
-
-    Raises
-    ------
-    ValueError
-        If there are fewer harmonics in the band than tones, or no axis.
 
     Examples
     --------

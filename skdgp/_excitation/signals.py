@@ -305,7 +305,7 @@ def chirp(
 
     The frequency is :math:`f_0 (f_1 / f_0)^{t/T}`, the same time in each octave, or linear in time (Klein & Morelli,
     Aircraft System Identification, 2006, chapter 9; Tischler & Remple, Aircraft and Rotorcraft System Identification,
-    2012, chapter 5).
+    2012, chapter 5). Raises ValueError if the duration is too short for the band, or a limit is exceeded.
 
     Parameters
     ----------
@@ -322,11 +322,6 @@ def chirp(
     Returns
     -------
     Chirp
-
-    Raises
-    ------
-    ValueError
-        If the duration is too short for the band, an argument is not one of these, or a limit is exceeded.
 
     Examples
     --------

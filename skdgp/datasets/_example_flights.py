@@ -49,14 +49,10 @@ PASSES = 8  # of the fixed point of alpha_dot and beta_dot in the truth; each br
 DEGREE = np.pi / 180.0
 
 SENSOR_NOISE = {
-    "airspeed": 0.3,
-    **dict.fromkeys(("alpha", "beta"), 0.3 * DEGREE),
-    **dict.fromkeys(RATES, 0.002),
-    **dict.fromkeys(SPECIFIC_FORCE, 0.05),
-    **dict.fromkeys(EULER, 0.3 * DEGREE),
-    **dict.fromkeys(("north", "east"), 0.5),
+    "airspeed": 0.3, "alpha": 0.3 * DEGREE, "beta": 0.3 * DEGREE, **dict.fromkeys(RATES, 0.002),
+    **dict.fromkeys(SPECIFIC_FORCE, 0.05), **dict.fromkeys(EULER, 0.3 * DEGREE), "north": 0.5, "east": 0.5,
     **dict.fromkeys(EARTH_VELOCITY, 0.1),
-}
+}  # fmt: skip
 """Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit, GPS."""
 MEASURED = (
     "time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
@@ -73,13 +69,11 @@ TRUTH = (
 DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
 
 
+FACTOR = [Interval(Real, 0, None, closed="left")]
+
+
 @validate_params(
-    {
-        "random_state": ["random_state"],
-        "turbulence": [Interval(Real, 0, None, closed="left")],
-        "sensor_noise": [Interval(Real, 0, None, closed="left")],
-    },
-    prefer_skip_nested_validation=True,
+    {"random_state": ["random_state"], "turbulence": FACTOR, "sensor_noise": FACTOR}, prefer_skip_nested_validation=True
 )
 def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.

@@ -106,12 +106,8 @@ class FlownPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {
-            "remaining": self.remaining,
-            "errors": self.errors.to_dict("index"),
-            "manoeuvres": self.manoeuvres.to_dict("records"),
-            "missed": self.missed,
-        }
+        errors, manoeuvres = self.errors.to_dict("index"), self.manoeuvres.to_dict("records")
+        return {"remaining": self.remaining, "errors": errors, "manoeuvres": manoeuvres, "missed": self.missed}
 
 
 class Match(NamedTuple):
@@ -134,6 +130,9 @@ def flown_plan(
 ) -> FlownPlan:
     """Return what a plan expected beside what was found in flights.
 
+    Raises FileNotFoundError if there is no such file, ValueError if it is no plan, the plan is of another aircraft or
+    of other regressors, a column lacks, or no manoeuvre was flown.
+
     Parameters
     ----------
     plan : Plan or path
@@ -149,14 +148,6 @@ def flown_plan(
     -------
     FlownPlan
         Among the ``supplements`` of an Identification it is part of its report.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If the file is no plan, the plan is of another aircraft or of other regressors, a column lacks, or no
-        manoeuvre was flown.
     """
     record = read_plan(plan)
     first = pipeline[: list(pipeline.named_steps).index("regressorselector")]
@@ -170,12 +161,11 @@ def flown_plan(
 def compare_with_plan(
     plan: Record, flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
 ) -> FlownPlan:
-    """Return what a plan expected beside what was found in recorded flights.
+    """Return what a plan expected beside what was found in recorded flights; errors are as of `flown_plan`.
 
     They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope limits, and the
     regressors. The noise is as of `coefficient_noise`, ``model`` what the model that is judged knows at the plan's
-    trims. Raises ValueError if the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre
-    was flown.
+    trims.
     """
     planned, before = plan.aircraft, plan.before
     for name in GEOMETRY:

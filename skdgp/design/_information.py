@@ -115,6 +115,9 @@ def expected_information(
     those of the derivatives at this point. Far from the trim, derivatives of a linear function scatter with the
     curvature, more than predicted.
 
+    Raises ValueError if the flight lacks a column or a value, its time does not increase, a coefficient has no noise,
+    or nothing is asked.
+
     Parameters
     ----------
     flight : DataFrame
@@ -133,12 +136,6 @@ def expected_information(
     Returns
     -------
     Information
-
-    Raises
-    ------
-    ValueError
-        If the flight lacks a column or a value, its time does not increase, a coefficient has no noise, or nothing is
-        asked.
 
     Examples
     --------

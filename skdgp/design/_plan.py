@@ -142,17 +142,12 @@ class Plan:
             "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
-            "at": dict(self.at),
-            "step": step,
-            "manoeuvres": rows,
-            "risk": self.risk,
-            "gusts": self.gusts,
-            "limits": self.limits.to_dict("index"),
-            "errors": self.errors.to_dict("index"),
+            "at": dict(self.at), "step": step, "manoeuvres": rows, "risk": self.risk, "gusts": self.gusts,
+            "limits": self.limits.to_dict("index"), "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),
             "weights": {name: value.tolist() for name, value in self.weights.items()},
             "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
-        }
+        }  # fmt: skip
 
     @property
     def abort_limits(self) -> pd.DataFrame:

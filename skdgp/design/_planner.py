@@ -148,6 +148,10 @@ def plan(
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
 
+    Raises ValueError if there is no trim, the trim has not an axis, the model has not a regressor of the goal or did
+    not see it move, no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+    Warns if the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
+
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
@@ -161,9 +165,8 @@ def plan(
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
         Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
-        error of the six coefficients over the flown range of the regressors, each in units of its spread there;
-        "free-flight": the deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all
-        derivatives.
+        error of the six coefficients over the flown range, each in units of its spread there; "free-flight": the
+        deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all derivatives.
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
@@ -185,32 +188,19 @@ def plan(
     -------
     Plan
 
-    Raises
-    ------
-    ValueError
-        If there is no trim, the trim has not an axis, the model has not a regressor of the goal or did not see it move,
-        no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
-
-    Warns
-    -----
-    UserWarning
-        If the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
-
     Examples
     --------
     >>> import numpy as np
     >>> from skdgp.design import Known, plan
     >>> from skdgp.dynamics import Aerodynamics, Aircraft
     >>> def linear(X):
-    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
-    ...     lift = 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
-    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
-    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
-    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    ...     alpha, q, elevator = X.T
+    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
-    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
+    >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=16.0,
+    ...              axes=["elevator"], goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04},
+    ...              known=Known(noise={"Cm": 0.004}))
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
@@ -383,11 +373,8 @@ class Planner:
     def _trims(self, airspeeds: Array, altitude: float | None, banks: Array) -> list[Trim]:
         """Return the trims, by default at the highest altitude that was flown."""
         flown = flown_quantities(self.aerodynamics)
-        level = {
-            "altitude": flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude,
-            "climb": None if self.thrust is None else 0.0,
-            "thrust": self.thrust,
-        }
+        height = flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude
+        level = {"altitude": height, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         pairs = product(airspeeds, banks)
         try:
             return [cast(Trim, trim(self.model, self.aircraft, v, bank=bank or None, **level)) for v, bank in pairs]
@@ -604,22 +591,15 @@ class Planner:
         gusts = self.aerodynamics.turbulence if self.envelope.gusts == "auto" else self.envelope.gusts
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
-            trains=tuple(trains),
-            trims=tuple(self.trims[at] for at in flown),
-            goal=self.goal,
-            before=self.before,
-            after=sum(parts, self.before),
-            manoeuvres=pd.DataFrame(rows),
-            alone=pd.DataFrame(alone),
+            trains=tuple(trains), trims=tuple(self.trims[at] for at in flown), goal=self.goal, parts=parts,
+            before=self.before, after=sum(parts, self.before), manoeuvres=pd.DataFrame(rows),
+            alone=pd.DataFrame(alone), aircraft=self.aircraft, merged=self._merged(),
             flight=pd.concat([one.flight.assign(flight=k) for k, one in enumerate(chosen)], ignore_index=True),
-            parts=parts,
             limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
-            aircraft=self.aircraft,
             at=dict(zip(self.before.regressors, self.at.tolist(), strict=True)),
             weights={name: weight for name, weight in self.weights.items() if name in WHOLE},
-            merged=self._merged(),
             gusts=None if is_still else tuple(map(float, gusts.intensity)),
-        )
+        )  # fmt: skip
 
     def _merged(self) -> dict[str, float]:
         if self.aerodynamics.slope_errors is None:

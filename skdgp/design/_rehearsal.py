@@ -99,10 +99,8 @@ class Rehearsal:
             return self.flown([inputs])[0]
         (train,), tables = self._tables([inputs])
         rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
-        beside = {
-            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((n_paths, 1))
-            for axis, limit in self.limits.items()
-        }
+        spreads = {axis: ENTRY_CONTROLS * limit.amplitude for axis, limit in self.limits.items()}
+        beside = {axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()}
         columns = {str(name): values.to_numpy() for name, values in tables[0].items()}
 
         def controls(t: float, state: Any) -> dict[str, Any]:
@@ -120,8 +118,8 @@ class Rehearsal:
         tables = [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
         for table in tables:
             for axis, limit in self.limits.items():
-                moved = limit.followed(table[axis].to_numpy() - trimmed[axis], 1.0 / self.rate)
-                table[axis] = trimmed[axis] + moved
+                deviation = table[axis].to_numpy() - trimmed[axis]
+                table[axis] = trimmed[axis] + limit.followed(deviation, 1.0 / self.rate)
         return trains, tables
 
     def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:
@@ -151,7 +149,7 @@ class Rehearsal:
         centre, allowed = self.channels(self.still), 0
         if self.aerodynamics.is_uncertain:
             allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
-        return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, allowed)
+        return Hold(centre, self.channels(paths).reshape(-1, *centre.shape), low, high, margin, allowed)
 
     def _possible(self, paths: pd.DataFrame) -> str:
         """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
@@ -172,13 +170,8 @@ class Rehearsal:
         """Return flights of a manoeuvre until the pilot acts."""
         return flight[flight["time"] <= flight["time"].max() - max(0.0, self.response - REACTION) + 1e-6]
 
-    def _by_path(self, paths: pd.DataFrame, n: int) -> Array:
-        """Return what the envelope limits along flights of n rows, (paths, n, c)."""
-        values = self.channels(paths)
-        return values.reshape(len(values) // n, n, -1)
-
     def channels(self, flight: pd.DataFrame) -> Matrix:
-        """Return what the envelope limits along one flight, (n, c)."""
+        """Return what the envelope limits along flights, one after another, (n, c)."""
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def checked(self, inputs: Inputs) -> Checked:
@@ -188,7 +181,7 @@ class Rehearsal:
         paths = self.drawn(inputs, n_paths, gusts) if self.aerodynamics.is_uncertain else flight
         more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
-        flown = self._by_path(counted, len(more))
+        flown = self.channels(counted).reshape(-1, *more.shape)
         factor = self.hold.largest(flown + more - self.hold.drawn[:, self.hold._rows(more)])
         return Checked(*self.risk(counted, np.tile(more, (len(flown), 1))), flight, paths, factor)
 
@@ -197,10 +190,10 @@ class Rehearsal:
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
-        named = [f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})"
-                 for name, share in shares[shares > 0].items()]  # fmt: skip
-        causes = ", ".join(named).replace(GROWTH, "flown ")
+        shares = shares[shares > 0]
+        causes = ", ".join(
+            f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})" for name, share in shares.items()
+        )
         n_left = int(by_path.any(axis=1).sum())
-        if not self.aerodynamics.is_uncertain:
-            return float(n_left), causes
-        return (n_left + 1) / (self.envelope.n_paths + 2), causes
+        risk = (n_left + 1) / (self.envelope.n_paths + 2) if self.aerodynamics.is_uncertain else float(n_left)
+        return risk, causes.replace(GROWTH, "flown ")

@@ -57,8 +57,6 @@ class CalibrationDisplay(Display):
     >>> display = CalibrationDisplay.from_predictions(y, 0 * y, 1 + 0 * y, ax=Figure())
     >>> bool(abs(display.observed[:, 0] - display.nominal).max() < 0.03)
     True
-    >>> bool(abs(display.plot(Figure(), kind="pit").pit - 1).max() < 0.2)
-    True
     """
 
     nominal: Vector

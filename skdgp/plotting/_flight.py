@@ -41,9 +41,6 @@ class FlightDisplay(Display):
     >>> display = FlightDisplay.from_flights({"train": flight}, ax=Figure())
     >>> display.axes_[0, 0].get_ylabel()
     'rudder [deg]'
-    >>> path = FlightDisplay.from_flights({"train": flight}, kind="path", ax=Figure())
-    >>> path.axes_[0, 0].get_xlabel()
-    'east [m]'
     """
 
     flights: dict[str, pd.DataFrame]

@@ -141,13 +141,9 @@ def continuous_ranked_probability_score(
 
 
 def interval_coverage(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    y_std: ArrayLike,
-    *,
-    level: float = 0.95,
+    y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, level: float = 0.95,
     multioutput: Average = "uniform_average",
-) -> Score:
+) -> Score:  # fmt: skip
     """Return the fraction of targets inside the central ``level`` interval of a normal prediction.
 
     It is smaller than ``level`` where the standard deviations are too small.

@@ -181,14 +181,9 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
 
 
 def orthogonal_multisines(
-    limits: Mapping[str, Limits | float],
-    duration: float,
-    band: tuple[float, float],
-    *,
-    n_tones: int | None = None,
-    n_starts: int = 8,
-    random_state: Seed = 0,
-) -> dict[str, Multisine]:
+    limits: Mapping[str, Limits | float], duration: float, band: tuple[float, float], *, n_tones: int | None = None,
+    n_starts: int = 8, random_state: Seed = 0,
+) -> dict[str, Multisine]:  # fmt: skip
     """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700);

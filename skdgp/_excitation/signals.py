@@ -293,14 +293,9 @@ def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits
 
 
 def chirp(
-    duration: float,
-    band: tuple[float, float],
-    amplitude: float,
-    *,
-    spacing: Literal["logarithmic", "linear"] = "logarithmic",
-    fade: float = 0.1,
-    limits: Limits | None = None,
-) -> Chirp:
+    duration: float, band: tuple[float, float], amplitude: float, *,
+    spacing: Literal["logarithmic", "linear"] = "logarithmic", fade: float = 0.1, limits: Limits | None = None,
+) -> Chirp:  # fmt: skip
     r"""Return a frequency sweep: a sine whose frequency moves through a band, fading in and out.
 
     The frequency is :math:`f_0 (f_1 / f_0)^{t/T}`, the same time in each octave, or linear in time (Klein & Morelli,

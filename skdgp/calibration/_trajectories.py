@@ -79,13 +79,9 @@ class CalibratedBands:
 
     @classmethod
     def from_flights(
-        cls,
-        ensemble: pd.DataFrame,
-        recorded: Sequence[pd.DataFrame],
-        *,
-        groups: Mapping[str, Sequence[str]] | None = None,
-        noise: Mapping[str, float] | None = None,
-    ) -> CalibratedBands:
+        cls, ensemble: pd.DataFrame, recorded: Sequence[pd.DataFrame], *,
+        groups: Mapping[str, Sequence[str]] | None = None, noise: Mapping[str, float] | None = None,
+    ) -> CalibratedBands:  # fmt: skip
         """Return the bands that the errors of an ensemble on recorded segments ask for.
 
         Raises ValueError if there are fewer than two units, a segment is shorter than its trajectory or lacks a state,

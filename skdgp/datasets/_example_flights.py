@@ -67,8 +67,6 @@ TRUTH = (
 )
 
 DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
-
-
 FACTOR = [Interval(Real, 0, None, closed="left")]
 
 

@@ -96,13 +96,9 @@ class Information:
 
 
 def expected_information(
-    flight: pd.DataFrame,
-    aircraft: Aircraft,
-    regressors: Sequence[str],
-    noise: Mapping[str, float] | pd.DataFrame,
-    *,
+    flight: pd.DataFrame, aircraft: Aircraft, regressors: Sequence[str], noise: Mapping[str, float] | pd.DataFrame, *,
     about: ArrayLike | None = None,
-) -> Information:
+) -> Information:  # fmt: skip
     r"""Return what a simulated flight will tell about the derivatives of coefficients.
 
     Each coefficient is linear in the regressors around a trim, :math:`y = \theta_0 + x^T \theta + e`. Its noise e is
@@ -347,13 +343,9 @@ def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Se
 
 
 def goal_weights(
-    names: Sequence[str],
-    model: Aerodynamics,
-    aircraft: Aircraft,
-    trims: Sequence[Trim],
-    coefficients: Sequence[str],
+    names: Sequence[str], model: Aerodynamics, aircraft: Aircraft, trims: Sequence[Trim], coefficients: Sequence[str],
     thrust: Any,
-) -> dict[str, Array]:
+) -> dict[str, Array]:  # fmt: skip
     r"""Return W (P, 1 + d, 1 + d) of each goal, whose error is the root of :math:`\sum_i \mathrm{tr}(W_i C_i)`.
 
     :math:`C_i` is the covariance of the constant and the slopes of coefficient i. Of a derivative W is one element.

@@ -113,15 +113,9 @@ class CalibrationDisplay(Display):
 
     @classmethod
     def from_predictions(
-        cls,
-        measured: ArrayLike,
-        mean: ArrayLike,
-        std: ArrayLike,
-        *,
-        levels: ArrayLike = LEVELS,
-        output_names: Any = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, measured: ArrayLike, mean: ArrayLike, std: ArrayLike, *, levels: ArrayLike = LEVELS,
+        output_names: Any = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Compute coverage and transform of predictions, and draw them with the options of :meth:`plot`.
 
         ``measured``, ``mean`` and ``std`` are (n, P), NaN = not observed. For measured values standard deviations must

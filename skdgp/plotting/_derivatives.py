@@ -79,14 +79,9 @@ class DerivativeDisplay(Display):
 
     @classmethod
     def from_sweep(
-        cls,
-        sweep: pd.DataFrame,
-        *,
-        over: str = "airspeed",
-        derivatives: Names = None,
-        truth: pd.DataFrame | None = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, sweep: pd.DataFrame, *, over: str = "airspeed", derivatives: Names = None,
+        truth: pd.DataFrame | None = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
 
         ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The derivatives are by default

@@ -72,16 +72,9 @@ class CoefficientDisplay(Display):
     output_names: Any = None
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        outputs: Names = None,
-        level: float = 0.95,
-        n_bins: int = 2000,
-        legend: bool = True,
-        kind: str = "values",
-        time_span: tuple[float, float] | None = None,
-    ) -> Self:
+        self, ax: Any = None, *, outputs: Names = None, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
+        kind: str = "values", time_span: tuple[float, float] | None = None,
+    ) -> Self:  # fmt: skip
         """Draw the panels: ``kind`` "values" or "residuals", measured minus estimated; see :mod:`skdgp.plotting`."""
         check_choice("kind", kind, ("values", "residuals"))
         chosen = choose(self.output_names, outputs)
@@ -96,16 +89,9 @@ class CoefficientDisplay(Display):
 
     @classmethod
     def from_predictions(
-        cls,
-        time: ArrayLike,
-        measured: ArrayLike,
-        mean: ArrayLike,
-        std: ArrayLike | None = None,
-        *,
-        truth: ArrayLike | None = None,
-        output_names: Any = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, time: ArrayLike, measured: ArrayLike, mean: ArrayLike, std: ArrayLike | None = None, *,
+        truth: ArrayLike | None = None, output_names: Any = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw predictions and measurements; see the class and :meth:`plot`."""
         values = as_columns(measured, "measured outputs")
         return cls(
@@ -119,16 +105,9 @@ class CoefficientDisplay(Display):
 
     @classmethod
     def from_estimator(
-        cls,
-        estimator: Any,
-        X: Any,
-        Y: Any,
-        *,
-        time: ArrayLike | None = None,
-        truth: ArrayLike | None = None,
-        include_noise: bool = False,
-        **plot_options: Any,
-    ) -> Self:
+        cls, estimator: Any, X: Any, Y: Any, *, time: ArrayLike | None = None, truth: ArrayLike | None = None,
+        include_noise: bool = False, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Predict with a fitted estimator and draw, as :meth:`CalibrationDisplay.from_estimator`; see :meth:`plot`.
 
         ``time`` (n,) is by default the column ``time`` of X. With ``include_noise`` the band is that of a measurement.
@@ -179,15 +158,9 @@ class StateDisplay(Display):
     std: Matrix | None = None
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        level: float = 0.95,
-        n_bins: int = 2000,
-        legend: bool = True,
-        states: Names = None,
+        self, ax: Any = None, *, level: float = 0.95, n_bins: int = 2000, legend: bool = True, states: Names = None,
         time_span: tuple[float, float] | None = None,
-    ) -> Self:
+    ) -> Self:  # fmt: skip
         """Draw ``states``, default all, one above the other; other options are those of :mod:`skdgp.plotting`."""
         chosen = choose(self.state_names, states)
         columns = self.measured, self.replayed, self.std, None
@@ -199,14 +172,9 @@ class StateDisplay(Display):
 
     @classmethod
     def from_replay(
-        cls,
-        trajectory: pd.DataFrame,
-        flight: pd.DataFrame,
-        *,
-        states: Any = LATERAL_STATES,
-        horizon: float | None = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, states: Any = LATERAL_STATES,
+        horizon: float | None = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.replay` and the flight that it replays; see :meth:`plot`.
 
         ``trajectory`` has columns ``time``, ``horizon``, ``window``, the states and, for bands, ``<state>_std``, and

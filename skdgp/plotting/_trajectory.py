@@ -110,15 +110,9 @@ class TrajectoryDisplay(Display):
 
     @classmethod
     def from_trajectories(
-        cls,
-        trajectories: pd.DataFrame,
-        truth: pd.DataFrame | None = None,
-        *,
-        mean: pd.DataFrame | None = None,
-        start: Any = None,
-        columns: Any = DEFAULT_COLUMNS,
-        **plot_options: Any,
-    ) -> Self:
+        cls, trajectories: pd.DataFrame, truth: pd.DataFrame | None = None, *, mean: pd.DataFrame | None = None,
+        start: Any = None, columns: Any = DEFAULT_COLUMNS, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
         ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start`` is the one to draw,

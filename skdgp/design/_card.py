@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def write_flight_card(
     path : path-like
         Where to write, such as ``card.html``; FileNotFoundError if its folder does not exist.
     plan : Plan
-        As of :func:`skdgp.design.plan`.
+        As of :func:`skdgp.design.plan`, such as ``found`` in its example.
     full : mapping of str to float, optional
         Full deflection of axes [rad], or 1 of the throttle: the card then says how much of the stick each step is.
     created : datetime, optional
@@ -77,24 +78,6 @@ def write_flight_card(
     Returns
     -------
     Path
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> import numpy as np
-    >>> from skdgp.design import Known, plan, write_flight_card
-    >>> from skdgp.dynamics import Aerodynamics, Aircraft
-    >>> def linear(X):
-    ...     alpha, q, elevator = X.T
-    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
-    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=8.0,
-    ...              axes=["elevator"], goal=["Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
-    >>> path = write_flight_card(Path(tempfile.mkdtemp()) / "card.html", found)
-    >>> "nose down" in path.read_text(encoding="utf-8")
-    True
     """
     created = datetime.now().astimezone() if created is None else created
     draw = can_draw()
@@ -199,26 +182,20 @@ def _order(plan: Plan) -> str:
 
 
 def _limits(plan: Plan) -> str:
+    """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
+    limits, kinds = plan.abort_limits, _kinds(plan)
     words = (
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
         "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
+        if len(limits)
+        else "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
+        "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
     )
-    if not len(plan.abort_limits):
-        words = (
-            "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
-            "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
-        )
     if any(name.startswith(GROWTH) for name in plan.limits.index):
         words += (
             '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
             "manoeuvre counts these too.</p>"
         )
-    return f"<section><h2>Abort limits</h2>{words}{_limit_table(plan)}</section>"
-
-
-def _limit_table(plan: Plan) -> str:
-    """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
-    limits, kinds = plan.abort_limits, _kinds(plan)
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
     if not len(named) == len(kinds) <= MOST_KINDS:
         named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
@@ -234,7 +211,7 @@ def _limit_table(plan: Plan) -> str:
         f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held. "
         f"This may pass a limit: the risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
-    return table(head, lines, caption=caption)
+    return f"<section><h2>Abort limits</h2>{words}{table(head, lines, caption=caption)}</section>"
 
 
 def _teaching(plan: Plan) -> str:
@@ -325,36 +302,33 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     time, values, limits = flight["time"].to_numpy(float), quantities(flight), plan.abort_limits
     end = plan.manoeuvres["duration"].iloc[k]
     fine = np.linspace(0.0, time[-1], 2000)
-    panels = []
+    names = [*inputs, *SHOWN]
 
-    def draw_input(ax, axis):
-        ax.plot(fine, display_unit(axis)[0] * inputs[axis](fine), color=PALETTE["purple"], linewidth=1.2)
-        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
+    def draw(ax, name):
+        label, factor, unit = label_of(name)
+        if name in inputs:
+            ax.plot(fine, factor * inputs[name](fine), color=PALETTE["purple"], linewidth=1.2)
+            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
+        else:
+            if f"{name}_low" in flight:
+                low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
+                ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
+            ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
+            bottom, top = ax.get_ylim()
+            for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
+                if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
+                    ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
+        ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
+        ax.set(xlabel="time [s]", ylabel=f"{label} [{unit}]" if unit else label)
+        tidy(ax)
 
-    def draw_response(ax, name):
-        factor = label_of(name)[1]
-        if f"{name}_low" in flight:
-            low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
-            ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
-        ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
-        bottom, top = ax.get_ylim()
-        for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
-            if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
-                ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
-
-    names = [*inputs, *(name for name in SHOWN if name in values)]
-    for n, name in enumerate(names):
-
-        def draw(ax, name=name):
-            draw_input(ax, name) if name in inputs else draw_response(ax, name)
-            ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
-            label, _, unit = label_of(name)
-            ax.set_ylabel(f"{label} [{unit}]" if unit else label)
-            ax.set_xlabel("time [s]")
-            tidy(ax)
-
-        label = f"{label_of(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band")
-        panels.append(strip(draw, label=label, bottom=n >= len(names) - 2))
+    panels = [
+        strip(
+            partial(draw, name=name), bottom=name in names[-2:],
+            label=f"{label_of(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band"),
+        )
+        for name in names
+    ]  # fmt: skip
     key = [("purple", "input, deviation from trim", ""), ("blue", "expected", "")]
     key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
     key += [("vermillion", "abort limit", "")]
@@ -377,11 +351,8 @@ def _most_taught(plan: Plan, rows: Sequence[int]) -> str:
         for name in map(str, left.index[:MOST_NAMED]) if left[name] < SOME
     ]  # fmt: skip
     turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
-    words = (
-        f"If only this is flown, it leaves {', '.join(shown)}."
-        if shown
-        else "It teaches nothing of the goal by itself."
-    )
+    words = f"If only this is flown, it leaves {', '.join(shown)}." if shown else ""
+    words = words or "It teaches nothing of the goal by itself."
     return f"errors of the goal in its turn (geometric mean) {turns}{THIN}%. {words}"
 
 

@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._compute.intervals import LEVELS, check_level, check_levels, shares_inside, standardized
+from skdgp._compute.intervals import LEVELS, check_levels, half_width, shares_inside, standardized
 from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
@@ -165,7 +165,7 @@ def interval_coverage(
     0.5
     """
     target, mean, std = check_scored(y_true, y_pred, y_std)
-    inside = np.abs(target - mean) <= norm.ppf(0.5 + check_level(level) / 2) * std
+    inside = np.abs(target - mean) <= half_width(level) * std
     return _aggregate(_by_output(np.mean, inside, target), multioutput)
 
 

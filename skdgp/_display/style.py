@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
@@ -101,7 +101,7 @@ def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: floa
     """Draw a line and, where its standard deviation is known, its band; return both."""
     band = None
     if std is not None:
-        half = norm.ppf(0.5 + level / 2) * std
+        half = half_width(level) * std
         style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
         band = ax.fill_between(x, mean - half, mean + half, **style)
     return ax.plot(x, mean, color=ROLES["mean"], label=label)[0], band

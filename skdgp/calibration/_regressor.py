@@ -9,7 +9,6 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 from sklearn.base import BaseEstimator, MetaEstimatorMixin, RegressorMixin, clone
 from sklearn.model_selection import GroupKFold
 from sklearn.utils import check_array, get_tags
@@ -17,7 +16,7 @@ from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import check_level, half_width
 from skdgp._compute.predicting import accepts, predict_observed, predict_with_noise, unwrap
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context, safe_indexing
 from skdgp._compute.tables import column_names
@@ -178,7 +177,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             )
         self.max_level_ = self.n_units_ / (self.n_units_ + 1)
         self.guaranteed_ = (self.max_level_ >= self.level - ROUNDING) & (self.method == "conformal")
-        self.std_scale_ = self._half_widths(self.level) / norm.ppf(0.5 + self.level / 2)
+        self.std_scale_ = self._half_widths(self.level) / half_width(self.level)
         if self.method == "conformal" and not self.guaranteed_.all():
             few = ~self.guaranteed_
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
@@ -198,7 +197,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             rows = ~np.isnan(column)
             scores, weights = column[rows], unit_weights(self.calibration_units_[rows])
             if self.method == "variance":
-                widths.append(norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2))
+                widths.append(half_width(level) * np.sqrt(weights @ scores**2))
             else:
                 total = self.max_level_[k] if self.guaranteed_[k] else 1.0  # the next flight weighs 1 / (K + 1)
                 widths.append(weighted_quantile(scores, total * weights, level))

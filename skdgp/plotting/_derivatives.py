@@ -8,7 +8,6 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
 from skdgp._flight.checks import check_choice
@@ -60,7 +59,6 @@ class DerivativeDisplay(Display):
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
         """Draw the panels; see :mod:`skdgp.plotting`."""
-        level = check_level(level)
         at = self.at * display_unit(self.over)[0]
 
         def draw(ax, k):

@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Matrix
 from skdgp._display.style import (
     PALETTE,
@@ -91,7 +90,7 @@ class EffectsDisplay(_CurveDisplay):
 
     def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
         """Draw the panels; see :mod:`skdgp.plotting`."""
-        z = norm.ppf(0.5 + check_level(level) / 2)
+        z = half_width(level)
         names = list(self.importance.columns)
         rows = choose(names, outputs)
         several = [name for name in self.importance.index if name not in self.curves]
@@ -178,7 +177,7 @@ class BuildUpDisplay(_CurveDisplay):
 
     def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
         """Draw the panels; see :mod:`skdgp.plotting`."""
-        z = norm.ppf(0.5 + check_level(level) / 2)
+        z = half_width(level)
         names, regressors = list(self.maps), list(self.curves)
         rows, n_curves = choose(names, outputs), len(regressors)
         n_maps = max(len(self.maps[names[i]]) for i in rows)

@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
@@ -206,7 +205,7 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
 
     It returns the artists of measured, estimate, band, truth and restarts; None where there is none.
     """
-    level, rows = check_level(level), slice(None)
+    z, rows = half_width(level), slice(None)
     if time_span is not None:
         begin, end = time_span
         rows = (time >= begin) & (time <= end)
@@ -234,7 +233,7 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
         thin = line(measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured")
         band = None
         if std is not None:
-            half = norm.ppf(0.5 + level / 2) * std
+            half = z * std
             edges = band_points(time, mean - half, mean + half, n_bins=n_bins, starts=starts)
             band = _draw_band(ax, *edges, f"{level:.0%} band")
         known = line(truth, color=ROLES["truth"], linewidth=0.7 * width, zorder=2.1, label="truth")

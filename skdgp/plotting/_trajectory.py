@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
 from skdgp._flight.channels import EULER
@@ -66,14 +65,14 @@ class TrajectoryDisplay(Display):
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
         """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""
-        level = check_level(level)
+        z = half_width(level)
 
         def draw(ax, k):
             factor = display_unit(self.names[k])[0]
             values, label = factor * self.values[:, :, k], "simulated"
             low, middle, high = None, values[0], None  # no edges of one path without deviations
             if self.std is not None:
-                half = norm.ppf(0.5 + level / 2) * factor * self.std[:, k]
+                half = z * factor * self.std[:, k]
                 low, high = middle - half, middle + half
             elif len(values) > 1:
                 low, middle, high = path_quantiles(values, level)

@@ -45,9 +45,6 @@ class Plan:
         relative to the limits), ``risk`` (predicted probability of leaving the envelope; NaN of a model without
         posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average) and
         ``gain_per_second`` (of the logarithm of these errors).
-    alone : DataFrame
-        What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
-        ``risk`` (NaN: not simulated), ``gain``.
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
         posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
@@ -75,7 +72,6 @@ class Plan:
     before: Information
     after: Information
     manoeuvres: pd.DataFrame
-    alone: pd.DataFrame
     flight: pd.DataFrame
     parts: tuple[Information, ...]
     limits: pd.DataFrame

@@ -582,18 +582,13 @@ class Planner:
                     "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
                 })  # fmt: skip
                 start += one.seconds
-        alone = [
-            {"name": one.name, "scale": one.scale, "risk": np.nan if one.risk is None else one.risk,
-             "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
-            for one in self.library.values()
-        ]  # fmt: skip
         parts = tuple(one.information for one in chosen)
         gusts = self.aerodynamics.turbulence if self.envelope.gusts == "auto" else self.envelope.gusts
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
             trains=tuple(trains), trims=tuple(self.trims[at] for at in flown), goal=self.goal, parts=parts,
             before=self.before, after=sum(parts, self.before), manoeuvres=pd.DataFrame(rows),
-            alone=pd.DataFrame(alone), aircraft=self.aircraft, merged=self._merged(),
+            aircraft=self.aircraft, merged=self._merged(),
             flight=pd.concat([one.flight.assign(flight=k) for k, one in enumerate(chosen)], ignore_index=True),
             limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
             at=dict(zip(self.before.regressors, self.at.tolist(), strict=True)),

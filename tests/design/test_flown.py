@@ -166,7 +166,7 @@ def made(plan, uav, name, inputs, limits=None):
         [{"train": 0, "start": 1.0, "risk": np.nan} | {key: row[key] for key in ("name", "duration", "pause")}]
     )
     flight = flown([]).assign(flight=0)
-    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav, {})
+    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, flight, (), pd.DataFrame(), uav, {})
     return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}
 
 

@@ -36,10 +36,12 @@ class Envelope:
 
     Parameters
     ----------
-    alpha, beta, load_factor, airspeed : tuple of float, optional
-        Lowest and highest [rad], of -az / g, [m/s].
+    alpha, beta, load_factor : tuple of float, optional
+        Lowest and highest [rad], and of -az / g.
     bank : float, optional
         Largest, to either side [rad].
+    airspeed : tuple of float, optional
+        Lowest and highest [m/s].
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2

@@ -129,10 +129,12 @@ class StateDisplay(Display):
 
     Parameters
     ----------
-    time, window : (n,)
-        Time of the samples [s]; number of the replay that a row belongs to, which changes at a restart.
+    time : (n,)
+        Time of the samples [s].
     measured, replayed : (n, k)
         States, SI units and radians.
+    window : (n,)
+        Number of the replay that a row belongs to, which changes at a restart.
     state_names : k names
         Columns of a flight table.
     std : (n, k), optional

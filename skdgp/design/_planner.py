@@ -309,17 +309,12 @@ class Planner:
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(axes, limits or {})
-        self.pauses = [
-            pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause) for point in self.trims
-        ]
-        if self.detents:  # a pilot counts
-            self.pauses = [TICK * np.ceil(wait / TICK) for wait in self.pauses]
-        self.responses = [min(RESPONSE, wait) for wait in self.pauses]
-        flying = self.limits, envelope, pilot.rate
-        self.rehearsals = [
-            Rehearsal(model, aircraft, point, *flying, response, thrust, seed)
-            for point, response in zip(self.trims, self.responses, strict=True)
-        ]
+        self.rehearsals = []
+        for point in self.trims:
+            pause = pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause)
+            pause = TICK * np.ceil(pause / TICK) if self.detents else pause  # a pilot counts
+            flown = Rehearsal(model, aircraft, point, self.limits, envelope, pilot.rate, pause, thrust, seed)
+            self.rehearsals.append(flown)
         names = self.aerodynamics.regressors
         self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
         self.before = Information(np.zeros((len(self.noise), 1 + len(names), 1 + len(names))), self.coefficients, names)
@@ -330,9 +325,10 @@ class Planner:
         self.about = self.at if known.curvature else None
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)}
         if not self.library:
+            pause = min(one.pause for one in self.rehearsals)
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {min(self.pauses):.3g} s is that short and "
-                "can be flown: give more seconds, a shorter pause, smaller limits or smaller detents."
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that short and can be flown: "
+                "give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
         vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
@@ -446,17 +442,17 @@ class Planner:
 
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
-        pause = self.pauses[at]
-        most = self.seconds - pause - self.responses[at]
+        rehearsal = self.rehearsals[at]
+        most = self.seconds - rehearsal.pause - rehearsal.response
         named = {name: one for name, one in named.items() if duration_of(one) <= most}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             rest = {name: scaled(one, factor, self.detents) for name, one in named.items() if name not in scales}
             for name, flight in self._flights(at, rest).items():
-                scales[name] = float(np.clip(factor * self.rehearsals[at].room(flight), LEAST, 1.0))
+                scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
         inputs = {name: scaled(named[name], scale, self.detents) for name, scale in scales.items()}
         inputs = {name: one for name, one in inputs.items() if any(signal.peak for signal in one.values())}  # detents
-        label, flights = self._label(at), self._flights(at, inputs)
+        label, flights, pause = self._label(at), self._flights(at, inputs), rehearsal.pause
         return [
             Manoeuvre(label + name, at, named[name], inputs[name], pause, self._information(one), one, scales[name])
             for name, one in flights.items()
@@ -474,7 +470,7 @@ class Planner:
         return float(-0.5 * np.mean(np.log(self.errors @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[Manoeuvre]) -> bool:
-        last = sum(self.responses[at] for at in {one.at for one in chosen})
+        last = sum(self.rehearsals[at].response for at in {one.at for one in chosen})
         return sum(one.seconds for one in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list[Manoeuvre], library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
@@ -570,8 +566,8 @@ class Planner:
         trains, gained = [], self._gain([])
         rows: list[dict[str, Any]] = []
         for at in flown:
-            here = [one for one in chosen if one.at == at]
-            start, pauses = self.pauses[at], [self.pauses[at]] * (len(here) - 1) + [self.responses[at]]
+            here, start = [one for one in chosen if one.at == at], self.rehearsals[at].pause
+            pauses = [start] * (len(here) - 1) + [self.rehearsals[at].response]
             trains.append(wavetrain([one.inputs for one in here], pause=start, limits=self.limits))
             for one, pause in zip(here, pauses, strict=True):
                 gain = self._gain(chosen[: len(rows) + 1]) - gained

@@ -72,12 +72,13 @@ class Rehearsal:
     limits: Mapping[str, Limits]
     envelope: Envelope
     rate: float
-    response: float  # time after each manoeuvre that is flown too [s]
+    pause: float  # at the trim before and after each manoeuvre [s]
     thrust: Any
     seed: int
 
     def __post_init__(self) -> None:
         self.aerodynamics = as_aerodynamics(self.model)
+        self.response = min(RESPONSE, self.pause)  # flown after each manoeuvre too [s]
         self._nothing: Inputs = {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
 
     @cached_property

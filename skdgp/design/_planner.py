@@ -327,8 +327,8 @@ class Planner:
         if not self.library:
             pause = min(one.pause for one in self.rehearsals)
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that short and can be flown: "
-                "give more seconds, a shorter pause, smaller limits or smaller detents."
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that short and can be "
+                "flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
         vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])

@@ -41,14 +41,12 @@ class Plan:
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
         In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
-        ``name``, ``duration`` [s], ``pause`` [s] after it (at most 3 s after the last one), ``scale`` (its amplitude
-        relative to the limits), ``risk`` (predicted probability of leaving the envelope; NaN of a model without
-        posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average) and
-        ``gain_per_second`` (of the logarithm of these errors).
+        ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to the limits), ``risk`` (predicted
+        probability of leaving the envelope; NaN without posterior), ``gain`` (by which part it reduces the errors of
+        the goal, on geometric average) and ``gain_per_second`` (of the logarithm of these errors).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
-        posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
-        load_factor, bank, airspeed and altitude.
+        posterior also the band of 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on.
     parts : tuple of Information
         Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn; ``after`` is ``before``
         and their sum.

@@ -38,15 +38,7 @@ from skdgp.design._information import (
 from skdgp.design._library import TICK, Inputs, duration_of, input_bands, library, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
-from skdgp.dynamics import (
-    Aircraft,
-    SimulationWarning,
-    Trim,
-    as_aerodynamics,
-    linearize,
-    stability_derivatives,
-    trim,
-)
+from skdgp.dynamics import Aircraft, SimulationWarning, Trim, as_aerodynamics, linearize, stability_derivatives, trim
 
 ENTRIES = 12  # aircraft and entries drawn, over which the information of a manoeuvre is averaged
 SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: large responses are not in proportion to it
@@ -75,12 +67,6 @@ class Known(NamedTuple):
     curvature : bool, default=False
         Whether the flight must tell the derivatives from unknown curvature too: errors are larger, and those after the
         flight are the mean over aircraft and entries that are drawn, in still air.
-
-    Examples
-    --------
-    >>> from skdgp.design import Known
-    >>> Known(noise={"Cm": 0.004}).curvature
-    False
     """
 
     information: Information | None = None
@@ -102,12 +88,6 @@ class Pilot(NamedTuple):
     detents : mapping of str to float, optional
         Of all axes [rad, or 1 of the throttle]: the plan then holds only steps, whose times are half seconds and whose
         levels are multiples of these.
-
-    Examples
-    --------
-    >>> from skdgp.design import Pilot
-    >>> Pilot(detents={"elevator": 0.0175}).rate
-    50.0
     """
 
     pause: float | Literal["auto"] = "auto"

@@ -13,16 +13,7 @@ from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
-from skdgp.plotting._display import (
-    Display,
-    Names,
-    as_columns,
-    check_std,
-    choose,
-    grid_columns,
-    names_of,
-    predicted,
-)
+from skdgp.plotting._display import Display, Names, as_columns, check_std, choose, grid_columns, names_of, predicted
 
 N_BINS = 20
 

@@ -26,10 +26,10 @@ class TrajectoryDisplay(Display):
 
     Of an ensemble the band holds the central share of the paths at each time, and the line is the trajectory ``mean``
     where it is given, else the median of the paths, which no aircraft flies. Of one trajectory with ``return_std=True``
-    the band is that of a normal distribution. Marks on the upper edge show where a path leaves the range of the
-    training data. Angles are drawn in degrees.
+    the band is that of a normal distribution.
 
-    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, the marks outside the training data.
+    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, marks on the upper edge where a path leaves the
+    range of the training data.
 
     Parameters
     ----------

@@ -42,10 +42,7 @@ from skdgp.dynamics import Aircraft, SimulationWarning, Trim, as_aerodynamics, l
 
 ENTRIES = 12  # aircraft and entries drawn, over which the information of a manoeuvre is averaged
 SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: large responses are not in proportion to it
-TRIES, NEAR = (
-    6,
-    0.03,
-)  # checks of a manoeuvre at most, and the part of its size by which the safe one may be missed
+TRIES, NEAR = 6, 0.03  # checks of a manoeuvre at most, and the part of its size by which the safe one may be missed
 MOST = np.pi / 2  # deflection that no surface has [rad]
 UNBOUNDED = ("thrust", "propeller_speed")  # axes that are no deflections
 MOST_PATHS, MOST_SECONDS = 10_000, 1800.0  # a risk of 5 % is then known to .2 %; the search takes a minute or two

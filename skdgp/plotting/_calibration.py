@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from skdgp._compute.intervals import LEVELS, check_levels, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
-from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol, tidy
+from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.plotting._display import Display, Names, as_columns, check_std, choose, grid_columns, names_of, predicted
@@ -78,7 +78,6 @@ class CalibrationDisplay(Display):
         ticks = range(0, 101, 20)
         ax.set(xlabel="nominal coverage [%]", xlim=(0, 100), xticks=ticks, aspect="equal")
         ax.set(ylabel="observed coverage [%]", ylim=(0, 100), yticks=ticks)
-        tidy(ax)
         ax.text(4, 96, "too wide", va="top", fontsize="small", color=QUIET)
         ax.text(96, 4, "too narrow", ha="right", fontsize="small", color=QUIET)
         if legend and chosen:
@@ -93,7 +92,6 @@ class CalibrationDisplay(Display):
             ax.axhline(1.0, color="#333333", linewidth=1.0, linestyle=":")
             ax.set(xlim=(0, 1), xticks=[0, 0.5, 1])
             ax.set_title(symbol(self.output_names[k]), loc="left", fontsize="medium")
-            tidy(ax)
             return (bars,)
 
         options = {"by_column": True, "sharex": True, "sharey": True, "xlabel": r"$\Phi$((measured - mean) / std)"}

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
+from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol
 from skdgp._flight.checks import check_choice
 from skdgp.plotting._display import Display, Names, choose
 
@@ -67,7 +67,6 @@ class DerivativeDisplay(Display):
             if self.truth is not None and np.isfinite(self.truth[:, k]).any():
                 (known,) = ax.plot(at, self.truth[:, k], "--", color=ROLES["truth"], label="known")
             ax.set_ylabel(_label(self.names[k]))
-            tidy(ax)
             return line, band, known
 
         keys, options = range(len(self.names)), {"xlabel": axis_label(self.over), "legend": legend, "sharex": True}

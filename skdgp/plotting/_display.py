@@ -9,7 +9,7 @@ import numpy as np
 
 from skdgp._compute.predicting import predict_with_noise
 from skdgp._compute.typing import ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._display.style import check_matplotlib, legend_above
+from skdgp._display.style import check_matplotlib, legend_above, tidy
 from skdgp._flight.clock import true_runs
 
 Names: TypeAlias = "str | Sequence[str] | None"
@@ -25,7 +25,7 @@ class Display:
     def _draw_panels(
         self, ax, draw, keys, n_cols, figsize, *, xlabel=None, by_column=False, legend=False, **subplots
     ) -> list[list]:
-        """Draw a panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
+        """Draw a tidy panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
 
         ``figsize`` is that of one panel [inch]; ``by_column`` fills the panels column by column.
         """
@@ -34,9 +34,10 @@ class Display:
         self.axes_ = panels(ax, n_rows, n_cols, figsize=figsize, **subplots)
         self.figure_ = self.axes_.flat[0].figure
         cells = list(self.axes_.T.flat if by_column else self.axes_.flat)
+        for k, one in enumerate(cells):
+            tidy(one)
+            one.set_visible(k < len(keys))
         artists = [draw(one, key) for one, key in zip(cells, keys, strict=False)]
-        for unused in cells[len(keys) :]:
-            unused.set_visible(False)
         if xlabel is not None:
             for bottom in self.axes_[-1]:
                 bottom.set_xlabel(xlabel)

@@ -22,7 +22,6 @@ from skdgp._display.style import (
     plain,
     scale_beside,
     symbol,
-    tidy,
 )
 from skdgp._effects import Curve, effects
 from skdgp.plotting._display import Display, Names, choose
@@ -98,7 +97,6 @@ class EffectsDisplay(_CurveDisplay):
 
         def draw(ax, key):
             i, column = key
-            tidy(ax)
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if column != OTHERS:
@@ -184,7 +182,6 @@ class BuildUpDisplay(_CurveDisplay):
 
         def draw(ax, key):
             i, k = key
-            tidy(ax)
             if k == 0:
                 ax.set_ylabel(symbol(names[i]))
             if k < n_curves:

@@ -61,7 +61,6 @@ class FlightDisplay(Display):
 
         def draw(ax, key):
             name, channel = key
-            tidy(ax)
             if name == names[0]:
                 ax.set_ylabel(axis_label(channel))
             if channel == channels[0]:

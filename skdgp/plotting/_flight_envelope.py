@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
+from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display, Names, choose
 
@@ -102,7 +102,6 @@ class EnvelopeDisplay(Display):
         names = self.pairs[k]
         factors = np.array([display_unit(name)[0] for name in names])
         x, y = (factor * values for factor, values in zip(factors, self.points[k], strict=True))
-        tidy(ax)
         density = _draw_density(ax, factors * self.flown[list(names)].to_numpy(), (x, y))
         # Variances of smooth functions are smooth: cubic splines to a grid as fine as the picture.
         spline = RectBivariateSpline(y, x, relative, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))

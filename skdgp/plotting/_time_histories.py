@@ -11,7 +11,7 @@ import pandas as pd
 from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
-from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.clock import true_runs
@@ -241,7 +241,6 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
         known = line(truth, color=ROLES["truth"], linewidth=0.7 * width, zorder=2.1, label="truth")
         broad = line(mean, color=ROLES["mean"], linewidth=1.8 * width, label=estimate)
         _limit(ax, [values for values in (measured, mean, truth) if values is not None])
-        tidy(ax)
         ax.set_ylabel(axis_label(names[k]) + less)
         return thin, broad, band, known, _mark_restarts(ax, time, window)
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
@@ -88,7 +88,6 @@ class TrajectoryDisplay(Display):
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
             ax.set_ylabel(axis_label(self.names[k]))
-            tidy(ax)
             return line, band, truth, self._mark_beyond(ax)
 
         options = {"xlabel": "time [s]", "legend": legend, "sharex": True}

@@ -27,17 +27,9 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 
 __all__ = [
-    "SCORERS",
-    "continuous_ranked_probability_score",
-    "coverage_curve",
-    "interval_coverage",
-    "make_predictive_scorer",
-    "median_relative_error",
-    "negative_log_predictive_density",
-    "normalized_rmse",
-    "score_flights",
-    "score_outputs",
-]
+    "SCORERS", "continuous_ranked_probability_score", "coverage_curve", "interval_coverage", "make_predictive_scorer",
+    "median_relative_error", "negative_log_predictive_density", "normalized_rmse", "score_flights", "score_outputs",
+]  # fmt: skip
 
 Average: TypeAlias = "str | ArrayLike"
 Score: TypeAlias = "float | Vector"

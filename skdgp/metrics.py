@@ -334,27 +334,13 @@ def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
     return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
 
 
-def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = "flight") -> pd.DataFrame:
-    """Return the metrics of a fitted estimator by flight and output.
+def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
+    """Return the metrics of a fitted estimator or pipeline by flight and output.
 
-    Standard deviations include measurement noise where the estimator has it. Raises ValueError if the table lacks the
-    column.
-
-    Parameters
-    ----------
-    estimator : fitted estimator or Pipeline
-    table : DataFrame (n, ...)
-        Regressors, or the flights of an identification pipeline.
-    Y : DataFrame, Series or array-like (n,) or (n, P)
-        Measured targets.
-    flight : str, default="flight"
-        Column of ``table`` that names the flight.
-
-    Returns
-    -------
-    DataFrame
-        A row per flight and output. Columns: ``n_observed``, and the metrics of :func:`score_outputs`; NaN where an
-        output is never observed in a flight.
+    The table (n, ...), regressors or the flights of an identification pipeline, names flights in its column ``flight``;
+    Y (n,) or (n, P) are measured targets. The result has a row per flight and output, with ``n_observed`` and the
+    metrics of :func:`score_outputs`; NaN where an output is never observed in a flight. Standard deviations include
+    measurement noise where the estimator has it. Raises ValueError if the table lacks the column.
 
     Examples
     --------
@@ -371,7 +357,7 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = 
     b       CZ        0.18
     Name: normalized_rmse, dtype: float64
     """
-    check_columns(check_table(table), [flight], what="table of flights")
+    check_columns(check_table(table), ["flight"], what="table of flights")
     values = np.asarray(Y, dtype=float).reshape(len(table), -1)
     Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
     rows, *observed = predict_observed(estimator, table, Y, with_std=accepts(estimator, "return_std"))
@@ -379,7 +365,7 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any, *, flight: str = 
     for full, part in zip(predicted, observed, strict=True):
         full[rows] = part.reshape(len(rows), -1)
     tables = {}
-    for name, rows in flight_rows(table[flight]).items():
+    for name, rows in flight_rows(table["flight"]).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UndefinedMetricWarning)  # the NaN shows it
             scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))

@@ -54,9 +54,7 @@ LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.ra
 NO_BREAK = "\u00a0"
 
 
-def write_flight_card(
-    path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None, created: datetime | None = None
-) -> Path:
+def write_flight_card(path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None) -> Path:
     """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
     The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort limits, the order of the
@@ -72,14 +70,11 @@ def write_flight_card(
         As of :func:`skdgp.design.plan`, such as ``found`` in its example.
     full : mapping of str to float, optional
         Full deflection of axes [rad], or 1 of the throttle: the card then says how much of the stick each step is.
-    created : datetime, optional
-        When; default: now.
 
     Returns
     -------
     Path
     """
-    created = datetime.now().astimezone() if created is None else created
     draw = can_draw()
     body = [_fields(CREW), _headline(plan), _go(plan), _entry(plan), _limits(plan), _order(plan)]
     if not draw:
@@ -87,7 +82,7 @@ def write_flight_card(
     body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
     body.append(_teaching(plan))
     meta = f"{_count(len(plan.manoeuvres), 'manoeuvre')} of {_count(len(_kinds(plan)), 'kind')}"
-    meta += f" · planned {created:%d %B %Y, %H:%M}"
+    meta += f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     page = render_page("Flight card", title, meta, "\n".join(body), colophon)

@@ -159,15 +159,14 @@ class StateDisplay(Display):
     std: Matrix | None = None
 
     def plot(
-        self, ax: Any = None, *, level: float = 0.95, n_bins: int = 2000, legend: bool = True, states: Names = None,
+        self, ax: Any = None, *, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
         time_span: tuple[float, float] | None = None,
     ) -> Self:  # fmt: skip
-        """Draw ``states``, default all, one above the other; other options are those of :mod:`skdgp.plotting`."""
-        chosen = choose(self.state_names, states)
+        """Draw the states, one above the other; see :mod:`skdgp.plotting`."""
         columns = self.measured, self.replayed, self.std, None
         draw = _drawing(self.time, columns, self.state_names, "replayed", level, n_bins, time_span, window=self.window)
         options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
-        artists = self._draw_panels(ax, draw, chosen, 1, (9, 1.7), **options)
+        artists = self._draw_panels(ax, draw, range(len(self.state_names)), 1, (9, 1.7), **options)
         self.measured_, self.replayed_, self.bands_, _, self.restarts_ = artists
         return self
 

@@ -60,20 +60,8 @@ def write_flight_card(path: str | os.PathLike, plan: Plan, *, full: Mapping[str,
     The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort limits, the order of the
     manoeuvres, and the risks. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly
     them, as steps; the responses expected of 95 % of the aircraft drawn; and its risk. The last page is the engineer's:
-    what the flight teaches.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to write, such as ``card.html``; FileNotFoundError if its folder does not exist.
-    plan : Plan
-        As of :func:`skdgp.design.plan`, such as ``found`` in its example.
-    full : mapping of str to float, optional
-        Full deflection of axes [rad], or 1 of the throttle: the card then says how much of the stick each step is.
-
-    Returns
-    -------
-    Path
+    what the flight teaches. With the ``full`` deflections of axes [rad], or 1 of the throttle, the card says how much
+    of the stick each step is. Raises FileNotFoundError if the folder of ``path`` does not exist.
     """
     draw = can_draw()
     body = [_fields(CREW), _headline(plan), _go(plan), _entry(plan), _limits(plan), _order(plan)]

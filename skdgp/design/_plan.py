@@ -214,16 +214,15 @@ def record_of(plan: Any, source: str = "a dictionary") -> Record:
         errors = pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
         told[[*errors.index]]
         part = "limits"
-        ends = {name: (limit["low"], limit["high"]) for name, limit in plan[part].items()}
-        limits = {name: (np.nan if low is None else low, np.nan if high is None else high)
-                  for name, (low, high) in ends.items()}  # fmt: skip
+        pairs = {name: np.array([limit["low"], limit["high"]], dtype=float) for name, limit in plan[part].items()}
+        limits = {name: (float(low), float(high)) for name, (low, high) in pairs.items()}
         part = "manoeuvres"
         for one in plan[part]:
             expected = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
-            _finite([len(one["name"]), one["duration"], one["pause"], len(expected), len(one["inputs"]) or np.nan])
+            _finite([len(one["name"]), one["duration"], one["pause"], len(expected)])
             for values in one["inputs"].values():
                 _finite(values)
-        if not plan[part]:
+        if not (plan[part] and all(one["inputs"] for one in plan[part])):
             raise ValueError
     except (KeyError, TypeError, ValueError, AttributeError, IndexError):
         what = f"whose {part!r} is missing or damaged" if isinstance(plan, dict) and plan else "which is none"

@@ -28,6 +28,11 @@ def check_level(level: float) -> float:
     return float(level)
 
 
+def half_width(level: float) -> float:
+    """Return half the width of the central interval of a probability inside (0, 1), in standard deviations."""
+    return float(norm.ppf(0.5 + check_level(level) / 2))
+
+
 def check_levels(levels: ArrayLike) -> Vector:
     """Return probabilities inside (0, 1), rising."""
     levels = np.atleast_1d(np.asarray(levels, dtype=float))

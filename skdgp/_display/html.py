@@ -1,9 +1,14 @@
-"""Text, numbers, tables and figures as HTML; text from outside is escaped here."""
+"""Text, numbers, tables, figures and pages as HTML; text from outside is escaped here."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib.resources import files
+from importlib.util import find_spec
+from string import Template
 
 import numpy as np
 
@@ -11,6 +16,10 @@ from skdgp._flight.channels import COEFFICIENTS
 
 THIN = "\u202f"
 DASH = "–"
+STYLE = files("skdgp._display").joinpath("page.css").read_text(encoding="utf-8")
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'"
+"""The browser allows the page's own script and nothing else: no other file, no network."""
+PAGE = Template(files("skdgp._display").joinpath("page.html").read_text(encoding="utf-8"))
 
 
 def text(value: object) -> str:
@@ -71,3 +80,16 @@ def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> s
         pictures = f'<div class="static">{pictures}</div>'
     kind = ' class="chart"' if chart else ""
     return f"<figure{kind}>{pictures}{chart}<figcaption>{caption}</figcaption></figure>"
+
+
+def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: str = "") -> str:
+    """Return the document; title and kind are text, ``script`` is JavaScript, the rest is HTML."""
+    policy = POLICY.format(base64.b64encode(hashlib.sha256(script.encode()).digest()).decode())
+    script = f"<script>{script}</script>" if script else ""
+    words = {"kind": text(kind), "title": text(title), "meta": meta, "body": body, "colophon": colophon}
+    return PAGE.substitute(words, policy=policy, style=STYLE, script=script)
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None

@@ -9,25 +9,18 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
 # Okabe & Ito (2008), Color Universal Design.
 PALETTE = {
-    "blue": "#0072B2",
-    "vermillion": "#D55E00",
-    "green": "#009E73",
-    "purple": "#CC79A7",
-    "sky": "#56B4E9",
-    "orange": "#E69F00",
-    "yellow": "#F0E442",
-    "grey": "#8A8A8A",
-}
+    "blue": "#0072B2", "vermillion": "#D55E00", "green": "#009E73", "purple": "#CC79A7", "sky": "#56B4E9",
+    "orange": "#E69F00", "yellow": "#F0E442", "grey": "#8A8A8A",
+}  # fmt: skip
 CYCLE = tuple(PALETTE.values())[:6]
-QUIET = "#5F6973"
-"""Of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)."""
+QUIET = "#5F6973"  # of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)
 MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
 ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
 
@@ -43,8 +36,6 @@ _SYMBOLS = {
     "airspeed": "V",
     "altitude": "h",
 }
-
-
 _UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 
@@ -110,7 +101,7 @@ def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: floa
     """Draw a line and, where its standard deviation is known, its band; return both."""
     band = None
     if std is not None:
-        half = norm.ppf(0.5 + level / 2) * std
+        half = half_width(level) * std
         style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
         band = ax.fill_between(x, mean - half, mean + half, **style)
     return ax.plot(x, mean, color=ROLES["mean"], label=label)[0], band

@@ -12,32 +12,18 @@ from typing import Any
 from skdgp._display.style import PALETTE, QUIET, ROLES
 
 INK = "#20242a"
-WIDTH = 4.6
-"""Width of a panel [in]: half a desktop page, or a phone with letters still readable."""
-POINTS = 72
-"""Units of an SVG in an inch."""
+WIDTH = 4.6  # width of a panel [in]: half a desktop page, or a phone with letters still readable
+POINTS = 72  # units of an SVG in an inch
 _STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "skdgp",
-    "font.size": 8,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
+    "svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8, "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6, "ytick.major.width": 0.6, "xtick.major.size": 3, "ytick.major.size": 3,
+    "figure.facecolor": "none", "axes.facecolor": "none",
     **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
-}
+}  # fmt: skip
 
 # Colours of the pictures and the page's variables for them, which change with light and dark.
-_VARIABLES = {
-    INK: "ink",
-    QUIET.lower(): "quiet",
-    "#b0b0b0": "quiet",
-    ROLES["measured"]: "measured",
-    **{color: name for name, color in PALETTE.items()},
-}
+_VARIABLES = {INK: "ink", QUIET: "quiet", "#b0b0b0": "quiet", ROLES["measured"]: "measured"}
+_VARIABLES |= {color: name for name, color in PALETTE.items()}
 _VARIABLES = {color.lower(): f"var(--{name})" for color, name in _VARIABLES.items()}
 
 
@@ -45,7 +31,6 @@ def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
     """Return the SVG of a low panel against time; only the ``bottom`` panel of a column names the axis."""
     above, below = 0.08, 0.4 if bottom else 0.23  # margins [in]
     height = above + 1.1 + below
-    edges = (0.145, 0.985, below / height, 1 - above / height)
 
     def drawn(ax):
         draw(ax)
@@ -53,7 +38,8 @@ def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
         if not bottom:
             ax.set_xlabel("")
 
-    return picture(drawn, label=label, size=(WIDTH, height), margins=edges)
+    margins = (0.145, 0.985, below / height, 1 - above / height)
+    return picture(drawn, label=label, size=(WIDTH, height), margins=margins)
 
 
 def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple, located: bool = False) -> str:

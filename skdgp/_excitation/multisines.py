@@ -26,14 +26,12 @@ from skdgp._excitation.signals import (
     freeze,
 )
 
-POWERS = (4, 8, 16, 32, 64, 128, 256)
-"""Powers p of the norms that approach the peak in the search for phases."""
+POWERS = (4, 8, 16, 32, 64, 128, 256)  # powers p of the norms that approach the peak in the search for phases
 SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
 """Samples per period of the highest harmonic: in the search for phases, and for a peak."""
 MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
 """Steps of a search for one norm, samples in all its steps together (some seconds), searches for one signal."""
-LEAST_COVERAGE = 0.7
-"""Share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly."""
+LEAST_COVERAGE = 0.7  # share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,8 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
     With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE Trans. Inf. Theory 16,
-    1970). `Multisine.optimized` finds better ones.
+    1970). `Multisine.optimized` finds better ones. Raises ValueError if harmonics are not distinct integers > 0, the
+    rms is not > 0, or a limit is exceeded.
 
     Parameters
     ----------
@@ -168,11 +167,6 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
     -------
     Multisine
 
-    Raises
-    ------
-    ValueError
-        If harmonics are not distinct integers > 0, the rms is not > 0, or a limit is exceeded.
-
     Examples
     --------
     >>> from skdgp.design import multisine
@@ -187,19 +181,15 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float, limits: 
 
 
 def orthogonal_multisines(
-    limits: Mapping[str, Limits | float],
-    duration: float,
-    band: tuple[float, float],
-    *,
-    n_tones: int | None = None,
-    n_starts: int = 8,
-    random_state: Seed = 0,
-) -> dict[str, Multisine]:
+    limits: Mapping[str, Limits | float], duration: float, band: tuple[float, float], *, n_tones: int | None = None,
+    n_starts: int = 8, random_state: Seed = 0,
+) -> dict[str, Multisine]:  # fmt: skip
     """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band (Morelli, AIAA 2003-5700);
     those of an axis are evenly spaced where that covers most of the band, since peaks are then lower.
-    Phases are those of `Multisine.optimized`: each input begins and ends at zero.
+    Phases are those of `Multisine.optimized`: each input begins and ends at zero. Raises ValueError if there are fewer
+    harmonics in the band than tones, or no axis.
 
     Parameters
     ----------
@@ -217,11 +207,6 @@ def orthogonal_multisines(
     Returns
     -------
     dict of str to Multisine
-
-    Raises
-    ------
-    ValueError
-        If there are fewer harmonics in the band than tones, or no axis.
 
     Examples
     --------

@@ -14,12 +14,9 @@ from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Vector
 
-EDGE = 1e-5
-"""Time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded."""
-ROUNDING = 1e-9
-"""Relative excess of a limit that is rounding."""
-RMS_SAMPLES = 10_000
-"""Samples of a signal, for its root mean square."""
+EDGE = 1e-5  # time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded
+ROUNDING = 1e-9  # relative excess of a limit that is rounding
+RMS_SAMPLES = 10_000  # samples of a signal, for its root mean square
 RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
 """For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples at most."""
 MOST_PERIODS = RMS_SAMPLES // 2
@@ -296,19 +293,14 @@ def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits
 
 
 def chirp(
-    duration: float,
-    band: tuple[float, float],
-    amplitude: float,
-    *,
-    spacing: Literal["logarithmic", "linear"] = "logarithmic",
-    fade: float = 0.1,
-    limits: Limits | None = None,
-) -> Chirp:
+    duration: float, band: tuple[float, float], amplitude: float, *,
+    spacing: Literal["logarithmic", "linear"] = "logarithmic", fade: float = 0.1, limits: Limits | None = None,
+) -> Chirp:  # fmt: skip
     r"""Return a frequency sweep: a sine whose frequency moves through a band, fading in and out.
 
     The frequency is :math:`f_0 (f_1 / f_0)^{t/T}`, the same time in each octave, or linear in time (Klein & Morelli,
     Aircraft System Identification, 2006, chapter 9; Tischler & Remple, Aircraft and Rotorcraft System Identification,
-    2012, chapter 5).
+    2012, chapter 5). Raises ValueError if the duration is too short for the band, or a limit is exceeded.
 
     Parameters
     ----------
@@ -325,11 +317,6 @@ def chirp(
     Returns
     -------
     Chirp
-
-    Raises
-    ------
-    ValueError
-        If the duration is too short for the band, an argument is not one of these, or a limit is exceeded.
 
     Examples
     --------

@@ -1,21 +1,20 @@
-"""Inputs of several axes in a sequence, as tables that autopilots and simulations fly and cards that pilots fly."""
+"""Inputs of several axes in a sequence, as tables that autopilots and simulations fly."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
-from skdgp._excitation.signals import ROUNDING, UNLIMITED, Limits, Signal, Steps
+from skdgp._excitation.signals import ROUNDING, UNLIMITED, Limits, Signal
 from skdgp._flight.checks import check_names
 
 AXES = ("elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust")
-MOST_ROWS = 1_000_000
-"""Largest number of rows of a table: five hours at 50 Hz."""
+MOST_ROWS = 1_000_000  # largest number of rows of a table: five hours at 50 Hz
 SAMPLES_PER_PERIOD = 10
 """Least number of samples in the shortest period of a signal: held for one, it is late by a twentieth of it."""
 
@@ -126,55 +125,6 @@ class Wavetrain:
             check_names(columns, trim, "controls of the trim")
             columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
         return pd.DataFrame({"time": time, **columns})
-
-    def flyable(self, *, tick: float = 0.5, detent: float = np.deg2rad(1.0)) -> Wavetrain:
-        """Return the inputs as a pilot can fly them: times in multiples of a tick, steps in multiples of a detent.
-
-        A tick is a time [s], a detent a deflection [rad, or 1 of the throttle], by default a degree. Durations become
-        the nearest multiple; an input with a shorter one than a tick is first stretched as a whole. Levels become the
-        next smaller multiple, so that limits hold; starts the next later one. The ramps are the pilot's own: there are
-        no limits of rate. Raises ValueError if an input is not made of steps, is smaller than a detent, or would
-        overlap the next one of its axis.
-        """
-        if not (tick > 0 and detent > 0):
-            raise ValueError(f"Got tick={tick}, detent={detent}, but expected both > 0.")
-        inputs: dict[str, dict[float, Signal]] = {axis: {} for axis in self.inputs}
-        for axis, start, signal in self.events():
-            if not isinstance(signal, Steps):
-                raise ValueError(
-                    f"Got a {type(signal).__name__} of the {axis}, which no pilot can fly: choose doublets, 3-2-1-1s "
-                    "or other Steps."
-                )
-            levels = signal.levels_in(detent)
-            if not all(levels):
-                raise ValueError(
-                    f"Got levels {signal.levels} of the {axis}, but expected each to be at least a detent, "
-                    f"{detent:.3g}: use larger steps or a smaller detent."
-                )
-            stretch = max(1.0, tick / min(signal.durations))
-            durations = [tick * round(stretch * duration / tick) for duration in signal.durations]
-            inputs[axis][tick * float(np.ceil(start / tick - ROUNDING))] = Steps(durations, levels)
-        for axis, signals in inputs.items():
-            ends = [start + signal.duration for start, signal in sorted(signals.items())]
-            if len(signals) < len(self.inputs[axis]) or (np.array(ends[:-1]) > sorted(signals)[1:]).any():
-                raise ValueError(
-                    f"Got inputs of the {axis} that overlap once their times are multiples of {tick:g} s: leave longer "
-                    "pauses."
-                )
-        return Wavetrain(inputs, {axis: replace(limit, rate=np.inf, rms=np.inf) for axis, limit in self.limits.items()})
-
-    def card(self) -> pd.DataFrame:
-        """Return what a pilot does: ``time`` [s], ``axis``, and the ``level`` to move it to, a row for each step.
-
-        Raises ValueError if an input is not made of steps.
-        """
-        rows: list[tuple[float, str, float]] = []
-        for axis, start, signal in self.events():
-            if not isinstance(signal, Steps):
-                raise ValueError(f"Got a {type(signal).__name__} of the {axis}, but expected Steps: see flyable().")
-            levels = [*signal.levels, 0.0]
-            rows += [(start + edge, axis, level) for edge, level in zip(signal.edges, levels, strict=True)]
-        return pd.DataFrame(sorted(rows), columns=["time", "axis", "level"])
 
 
 def wavetrain(

@@ -1,4 +1,4 @@
-"""CalibratedRegressor: standard deviations scaled by held-out flights."""
+"""CalibratedRegressor: standard deviations scaled by held-out flights, with equal weight per flight."""
 
 from __future__ import annotations
 
@@ -8,21 +8,27 @@ from numbers import Integral, Real
 from typing import Any, Self
 
 import numpy as np
-from scipy.stats import norm
+import pandas as pd
 from sklearn.base import BaseEstimator, MetaEstimatorMixin, RegressorMixin, clone
+from sklearn.model_selection import GroupKFold
 from sklearn.utils import check_array, get_tags
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.intervals import check_level
-from skdgp._compute.predicting import accepts, predict_with_noise, unwrap
-from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
+from skdgp._compute.intervals import check_level, half_width
+from skdgp._compute.predicting import accepts, predict_observed, predict_with_noise, unwrap
+from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context, safe_indexing
 from skdgp._compute.tables import column_names
-from skdgp._compute.typing import Array, Seed
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._flight.clock import flight_codes
 from skdgp._regressor import check_targets
-from skdgp.calibration import _conformal as conformal
 from skdgp.inference._paths import Path, Paths
+from skdgp.model_selection import BlockSplit
+
+N_SPLITS = 5
+MIN_ROWS = 6  # of a single flight, which is cut into two blocks of three rows
+ROUNDING = 1e-9  # levels nearer than this are equal
 
 
 def _estimator_has(name: str) -> Callable[[Any], bool]:
@@ -78,10 +84,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         Unit of the guarantee: "block" if a splitter cuts flights; and K, the units in which each output was observed.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
-    output_names_ : list of str
-        Column names of Y, or y0, y1, ...
-    n_features_in_, feature_names_in_
-        Those of the estimator.
+    output_names_, n_features_in_, feature_names_in_
+        Column names of Y, or y0, y1, ...; the others are those of the estimator.
 
     Examples
     --------
@@ -133,36 +137,29 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def fit(self, X: Any, y: Any, groups: Any = None, **fit_params: Any) -> Self:
         """Score held-out flights, then fit on all flights.
 
+        X (n, d) are regressors, or the flights of an identification pipeline. Its column ``flight`` names flights; a
+        single flight is cut into blocks by its column ``time`` [s], or by rows without a gap. Targets y (n,) or (n, P)
+        are NaN where an output was not observed. ``groups`` (n,) are exchangeable units in place of the column
+        ``flight``, such as the day. Parameters of the estimator's ``fit``, such as ``time``, have a value for each row.
+
         Raises TypeError if the estimator predicts no standard deviation, ValueError if there are too few rows or an
         output has no held-out observation. Warns if there is one flight, or too few to guarantee ``level``.
-
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-            Regressors, or the flights of an identification pipeline. Its column ``flight`` names flights; a single
-            flight is cut into blocks by its column ``time`` [s], or by rows without a gap.
-        y : array, Series or DataFrame (n,) or (n, P)
-            Targets; NaN where an output was not observed.
-        groups : array-like (n,), optional
-            Exchangeable units in place of the column ``flight``, such as the day.
-        **fit_params : array-like (n,)
-            Of the estimator's ``fit``, a value for each row, such as ``time``.
         """
         X = _check_X(X)
         Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
         y = y if column_names(y) else Y[:, 0] if self._single else Y
-        flights = conformal.flight_table(X, groups)
-        splits = conformal.splits_of(flights, self.cv)
+        flights = _flight_table(X, groups)
+        splits = _splits_of(flights, self.cv)
         if isinstance(self.cv, str):
             check_is_fitted(self.estimator)
             self.estimator_ = self.estimator
-            all_scores = conformal.conformity_scores(self.estimator, X, Y)
+            all_scores = _scores(self.estimator, X, Y)
             scores = [all_scores[test] for _, test in splits]
         else:
-            fits = (delayed(conformal.fit_and_score)(self.estimator, X, y, Y, *rows, fit_params) for rows in splits)
+            fits = (delayed(_fit_and_score)(self.estimator, X, y, Y, *rows, fit_params) for rows in splits)
             scores = Parallel(n_jobs=self.n_jobs)(fits)
             self.estimator_ = clone(self.estimator).fit(X, y, **fit_params)
-        self.unit_, units = conformal.units_of([test for _, test in splits], flights["flight"].to_numpy())
+        self.unit_, units = _units_of([test for _, test in splits], flights["flight"].to_numpy())
         self._calibrate(np.concatenate(scores), units)
         return self
 
@@ -179,8 +176,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
                 "these outputs out, or observe them in more flights."
             )
         self.max_level_ = self.n_units_ / (self.n_units_ + 1)
-        self.guaranteed_ = (self.max_level_ >= self.level - conformal.ROUNDING) & (self.method == "conformal")
-        self.std_scale_ = self._half_widths(self.level) / norm.ppf(0.5 + self.level / 2)
+        self.guaranteed_ = (self.max_level_ >= self.level - ROUNDING) & (self.method == "conformal")
+        self.std_scale_ = self._half_widths(self.level) / half_width(self.level)
         if self.method == "conformal" and not self.guaranteed_.all():
             few = ~self.guaranteed_
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
@@ -188,7 +185,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             warnings.warn(
                 f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
                 f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
-                f"{conformal.units_needed(self.level)} {self.unit_}s or more, or set "
+                f"{units_needed(self.level)} {self.unit_}s or more, or set "
                 f"level={np.floor(100 * top) / 100:g}.",
                 stacklevel=4,
             )
@@ -198,18 +195,16 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         widths = []
         for k, column in enumerate(self.calibration_scores_.T):
             rows = ~np.isnan(column)
-            scores, weights = column[rows], conformal.unit_weights(self.calibration_units_[rows])
+            scores, weights = column[rows], unit_weights(self.calibration_units_[rows])
             if self.method == "variance":
-                widths.append(norm.ppf(0.5 + level / 2) * np.sqrt(weights @ scores**2))
+                widths.append(half_width(level) * np.sqrt(weights @ scores**2))
             else:
                 total = self.max_level_[k] if self.guaranteed_[k] else 1.0  # the next flight weighs 1 / (K + 1)
-                widths.append(conformal.weighted_quantile(scores, total * weights, level))
+                widths.append(weighted_quantile(scores, total * weights, level))
         return np.array(widths)
 
     def predict(self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False) -> Any:
-        """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled.
-
-        Mean and deviation are (n, P), or (n,) for y of shape (n,).
+        """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled; (n, P) or (n,).
 
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
         ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
@@ -283,7 +278,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             warnings.warn(
                 f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more than "
                 f"{self.max_level_.min():.3g}, so intervals are infinite: calibrate on "
-                f"{conformal.units_needed(level)} of them, or lower the level.",
+                f"{units_needed(level)} of them, or lower the level.",
                 stacklevel=2,
             )
         mean, std = predict_with_noise(self.estimator_, _check_X(X))
@@ -344,3 +339,96 @@ class ScaledPaths(Sequence):
         # A table of points for all paths has names, which predict expects.
         mean = predict(X.reshape(-1, X.shape[-1])).reshape(values.shape) if np.ndim(X) == 3 else predict(X)
         return mean + scale * (values - mean)
+
+
+def _flight_table(X: Any, groups: Any) -> pd.DataFrame:
+    """Return the number of each row's flight, and its time where X has one."""
+    n, columns = len(X), getattr(X, "columns", ())
+    ids = groups if groups is not None else X["flight"] if "flight" in columns else np.zeros(n)
+    codes, _ = flight_codes(ids)
+    if len(codes) != n:
+        raise ValueError(f"Got {len(codes)} flight identifiers for {n} rows, but expected one for each row.")
+    table = pd.DataFrame({"flight": codes})
+    return table.assign(time=X["time"].to_numpy(dtype=float)) if "time" in columns else table
+
+
+def _splits_of(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
+    """Return the training and held-out rows of each split; a fitted model uses the held-out rows only."""
+    groups, rows = flights["flight"], np.arange(len(flights))
+    if cv is None or isinstance(cv, Integral | str):
+        if groups.nunique() < 2:
+            return _blocks_of_one_flight(flights, cv)
+        if cv == "prefit":
+            return [(rows[:0], rows)]
+        cv = GroupKFold(min(N_SPLITS, groups.nunique()) if cv is None else cv)
+    if not hasattr(cv, "split"):
+        return list(cv)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The groups parameter is ignored")
+        return list(cv.split(flights, groups=groups))
+
+
+def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
+    n = len(flights)
+    if n < MIN_ROWS:
+        raise ValueError(
+            f"Got n_samples={n} of one flight, but expected at least {MIN_ROWS}, to hold some out: give more rows, "
+            "or several flights (column flight, or groups)."
+        )
+    n_blocks = cv if isinstance(cv, Integral) else min(N_SPLITS, n // 3)
+    warnings.warn(
+        f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for further blocks of this "
+        "flight, not for other flights. Give several (column flight, or groups).",
+        stacklevel=5,
+    )
+    gap = 2.0 if "time" in flights and cv != "prefit" else 0.0  # seconds between training and held-out rows
+    flights = flights if "time" in flights else flights.assign(time=np.arange(n, dtype=float))
+    return list(BlockSplit(int(n_blocks), gap=gap).split(flights))
+
+
+def _fit_and_score(
+    estimator: Any, X: Any, y: Any, Y: Matrix, train: Indices, test: Indices, fit_params: dict
+) -> Matrix:
+    """Return the scores of held-out rows, by a model that did not learn from them."""
+    params = {name: safe_indexing(values, train) for name, values in fit_params.items()}
+    fitted = clone(estimator).fit(safe_indexing(X, train), safe_indexing(y, train), **params)
+    return _scores(fitted, safe_indexing(X, test), Y[test])
+
+
+def _scores(estimator: Any, X: Any, Y: Matrix) -> Matrix:
+    """Return ``|y - mean| / std``, (n, P); NaN where not observed."""
+    rows, mean, std = predict_observed(estimator, X, Y, with_std=True)
+    scores = np.full(Y.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scores[rows] = np.abs(Y[rows] - mean.reshape(len(rows), -1)) / std.reshape(len(rows), -1)
+    return scores
+
+
+def _units_of(tests: list[Indices], flights: Indices) -> tuple[str, Indices]:
+    """Return the exchangeable unit, the flight or, if a split cuts one, the block, and that of each held-out row.
+
+    ``tests`` holds the held-out rows of each split, ``flights`` the flight of every row, from 0 on.
+    """
+    sizes = np.bincount(flights)
+    counts = np.array([np.bincount(flights[test], minlength=len(sizes)) for test in tests])
+    whole = len(sizes) > 1 and ((counts == 0) | (counts == sizes)).all()
+    units = [flights[test] + (0 if whole else k * len(sizes)) for k, test in enumerate(tests)]
+    return "flight" if whole else "block", np.concatenate(units)
+
+
+def unit_weights(units: Indices) -> Vector:
+    """Return weights of samples that sum to one, with equal sums for all units."""
+    counts = np.bincount(units)
+    return 1.0 / (counts[units] * np.count_nonzero(counts))
+
+
+def weighted_quantile(scores: Vector, weights: Vector, level: float) -> float:
+    """Return the least score for which scores up to it have a weight of ``level``; infinite if there is none."""
+    order = np.argsort(scores)
+    index = np.searchsorted(np.cumsum(weights[order]), level - ROUNDING)
+    return float(scores[order][index]) if index < len(scores) else np.inf
+
+
+def units_needed(level: float) -> int:
+    """Return K, the least number of units with K / (K + 1) >= level."""
+    return int(np.ceil(level / (1 - level) - ROUNDING))

@@ -15,7 +15,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
-from skdgp.calibration._conformal import ROUNDING, unit_weights, units_needed, weighted_quantile
+from skdgp.calibration._regressor import ROUNDING, unit_weights, units_needed, weighted_quantile
 from skdgp.dynamics import trajectory_bands
 
 GROUPS = {"velocity": EARTH_VELOCITY, "attitude": EULER, "rates": RATES}
@@ -79,13 +79,9 @@ class CalibratedBands:
 
     @classmethod
     def from_flights(
-        cls,
-        ensemble: pd.DataFrame,
-        recorded: Sequence[pd.DataFrame],
-        *,
-        groups: Mapping[str, Sequence[str]] | None = None,
-        noise: Mapping[str, float] | None = None,
-    ) -> CalibratedBands:
+        cls, ensemble: pd.DataFrame, recorded: Sequence[pd.DataFrame], *,
+        groups: Mapping[str, Sequence[str]] | None = None, noise: Mapping[str, float] | None = None,
+    ) -> CalibratedBands:  # fmt: skip
         """Return the bands that the errors of an ensemble on recorded segments ask for.
 
         Raises ValueError if there are fewer than two units, a segment is shorter than its trajectory or lacks a state,
@@ -98,12 +94,11 @@ class CalibratedBands:
             not learn from these flights.
         recorded : list of DataFrame
             The segments in the order of the starts, with ``time`` [s] and the states. A column ``flight`` names their
-            flights, which are the exchangeable units. Without it, or with one flight, segments are: they are only
-            approximately exchangeable, because neighbours fly in the same air.
+            flights, which are the exchangeable units. Without it, or with one flight, segments are, only approximately:
+            neighbours fly in the same air.
         groups : mapping of str to sequence of str, optional
             States of each group, which has bands of its own; by default velocity (v_north, v_east, v_down), attitude
-            (phi, theta, psi) and rates (p, q, r), as far as they were recorded. Bands of one group of all states hold
-            all of them at once.
+            (phi, theta, psi) and rates (p, q, r), as far as they were recorded.
         noise : mapping of str to float, optional
             Standard deviations of the errors of recorded states, by name. They are part of s: without them the first
             rows, where an ensemble has not spread, decide. ``initial_std`` of `simulate` is that of the starts.

@@ -17,22 +17,14 @@ REGRESSORS = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator
 """Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)."""
 
 PROPELLER = Propeller(
-    diameter=0.6,
-    thrust_coefficients=(0.10, -0.045, -0.065),
-    torque_coefficients=(0.0070, 0.0010, -0.0060),
-    rotation=-1,
-    speed_range=(280.0, 800.0),
-)
+    diameter=0.6, thrust_coefficients=(0.10, -0.045, -0.065), torque_coefficients=(0.0070, 0.0010, -0.0060),
+    rotation=-1, speed_range=(280.0, 800.0),
+)  # fmt: skip
 BRUMBY = Aircraft(
-    name="brumby",
-    mass=45.0,
-    inertia=np.array([[4.1, -0.06, -0.65], [-0.06, 9.2, 0.04], [-0.65, 0.04, 12.4]]),
-    wing_area=2.59,
-    span=2.80,
-    chord=1.09,
+    name="brumby", mass=45.0, inertia=np.array([[4.1, -0.06, -0.65], [-0.06, 9.2, 0.04], [-0.65, 0.04, 12.4]]),
+    wing_area=2.59, span=2.80, chord=1.09, propeller=PROPELLER,
     thrust_line=ThrustLine(position=(-0.75, 0.0, -0.05), direction=(1.0, 0.0, -0.035)),
-    propeller=PROPELLER,
-)
+)  # fmt: skip
 
 
 def brumby_coefficients(regressors: ArrayLike) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from importlib.resources import files
 from numbers import Real
 from typing import Any
 
@@ -28,8 +29,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.datasets._flight_controls import ALPHA, FlightControls
-from skdgp.datasets._flight_plans import FLIGHT_PLANS, FlightPlan
+from skdgp.datasets._flight_plans import ALPHA, FLIGHT_PLANS, FlightControls, FlightPlan
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
 from skdgp.dynamics._air.air import GustyAir, LocalAir
 from skdgp.dynamics._air.dryden import dryden_gusts, low_altitude_turbulence
@@ -41,27 +41,18 @@ from skdgp.dynamics._simulation.trajectory import channels
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
-LOG_STEP = 0.025
-"""Between autopilot commands, integration steps and log rows [s]."""
-SETTLING = 8.0
-"""Flown before the log begins, so that it does not open with the transients of a guessed trim [s]."""
-FIELD_ELEVATION = 60.0
-"""Height of the ground, above which turbulence scales [m]."""
-AIRSPEED = 36.0
-"""At which the gusts are crossed [m/s]."""
-PASSES = 8
-"""Of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer."""
+LOG_STEP = 0.025  # between autopilot commands, integration steps and log rows [s]
+SETTLING = 8.0  # flown before the log begins, so that it does not open with the transients of a guessed trim [s]
+FIELD_ELEVATION = 60.0  # height of the ground, above which turbulence scales [m]
+AIRSPEED = 36.0  # at which the gusts are crossed [m/s]
+PASSES = 8  # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
 DEGREE = np.pi / 180.0
 
 SENSOR_NOISE = {
-    "airspeed": 0.3,
-    **dict.fromkeys(("alpha", "beta"), 0.3 * DEGREE),
-    **dict.fromkeys(RATES, 0.002),
-    **dict.fromkeys(SPECIFIC_FORCE, 0.05),
-    **dict.fromkeys(EULER, 0.3 * DEGREE),
-    **dict.fromkeys(("north", "east"), 0.5),
+    "airspeed": 0.3, "alpha": 0.3 * DEGREE, "beta": 0.3 * DEGREE, **dict.fromkeys(RATES, 0.002),
+    **dict.fromkeys(SPECIFIC_FORCE, 0.05), **dict.fromkeys(EULER, 0.3 * DEGREE), "north": 0.5, "east": 0.5,
     **dict.fromkeys(EARTH_VELOCITY, 0.1),
-}
+}  # fmt: skip
 """Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit, GPS."""
 MEASURED = (
     "time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
@@ -75,36 +66,18 @@ TRUTH = (
     *("u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS),
 )
 
-DESCR = """\
-Example flights: a simulated Brumby-like UAV
---------------------------------------------
-A 45 kg cropped delta with two elevons, a rudder and a pusher propeller, span 2.8 m, about 36 m/s, flown by an
-autopilot through steady wind and Dryden turbulence (MIL-F-8785C) while doublets, 3-2-1-1s and multisines excite
-it. Nonlinear aerodynamics: vortex lift and its breakdown, dihedral effect and damping that change with alpha,
-elevons that saturate and so couple elevator and aileron. 40 Hz, SI units, radians.
-
-train  flight "lateral": one altitude, aileron and rudder excited; flight "latlon": elevator and throttle too.
-test   flight "two_altitudes": another path, another wind, more turbulence, a climb of 75 m.
-
-Plain columns are what sensors saw, with white noise (airspeed 0.3 m/s, vanes and attitude 0.3 deg, rates
-0.002 rad/s, accelerations 0.05 m/s2, ground velocity 0.1 m/s, position 0.5 m); surfaces, throttle, propeller
-speed, thrust, altitude and density are known. Columns ending in _true are noise-free: score with them, never fit.
-"""
+DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
+FACTOR = [Interval(Real, 0, None, closed="left")]
 
 
 @validate_params(
-    {
-        "random_state": ["random_state"],
-        "turbulence": [Interval(Real, 0, None, closed="left")],
-        "sensor_noise": [Interval(Real, 0, None, closed="left")],
-    },
-    prefer_skip_nested_validation=True,
+    {"random_state": ["random_state"], "turbulence": FACTOR, "sensor_noise": FACTOR}, prefer_skip_nested_validation=True
 )
 def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.
 
-    Nothing is downloaded: `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the
-    same process. The aircraft, its equations and the manoeuvres are described in docs/example_flights.md.
+    `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the same process. The aircraft,
+    its equations and the manoeuvres are described in docs/example_flights.md.
 
     Parameters
     ----------
@@ -141,13 +114,9 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
         seed = check_random_state(seed).randint(np.iinfo(np.int32).max)
     train, test = _flights(int(seed), float(turbulence), float(sensor_noise))
     return Bunch(
-        train=train.copy(),
-        test=test.copy(),
-        aircraft=BRUMBY,
-        aerodynamics=brumby_coefficients,
-        regressor_names=list(REGRESSORS),
-        DESCR=DESCR,
-    )
+        train=train.copy(), test=test.copy(), aircraft=BRUMBY, aerodynamics=brumby_coefficients,
+        regressor_names=list(REGRESSORS), DESCR=DESCR,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=2)
@@ -194,9 +163,6 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
     """
     measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis([*SENSOR_NOISE], axis=1)
     return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(measured.shape)
-
-
-# -- simulation --------------------------------------------------------------------------------------------------
 
 
 def brumby_motion() -> Motion:

@@ -1,15 +1,7 @@
 """Design of flights: inputs that excite an aircraft, their sequences, what they teach, and what was flown of them."""
 
 from skdgp._excitation.multisines import Multisine, multisine, orthogonal_multisines
-from skdgp._excitation.signals import (
-    Chirp,
-    Limits,
-    Signal,
-    Steps,
-    chirp,
-    doublet,
-    three_two_one_one,
-)
+from skdgp._excitation.signals import Chirp, Limits, Signal, Steps, chirp, doublet, three_two_one_one
 from skdgp._excitation.wavetrain import Wavetrain, wavetrain
 from skdgp.design._card import write_flight_card
 from skdgp.design._envelope import Envelope
@@ -21,32 +13,8 @@ from skdgp.design._planner import Known, Pilot, plan
 from skdgp.design._write import write_ardupilot_lua, write_csv, write_px4
 
 __all__ = [
-    "Chirp",
-    "Envelope",
-    "FlownPlan",
-    "Information",
-    "Known",
-    "Limits",
-    "Multisine",
-    "Pilot",
-    "Plan",
-    "Signal",
-    "Steps",
-    "Wavetrain",
-    "chirp",
-    "coefficient_noise",
-    "doublet",
-    "expected_information",
-    "flown_plan",
-    "input_bands",
-    "multisine",
-    "orthogonal_multisines",
-    "plan",
-    "posterior_information",
-    "three_two_one_one",
-    "wavetrain",
-    "write_ardupilot_lua",
-    "write_csv",
-    "write_flight_card",
-    "write_px4",
-]
+    "Chirp", "Envelope", "FlownPlan", "Information", "Known", "Limits", "Multisine", "Pilot", "Plan", "Signal", "Steps",
+    "Wavetrain", "chirp", "coefficient_noise", "doublet", "expected_information", "flown_plan", "input_bands",
+    "multisine", "orthogonal_multisines", "plan", "posterior_information", "three_two_one_one", "wavetrain",
+    "write_ardupilot_lua", "write_csv", "write_flight_card", "write_px4",
+]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,47 +13,29 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.html import DASH, THIN, figure, number, percent, table, text
-from skdgp._display.page import can_draw, render_page
+from skdgp._display.html import DASH, THIN, can_draw, figure, number, percent, render_page, symbol, table, text
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._display.svg import strip
 from skdgp._excitation.signals import Steps
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._html import (
-    GOALS,
-    MOST_LISTED,
-    by_coefficient,
-    derivative,
-    heading,
-    label_of,
-    milli,
-    name_of,
-    shown,
-    unit_of,
-)
-from skdgp.design._plan import Plan, errors_of
+from skdgp.design._information import errors_of
+from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import REACTION, RESPONSE
 
-QUICK = 0.5
-"""Shortest step that a pilot can time by counting [s]."""
-SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")
-"""Responses that are drawn; altitude stands in the table of limits."""
-NEAR = 0.6
-"""A limit is drawn if it is nearer to the response than this part of its range."""
+QUICK = 0.5  # shortest step that a pilot can time by counting [s]
+SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")  # responses that are drawn; altitude stands in the table
+NEAR = 0.6  # a limit is drawn if it is nearer to the response than this part of its range
 DIRECTIONS = {
     "elevator": ("nose down", "nose up"), "aileron": ("roll right", "roll left"), "rudder": ("nose left", "nose right"),
     "throttle": ("more power", "less power"),
 }  # fmt: skip
-SOME = 0.95
-"""Part of an error that is left, above which a manoeuvre teaches nothing worth naming."""
+SOME = 0.95  # part of an error that is left, above which a manoeuvre teaches nothing worth naming
 NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
 CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
 FLOWN = ("Flown at", "Remarks", "Signed")
-MOST_NAMED = 4
-"""Derivatives that a manoeuvre teaches which are named."""
-MOST_KINDS = 4
-"""Of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight."""
+MOST_NAMED = 4  # derivatives that a manoeuvre teaches which are named
+MOST_KINDS = 4  # of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight
 WIND_TO_GUST = 10.0
 """Wind 6 m above ground over the standard deviation of vertical gusts below 1000 ft (MIL-F-8785C, 3.7.3)."""
 MODES = (
@@ -61,52 +44,25 @@ MODES = (
     ("pauses", "FBWB or CRUISE (ArduPilot), Altitude (PX4), or by hand: back to the trim."),
 )  # fmt: skip
 """Of the autopilot, during and between the manoeuvres."""
+MOST_LISTED = 16  # derivatives in one list; more stand in a table of coefficients by regressors
+GOALS = {
+    "function": ("all coefficients", "over the flown range, each in units of its spread"),
+    "free-flight": ("free flight", "after 2 s: of alpha, beta, bank and pitch [rad]"),
+}
+"""In words: the goals that are no derivatives."""
+LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
+NO_BREAK = "\u00a0"
 
 
-def write_flight_card(
-    path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None, created: datetime | None = None
-) -> Path:
+def write_flight_card(path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None) -> Path:
     """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
-    First come the crew's pages: who flies when, in which wind and gusts, how to trim and to enter, in which mode of the
-    autopilot, when to abort, the order of the manoeuvres, and their risk and that of the flight. A page for each kind
-    of manoeuvre shows the inputs as pictures and, where a pilot can fly them, as steps; the responses expected of 95 %
-    of the aircraft drawn; and its risk. The last page is the engineer's: what the flight teaches.
-
-    Parameters
-    ----------
-    path : path-like
-        Where to write, such as ``card.html``; FileNotFoundError if its folder does not exist.
-    plan : Plan
-        As of :func:`skdgp.design.plan`.
-    full : mapping of str to float, optional
-        Full deflection of axes [rad], or 1 of the throttle: the card then says how much of the stick each step is.
-    created : datetime, optional
-        When; default: now.
-
-    Returns
-    -------
-    Path
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> import numpy as np
-    >>> from skdgp.design import Known, plan, write_flight_card
-    >>> from skdgp.dynamics import Aerodynamics, Aircraft
-    >>> def linear(X):
-    ...     alpha, q, elevator = X.T
-    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
-    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=8.0,
-    ...              axes=["elevator"], goal=["Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
-    >>> path = write_flight_card(Path(tempfile.mkdtemp()) / "card.html", found)
-    >>> "nose down" in path.read_text(encoding="utf-8")
-    True
+    The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort limits, the order of the
+    manoeuvres, and the risks. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly
+    them, as steps; the responses expected of 95 % of the aircraft drawn; and its risk. The last page is the engineer's:
+    what the flight teaches. With the ``full`` deflections of axes [rad], or 1 of the throttle, the card says how much
+    of the stick each step is. Raises FileNotFoundError if the folder of ``path`` does not exist.
     """
-    created = datetime.now().astimezone() if created is None else created
     draw = can_draw()
     body = [_fields(CREW), _headline(plan), _go(plan), _entry(plan), _limits(plan), _order(plan)]
     if not draw:
@@ -114,7 +70,7 @@ def write_flight_card(
     body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
     body.append(_teaching(plan))
     meta = f"{_count(len(plan.manoeuvres), 'manoeuvre')} of {_count(len(_kinds(plan)), 'kind')}"
-    meta += f" · planned {created:%d %B %Y, %H:%M}"
+    meta += f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     page = render_page("Flight card", title, meta, "\n".join(body), colophon)
@@ -134,56 +90,50 @@ def _fields(names: Sequence[str]) -> str:
     return f'<div class="sign">{"".join(f"<p>{name}</p>" for name in names)}</div>'
 
 
+def _tiles(*tiles: tuple[str, str]) -> str:
+    return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+
+
 def _headline(plan: Plan) -> str:
     rows = plan.manoeuvres
-    tiles = [
+    return _tiles(
         (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
         (f"{len(rows)}", "manoeuvres, one after another" if len(rows) > 1 else "manoeuvre"),
         (percent(plan.risk) + "<small>%</small>", "risk of the flight: that any manoeuvre leaves a limit"),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre"),
-    ]
-    return _tiles(tiles)
-
-
-def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
-    return f'<div class="head">{"".join(f"<div><b>{n}</b><span>{words}</span></div>" for n, words in tiles)}</div>'
+    )
 
 
 def _go(plan: Plan) -> str:
     """Return in which wind and gusts the flight may begin."""
+    caption = "When the flight may begin. Risks and expected responses are those "
     if plan.gusts is None:
         rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
+        caption += "of calm air."
     else:
         wind, swing = (f"{number(v, '.1f')}{THIN}m/s" for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0]))
         rows = [
             [f"wind 6{THIN}m above ground", f"at most {wind}", "above"],
             ["airspeed in trimmed flight, hands off", f"within ±{swing} for 10{THIN}s", "beyond"],
         ]
-    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
-    caption = "When the flight may begin. Risks and expected responses are those "
-    if plan.gusts is None:
-        caption += "of calm air."
-    else:
         along, across, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
-        caption += f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: "
-        caption += f"below 300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller "
-        caption += "than this."
+        caption += (
+            f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: below "
+            f"300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller than this."
+        )
+    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
     return f"<section><h2>Go or no-go</h2>{table(['', 'go', 'no-go'], rows, caption=caption)}</section>"
 
 
 def _entry(plan: Plan) -> str:
-    axes = list(dict.fromkeys(name for one in plan.trims for name in one.controls))
-    head = ["", *map(heading, ("airspeed", "altitude", "phi", "alpha", "theta", *axes)), "pause<br>[s]"]
+    states = ("airspeed", "altitude", "phi", "alpha", "theta")
+    axes = dict.fromkeys(axis for one in plan.trims for axis in one.controls)
+    head = ["", *map(heading, (*states, *axes)), "pause<br>[s]"]
     pauses = plan.manoeuvres.groupby("train")["start"].first()
-    rows = [
-        [
-            _train(plan, k),
-            *(shown(name, getattr(one, name)) for name in ("airspeed", "altitude", "phi", "alpha", "theta")),
-            *(shown(name, one.controls.get(name, np.nan)) for name in axes),
-            number(pauses[k], ".1f"),
-        ]
-        for k, one in enumerate(plan.trims)
-    ]
+    rows = []
+    for k, one in enumerate(plan.trims):
+        values = {name: getattr(one, name) for name in states} | {name: one.controls.get(name, np.nan) for name in axes}
+        rows.append([_train(plan, k), *(shown(*item) for item in values.items()), number(pauses[k], ".1f")])
     steps = (
         "<li>Trim at the values of the table, hands off, for the pause.</li>"
         "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
@@ -200,8 +150,9 @@ def _entry(plan: Plan) -> str:
 def _order(plan: Plan) -> str:
     head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>deflection allowed]", "risk [%]", "flown"]
     rows: list[list[str]] = []
+    begins = ~plan.manoeuvres["train"].duplicated()
     for k, row in enumerate(plan.manoeuvres.to_dict("records")):
-        if len(plan.trims) > 1 and (k == 0 or row["train"] != plan.manoeuvres["train"].iloc[k - 1]):
+        if len(plan.trims) > 1 and begins.iloc[k]:
             rows.append([_train(plan, row["train"])])
         numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
         rows.append([f"{k + 1}. {text(row['name'])}", *numbers, percent(row["risk"]), "☐"])
@@ -214,26 +165,20 @@ def _order(plan: Plan) -> str:
 
 
 def _limits(plan: Plan) -> str:
+    """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
+    limits, kinds = plan.abort_limits, _kinds(plan)
     words = (
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
         "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
+        if len(limits)
+        else "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
+        "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
     )
-    if not len(plan.abort_limits):
-        words = (
-            "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
-            "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
-        )
     if any(name.startswith(GROWTH) for name in plan.limits.index):
         words += (
             '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
             "manoeuvre counts these too.</p>"
         )
-    return f"<section><h2>Abort limits</h2>{words}{_limit_table(plan)}</section>"
-
-
-def _limit_table(plan: Plan) -> str:
-    """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
-    limits, kinds = plan.abort_limits, _kinds(plan)
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
     if not len(named) == len(kinds) <= MOST_KINDS:
         named = {"all manoeuvres": [*range(len(plan.manoeuvres))]}
@@ -249,7 +194,7 @@ def _limit_table(plan: Plan) -> str:
         f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held. "
         f"This may pass a limit: the risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
-    return table(head, lines, caption=caption)
+    return f"<section><h2>Abort limits</h2>{words}{table(head, lines, caption=caption)}</section>"
 
 
 def _teaching(plan: Plan) -> str:
@@ -261,24 +206,15 @@ def _teaching(plan: Plan) -> str:
     others = [name for name in plan.goal if name not in GOALS]
     what = text(" and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])]))
     tile = (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {what} is left (geometric mean)")
-    tiles = _tiles([tile if known else ("new", f"nothing was known of {what}")])
-    if len(errors) <= MOST_LISTED:
-        known = np.isfinite(errors["before"]) & (errors["before"] > 0)
-        rows = [
-            [derivative(str(name)), *map(milli, row.drop("left")), percent(row["left"], ".0f")]
-            for name, row in errors.assign(left=(errors["after"] / errors["before"]).where(known)).iterrows()
-        ]
-        head = ["", *errors.rename(columns={"std": "std now"}), "left [%]"]
-        caption = (
-            f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if plan.merged else ''}"
-        )
-        caption += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
-        shown = table(head, rows, caption=caption, classes="narrow")
-    else:
-        head, rows = by_coefficient(errors, ("after", "before", *(["std"] if plan.merged else [])))
-        caption = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
-        caption += f", and std now{NAMED}." if plan.merged else "."
-        shown = table(head, rows, caption=caption)
+    tiles = _tiles(tile if known else ("new", f"nothing was known of {what}"))
+    left = (errors["after"] / errors["before"]).where(np.isfinite(errors["before"]) & (errors["before"] > 0))
+    now = {"std": "std now"} if plan.merged else {}
+    of_list = f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if now else ''}"
+    of_list += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
+    of_grid = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
+    of_grid += f", and std now{NAMED}." if now else "."
+    heads = {"before": "before", "after": "after"} | now | {"left": "left [%]"}
+    shown = error_table(errors.assign(left=left), heads, ("after", "before", *now), of_list, of_grid)
     pairs = plan.confounded
     if len(pairs):
         named = [
@@ -349,36 +285,33 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     time, values, limits = flight["time"].to_numpy(float), quantities(flight), plan.abort_limits
     end = plan.manoeuvres["duration"].iloc[k]
     fine = np.linspace(0.0, time[-1], 2000)
-    panels = []
+    names = [*inputs, *SHOWN]
 
-    def draw_input(ax, axis):
-        ax.plot(fine, display_unit(axis)[0] * inputs[axis](fine), color=PALETTE["purple"], linewidth=1.2)
-        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
+    def draw(ax, name):
+        label, factor, unit = label_of(name)
+        if name in inputs:
+            ax.plot(fine, factor * inputs[name](fine), color=PALETTE["purple"], linewidth=1.2)
+            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
+        else:
+            if f"{name}_low" in flight:
+                low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
+                ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
+            ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
+            bottom, top = ax.get_ylim()
+            for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
+                if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
+                    ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
+        ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
+        ax.set(xlabel="time [s]", ylabel=f"{label} [{unit}]" if unit else label)
+        tidy(ax)
 
-    def draw_response(ax, name):
-        factor = label_of(name)[1]
-        if f"{name}_low" in flight:
-            low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
-            ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
-        ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
-        bottom, top = ax.get_ylim()
-        for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
-            if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
-                ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
-
-    names = [*inputs, *(name for name in SHOWN if name in values)]
-    for n, name in enumerate(names):
-
-        def draw(ax, name=name):
-            draw_input(ax, name) if name in inputs else draw_response(ax, name)
-            ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
-            label, _, unit = label_of(name)
-            ax.set_ylabel(f"{label} [{unit}]" if unit else label)
-            ax.set_xlabel("time [s]")
-            tidy(ax)
-
-        label = f"{label_of(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band")
-        panels.append(strip(draw, label=label, bottom=n >= len(names) - 2))
+    panels = [
+        strip(
+            partial(draw, name=name), bottom=name in names[-2:],
+            label=f"{label_of(name)[0]} against time" + ("" if name in inputs else ": expected, with its 95 % band"),
+        )
+        for name in names
+    ]  # fmt: skip
     key = [("purple", "input, deviation from trim", ""), ("blue", "expected", "")]
     key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
     key += [("vermillion", "abort limit", "")]
@@ -401,11 +334,8 @@ def _most_taught(plan: Plan, rows: Sequence[int]) -> str:
         for name in map(str, left.index[:MOST_NAMED]) if left[name] < SOME
     ]  # fmt: skip
     turns = ", ".join(percent(-plan.manoeuvres["gain"].iloc[k], ".0f") for k in rows)
-    words = (
-        f"If only this is flown, it leaves {', '.join(shown)}."
-        if shown
-        else "It teaches nothing of the goal by itself."
-    )
+    words = f"If only this is flown, it leaves {', '.join(shown)}." if shown else ""
+    words = words or "It teaches nothing of the goal by itself."
     return f"errors of the goal in its turn (geometric mean) {turns}{THIN}%. {words}"
 
 
@@ -426,3 +356,69 @@ def _signed(value: float, shown: str) -> str:
 
 def _count(n: int, name: str) -> str:
     return f"{n} {name}{'' if n == 1 else 's'}"
+
+
+def label_of(name: str) -> tuple[str, float, str]:
+    """Return the words of a quantity, the factor from SI to the displayed unit, and that unit."""
+    return LABELS.get(name, (name.replace("_", " "), *display_unit(name)))
+
+
+def name_of(name: str) -> str:
+    """Return the words of a quantity."""
+    return text(label_of(name)[0])
+
+
+def unit_of(name: str) -> str:
+    """Return the displayed unit of a quantity."""
+    return text(label_of(name)[2])
+
+
+def heading(name: str, unit: bool = True) -> str:
+    """Return the head of a column."""
+    named = {"phi": "bank", "theta": "pitch"}.get(name, name_of(name))
+    return f"{named}<br>[{unit_of(name)}]" if unit and unit_of(name) else named
+
+
+def shown(name: str, value: float) -> str:
+    """Return a value in the displayed unit."""
+    _, factor, unit = label_of(name)
+    return number(factor * value, ".0f" if name == "altitude" else ".2f" if not unit else ".1f")
+
+
+def derivative(name: str) -> str:
+    """Return a derivative with its indices lowered, or another goal in words."""
+    coefficient, _, regressor = name.partition("_")
+    if not regressor:  # another goal
+        return text(GOALS[name][0])
+    return f"<i>C</i><sub>{text(coefficient[1:])}{NO_BREAK}{text(regressor.replace('_', NO_BREAK))}</sub>"
+
+
+def error_table(
+    errors: pd.DataFrame, heads: Mapping[str, str], inside: Sequence[str], of_list: str, of_grid: str
+) -> str:
+    """Return standard errors as a list of derivatives, or many as a table of coefficients by regressors.
+
+    The cells of that hold the columns ``inside``, all but the first in grey. The last two are the captions of either.
+    """
+    if len(errors) <= MOST_LISTED:
+        rows = [
+            [derivative(str(name)), *(percent(row[key], ".0f") if key == "left" else milli(row[key]) for key in heads)]
+            for name, row in errors.iterrows()
+        ]
+        return table(["", *heads.values()], rows, caption=of_list, classes="narrow")
+    pairs = [name.split("_", 1) for name in errors.index if "_" in name]
+    regressors = list(dict.fromkeys(second for _, second in pairs))
+    rows = []
+    for coefficient in dict.fromkeys(first for first, _ in pairs):
+        keys = [f"{coefficient}_{name}" for name in regressors]
+        values = [[milli(errors[name][key]) for name in inside] if key in errors.index else [""] for key in keys]
+        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in values]
+        rows.append([symbol(coefficient), *cells])
+    return table(["", *(heading(name, unit=False) for name in regressors)], rows, caption=of_grid)
+
+
+def milli(value: float) -> str:
+    """Return a thousandth's number with two digits that count, never in powers of ten."""
+    if not np.isfinite(value):
+        return number(value)
+    return np.format_float_positional(float(f"{1e3 * value:.2g}"), trim="-")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -19,13 +19,11 @@ OPTIONS = {
 }  # fmt: skip
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
-GROWTH = "growth of "
-"""Before the name of a limit that comes from what was flown."""
+GROWTH = "growth of "  # before the name of a limit that comes from what was flown
 BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
            "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
-WHOLE_RANGE = {"throttle": (0.0, 1.0)}
-"""Lowest and highest value that a control can have, beyond which no limit grows."""
+WHOLE_RANGE = {"throttle": (0.0, 1.0)}  # lowest and highest value that a control can have, beyond which no limit grows
 
 
 @dataclass(frozen=True)
@@ -97,12 +95,12 @@ class Envelope:
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
-        given = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
-        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
+        given: dict[str, Any] = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
         if "bank" in given:
-            found["bank"] = (-given["bank"], given["bank"])
+            given["bank"] = (-given["bank"], given["bank"])
         if "altitude" in given:
-            found["altitude"] = (given["altitude"], np.inf)
+            given["altitude"] = (given["altitude"], np.inf)
+        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
         if np.isfinite(self.growth):
             ranges = {name: pair for name, pair in flown_quantities(model).items() if name not in given}
             if model.limits is not None:
@@ -130,10 +128,7 @@ class Envelope:
     def left(
         self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics, more: Matrix | float = 0.0
     ) -> pd.DataFrame:
-        """Return which limits each row of a simulated flight leaves; a flight that ended early has left ``ended``.
-
-        ``more`` (n, c) is added to its channels.
-        """
+        """Return which limits each row of a flight leaves, with ``more`` (n, c) added; ``ended``: it ended early."""
         low, high = np.array([*self.bounds(model).values()]).T
         values = self.channels(flight, aircraft, model) + more
         return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")

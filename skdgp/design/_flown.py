@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,25 +14,27 @@ from scipy.signal import oaconvolve
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array
+from skdgp._display.html import DASH, THIN, number, percent, table, text
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments
+from skdgp.design._card import error_table, heading, shown
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._html import flown_section
-from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
-from skdgp.design._plan import Plan, errors_of
+from skdgp.design._information import (
+    Information,
+    coefficient_noise,
+    errors_of,
+    expected_information,
+    posterior_information,
+)
+from skdgp.design._plan import GEOMETRY, Plan, Record, read_plan
 from skdgp.design._rehearsal import RESPONSE, ROW_STEP
 from skdgp.dynamics import Aircraft, as_aerodynamics
 
 LIKE = 0.85
 """Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it counts as flown."""
-SIZES = (0.5, 2.0)
-"""Least and largest size of what counts as flown, relative to the plan."""
-ENDS = 0.4
-"""Time at trim before and after a manoeuvre, by which it is recognised too [s]."""
-GEOMETRY = ("wing_area", "span", "chord")
-DAMAGE = (KeyError, TypeError, ValueError, AttributeError, IndexError)
-"""Errors of reading a plan that is not whole."""
+SIZES = (0.5, 2.0)  # least and largest size of what counts as flown, relative to the plan
+ENDS = 0.4  # time at trim before and after a manoeuvre, by which it is recognised too [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +78,36 @@ class FlownPlan:
 
     def section(self) -> str:
         """Return its section of the report on the flight, HTML."""
-        return flown_section(self)
+        heads = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
+        caption = (
+            "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from "
+            "what the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this "
+            "flight only if it learned from it. Geometric mean, of those before: "
+        )
+        caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in self.remaining.items()) + "."
+        each = f"{caption} Each cell: found and, in grey, expected and before."
+        tables = error_table(self.errors, heads, ("found", "expected", "before"), caption, each)
+        rows = [
+            [
+                f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",
+                percent(row["size"], ".0f"), number(row["likeness"], ".2f"),
+                *(f"{_range(name, row, '')}<br><em>{_range(name, row, 'expected_')}</em>" for name in QUANTITIES),
+                f'<span class="off">{text(row["left"])}</span>' if row["left"] else "none",
+            ]
+            for _, row in self.manoeuvres.iterrows()
+        ]  # fmt: skip
+        head = ["manoeuvre", "size<br>[%]", "like<br>the plan", *map(heading, QUANTITIES), "limits<br>left"]
+        caption = "Manoeuvres of the plan that were flown: the range of each response and, in grey, the expected one."
+        tables += table(head, rows, caption=caption)
+        if self.missed:
+            words = ", ".join(f"{n} of {name}" for name, n in self.missed.items())
+            tables += f'<p class="note">Planned, but not found in the flights: {text(words)}.</p>'
+        return f"<section><h2>The plan and the flight</h2>{tables}</section>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {
-            "remaining": self.remaining,
-            "errors": self.errors.to_dict("index"),
-            "manoeuvres": self.manoeuvres.to_dict("records"),
-            "missed": self.missed,
-        }
+        errors, manoeuvres = self.errors.to_dict("index"), self.manoeuvres.to_dict("records")
+        return {"remaining": self.remaining, "errors": errors, "manoeuvres": manoeuvres, "missed": self.missed}
 
 
 class Match(NamedTuple):
@@ -105,86 +125,13 @@ class Match(NamedTuple):
         return self.start + self.planned["duration"]
 
 
-def read_plan(plan: Plan | str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what `Plan.to_dict` returns, of a plan or of the plan.json of ``python -m skdgp plan``."""
-    if isinstance(plan, Plan):
-        return plan.to_dict()
-    if not Path(plan).is_file():
-        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
-    try:
-        found = json.loads(Path(plan).read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):  # no JSON, too deep, or no text
-        found = None
-    for part, read in PARTS.items():
-        try:
-            read(found)
-        except DAMAGE:
-            what = f"whose {part!r} is missing or damaged" if isinstance(found, dict) and found else "which is none"
-            raise ValueError(
-                f"Got {plan} as the plan, {what}, but expected the plan.json that python -m skdgp plan writes: copy it "
-                "again, or plan again."
-            ) from None
-    return cast(dict[str, Any], found)
-
-
-def _before(plan: Mapping[str, Any]) -> Information:
-    """Return what was known before the flight."""
-    known = plan["known"]
-    return Information(np.array(known["fisher"], dtype=float), tuple(known["coefficients"]), tuple(known["regressors"]))
-
-
-def _weights(plan: Mapping[str, Any]) -> dict[str, Array]:
-    return {name: np.asarray(value, dtype=float) for name, value in plan["weights"].items()}
-
-
-def _errors(plan: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the expected errors, before and after the flight."""
-    return pd.DataFrame.from_dict(plan["errors"], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
-
-
-def _finite(values: Any) -> Array:
-    """Return numbers; raise ValueError if there is none, or one that is not finite."""
-    found = np.asarray(values, dtype=float)
-    if not (found.size and np.isfinite(found).all()):
-        raise ValueError
-    return found
-
-
-def _check_manoeuvres(plan: Mapping[str, Any]) -> None:
-    for one in plan["manoeuvres"]:
-        ends = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
-        _finite([len(one["name"]), one["duration"], one["pause"], len(ends)])
-        for values in one["inputs"].values():
-            _finite(values)
-    if not (plan["manoeuvres"] and all(one["inputs"] for one in plan["manoeuvres"])):
-        raise ValueError
-
-
-def _step(plan: Mapping[str, Any]) -> float:
-    """Return the step of the inputs of a plan [s]."""
-    if not 0 < (step := float(plan["step"])) < np.inf:
-        raise ValueError
-    return step
-
-
-PARTS: dict[str, Callable[[Any], object]] = {
-    "aircraft": lambda plan: _finite([plan["aircraft"][name] for name in GEOMETRY]),
-    "known": lambda plan: (_finite(plan["known"]["fisher"]), _before(plan).std),
-    "at": lambda plan: _finite([plan["at"][name] for name in plan["known"]["regressors"]]),
-    "step": _step,
-    "curvature": lambda plan: plan["curvature"],
-    "weights": lambda plan: errors_of(_before(plan), _weights(plan)),
-    "errors": lambda plan: errors_of(_before(plan), _weights(plan))[list(_errors(plan).index)],
-    "limits": lambda plan: [(limit["low"], limit["high"]) for limit in plan["limits"].values()],
-    "manoeuvres": _check_manoeuvres,
-}
-"""Functions that read each part of a plan, and raise `DAMAGE`."""
-
-
 def flown_plan(
     plan: Plan | str | os.PathLike[str], pipeline: Pipeline, aircraft: Aircraft, flights: Sequence[pd.DataFrame]
 ) -> FlownPlan:
     """Return what a plan expected beside what was found in flights.
+
+    Raises FileNotFoundError if there is no such file, ValueError if it is no plan, the plan is of another aircraft or
+    of other regressors, a column lacks, or no manoeuvre was flown.
 
     Parameters
     ----------
@@ -201,34 +148,26 @@ def flown_plan(
     -------
     FlownPlan
         Among the ``supplements`` of an Identification it is part of its report.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If the file is no plan, the plan is of another aircraft or of other regressors, a column lacks, or no
-        manoeuvre was flown.
     """
     record = read_plan(plan)
     first = pipeline[: list(pipeline.named_steps).index("regressorselector")]
     tables = [one.assign(**first.transform(one)) for one in flights]
-    at = [record["at"].get(name, np.nan) for name in as_aerodynamics(pipeline).regressors]
-    information = posterior_information(pipeline, at, record["known"]["coefficients"])
+    known = dict(zip(record.before.regressors, record.at, strict=True))
+    at = [known.get(name, np.nan) for name in as_aerodynamics(pipeline).regressors]
+    information = posterior_information(pipeline, at, record.before.coefficients)
     return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
 
 
 def compare_with_plan(
-    plan: Mapping[str, Any], flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
+    plan: Record, flights: pd.DataFrame, aircraft: Aircraft, noise: pd.DataFrame, model: Information
 ) -> FlownPlan:
-    """Return what a plan, as of `read_plan`, expected beside what was found in recorded flights.
+    """Return what a plan expected beside what was found in recorded flights; errors are as of `flown_plan`.
 
     They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope limits, and the
     regressors. The noise is as of `coefficient_noise`, ``model`` what the model that is judged knows at the plan's
-    trims. Raises ValueError if the plan is of another aircraft or of other regressors, a column lacks, or no manoeuvre
-    was flown.
+    trims.
     """
-    planned, before = plan["aircraft"], _before(plan)
+    planned, before = plan.aircraft, plan.before
     for name in GEOMETRY:
         if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
             raise ValueError(
@@ -240,31 +179,30 @@ def compare_with_plan(
             f"Got a plan about the regressors {list(before.regressors)}, but the model has {list(model.regressors)}: "
             "judge a model with the regressors that the plan was made with."
         )
-    axes = sorted({axis for one in plan["manoeuvres"] for axis in one["inputs"]})
+    axes = sorted({axis for one in plan.manoeuvres for axis in one["inputs"]})
     check_columns(flights, ["time", *axes], what="flight")
     parts = [flights.iloc[rows] for rows in flight_segments(flights["time"], flights["flight"])]
     segments = [part for part in parts if len(part) > 1]
-    windows = [_window(plan["limits"], match) for match in _recognised(plan, segments, axes)]
+    windows = [_window(plan.limits, match) for match in _recognised(plan, segments, axes)]
     names = {name.removesuffix(HAT).removesuffix("_dot") for name in before.regressors}
     whole = [part.dropna(subset=[name for name in names if name in part]) for _, part in windows]
     thin = [part[np.diff(part["time"] // ROW_STEP, prepend=-1.0) > 0] for part in whole]
     numbered = pd.concat([part.assign(flight=k) for k, part in enumerate(thin)], ignore_index=True)
-    about = [plan["at"][name] for name in before.regressors] if plan["curvature"] else None
+    about = plan.at if plan.curvature else None
     noise = noise.loc[list(before.coefficients)]
     gained = expected_information(numbered, aircraft, before.regressors, noise, about=about)
-    errors, weights = _errors(plan).rename(columns={"after": "expected"}), _weights(plan)
+    errors = plan.errors.rename(columns={"after": "expected"})
     for name, information in (("found", before + gained), ("model", model)):
-        errors[name] = errors_of(information, weights)[list(errors.index)]
+        errors[name] = errors_of(information, plan.weights)[list(errors.index)]
     flown = pd.DataFrame([row for row, _ in windows])
-    missed = Counter(one["name"] for one in plan["manoeuvres"]) - Counter(flown["name"])
+    missed = Counter(one["name"] for one in plan.manoeuvres) - Counter(flown["name"])
     return FlownPlan(errors, flown, dict(missed))
 
 
-def _recognised(plan: Mapping[str, Any], segments: list[pd.DataFrame], axes: list[str]) -> list[Match]:
+def _recognised(plan: Record, segments: list[pd.DataFrame], axes: list[str]) -> list[Match]:
     """Return the manoeuvres of the plan that are recognised, in the order of flight."""
-    step = _step(plan)
-    ends = round(ENDS / step)
-    kinds = {one["name"]: one for one in reversed(plan["manoeuvres"])}
+    step, ends = plan.step, round(ENDS / plan.step)
+    kinds = {one["name"]: one for one in reversed(plan.manoeuvres)}
     found: list[Match] = []
     nearest: list[Match] = []
     for part in segments:
@@ -336,7 +274,7 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
     return product / np.sqrt(power * np.maximum(squares, 1e-12 * power)), product / power
 
 
-def _window(limits: Mapping[str, Any], match: Match) -> tuple[dict[str, Any], pd.DataFrame]:
+def _window(limits: Mapping[str, tuple[float, float]], match: Match) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the facts of a manoeuvre that was flown, and its rows and those of the response after it."""
     planned, part = match.planned, match.part
     part = part[part["time"].between(match.start, match.end + min(planned["pause"], RESPONSE))]
@@ -349,10 +287,14 @@ def _window(limits: Mapping[str, Any], match: Match) -> tuple[dict[str, Any], pd
         facts |= {f"{name}_low": values[name].min(), f"{name}_high": values[name].max()}
         facts |= {f"{name}_expected_{end}": planned["expected"][name][end] for end in ("low", "high")}
     left = []
-    for name, limit in limits.items():
+    for name, (low, high) in limits.items():
         column = name.removeprefix(GROWTH)
         flown = values[column] if column in values else part.get(column, pd.Series(dtype=float))
-        low, high = (np.nan if limit[end] is None else limit[end] for end in ("low", "high"))
         if (flown < low).any() or (flown > high).any():
             left.append(name)
     return facts | {"left": ", ".join(left)}, part
+
+
+def _range(name: str, row: pd.Series, kind: str) -> str:
+    low, high = (row[f"{name}_{kind}{end}"] for end in ("low", "high"))
+    return DASH if np.isnan(low) else f"{shown(name, low)} … {shown(name, high)}"

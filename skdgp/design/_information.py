@@ -1,4 +1,4 @@
-"""What a flight will teach: standard errors of derivatives before it is flown."""
+"""What a flight will teach before it is flown: standard errors of derivatives, of the function, of free flight."""
 
 from __future__ import annotations
 
@@ -10,21 +10,28 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.linalg import expm
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns, check_names, check_table
 from skdgp._flight.clock import check_clock
-from skdgp.dynamics import Aircraft, as_aerodynamics
+from skdgp._flight.frames import euler_per_rotation
+from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics
+from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
+from skdgp.dynamics._equations.motion import Motion
 
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
-NO_SHARE = 1e-6
-"""Share of a regressor in such a combination below which it does not matter."""
+NO_SHARE = 1e-6  # share of a regressor in such a combination below which it does not matter
 SLOPE_STEP, ABSOLUTE_STEP = 0.02, 0.05
 """Half the interval of a posterior's slope: part of the range of a regressor, and absolute where it has no range."""
+FUNCTION, FREE_FLIGHT = "function", "free-flight"
+WHOLE = (FUNCTION, FREE_FLIGHT)  # goals that are errors of the whole model rather than of one derivative
+HORIZON = 2.0  # duration of free flight [s]
+ROWS = 500  # number of rows drawn from the flown range of the regressors
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +39,7 @@ class Information:
     r"""Fisher information about the derivatives of P named coefficients by d named regressors.
 
     ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of each coefficient, and
-    of its curvature if that is estimated too. The information of several flights is their sum: ``first + second``.
+    of its curvature if that is estimated too. Several flights have their sum: ``first + second``.
     """
 
     fisher: Array
@@ -75,11 +82,10 @@ class Information:
         return pd.DataFrame(values, index=self.regressors, columns=self.regressors)
 
     def confounded(self, least: float = 0.7) -> pd.DataFrame:
-        """Return the pairs of regressors that the flight does not tell apart.
+        """Return the pairs of regressors that the flight does not tell apart, the strongest correlation first.
 
-        They are the rows ``coefficient``, ``first``, ``second``, ``correlation`` of a table, the strongest first:
-        ``least`` is the least correlation, positive or negative, between the errors of their derivatives. Derivatives
-        that are not determined at all have an infinite `std`; they are in no pair.
+        A table of ``coefficient``, ``first``, ``second``, ``correlation``; ``least`` is the least correlation, of
+        either sign, between errors of derivatives. Those that are not determined at all are in no pair.
         """
         tables = {name: self.correlation(name) for name in self.coefficients}
         pairs = [*combinations(self.regressors, 2)]
@@ -90,13 +96,9 @@ class Information:
 
 
 def expected_information(
-    flight: pd.DataFrame,
-    aircraft: Aircraft,
-    regressors: Sequence[str],
-    noise: Mapping[str, float] | pd.DataFrame,
-    *,
+    flight: pd.DataFrame, aircraft: Aircraft, regressors: Sequence[str], noise: Mapping[str, float] | pd.DataFrame, *,
     about: ArrayLike | None = None,
-) -> Information:
+) -> Information:  # fmt: skip
     r"""Return what a simulated flight will tell about the derivatives of coefficients.
 
     Each coefficient is linear in the regressors around a trim, :math:`y = \theta_0 + x^T \theta + e`. Its noise e is
@@ -106,19 +108,21 @@ def expected_information(
     are not included.
 
     With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then
-    those of the derivatives at this point by a polynomial of second order. Where manoeuvres and gusts take the aircraft
-    far from the trim, derivatives of a linear function scatter with the curvature, more than predicted.
+    those of the derivatives at this point. Far from the trim, derivatives of a linear function scatter with the
+    curvature, more than predicted.
+
+    Raises ValueError if the flight lacks a column or a value, its time does not increase, a coefficient has no noise,
+    or nothing is asked.
 
     Parameters
     ----------
     flight : DataFrame
-        As of :func:`skdgp.dynamics.simulate`: ``time``, airspeed, states, controls. With a column ``flight`` several.
-        Its rows are those of the log: white noise counts for each.
+        As of :func:`skdgp.dynamics.simulate`; with a column ``flight`` several. Its rows are those of the log: white
+        noise counts for each.
     aircraft : Aircraft
         For the lengths of non-dimensional rates.
     regressors : sequence of str
-        Such as ``alpha``, ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight
-        lacks them.
+        Such as ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight lacks them.
     noise : mapping of str to float, or DataFrame
         Standard deviation of the white noise of each coefficient; or a table with the coefficients as index and the
         columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as `coefficient_noise` returns.
@@ -128,12 +132,6 @@ def expected_information(
     Returns
     -------
     Information
-
-    Raises
-    ------
-    ValueError
-        If the flight lacks a column or a value, its time does not increase, a coefficient has no noise, or nothing is
-        asked.
 
     Examples
     --------
@@ -152,7 +150,7 @@ def expected_information(
     noise = noise_table(noise)
     check_columns(noise, ("white", "drift", "memory"), what="noise")
     check_columns(table := check_table(flight), ["time"])
-    white, drift, memory = (noise[name].to_numpy(float) for name in ("white", "drift", "memory"))
+    white, drift, memory = noise[["white", "drift", "memory"]].to_numpy(float).T
     if not (len(noise) and len(regressors)):
         raise ValueError(
             f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at least one of each."
@@ -181,10 +179,9 @@ def expected_information(
 def coefficient_noise(model: Any) -> pd.DataFrame:
     """Return the noise of coefficients that a fitted model has found: ``white``, ``drift`` and ``memory`` [s] of each.
 
-    The model is a `DependentGPRegressor` or a pipeline that ends with it; fitted with ``time`` it knows the drift, else
-    all noise is white. A pipeline of :func:`skdgp.identification.identify` has the noise of its flights at the
-    frequencies of their motion, see :func:`skdgp.identification.flight_noise`. The first two are standard deviations.
-    Raises ValueError if the model has no noise, or is not fitted.
+    The first two are standard deviations. The model is a `DependentGPRegressor`, fitted with ``time`` to know the
+    drift, or a pipeline that ends with it; one of :func:`skdgp.identification.identify` has the noise of its flights
+    (:func:`skdgp.identification.flight_noise`). Raises ValueError if the model has no noise, or is not fitted.
 
     Examples
     --------
@@ -209,14 +206,9 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
         )
     drift, memory = regressor.drift_variance_, regressor.drift_memory_
     total = regressor.noise_variance_ + regressor.misfit_variance_  # the drift contains misfit
-    return pd.DataFrame(
-        {
-            "white": np.sqrt(np.maximum(total - drift, 0.0)),
-            "drift": np.sqrt(drift),
-            "memory": np.where(drift > 0, memory, 1.0),
-        },
-        index=list(regressor.output_names_),
-    )
+    white, memory = np.sqrt(np.maximum(total - drift, 0.0)), np.where(drift > 0, memory, 1.0)
+    columns = {"white": white, "drift": np.sqrt(drift), "memory": memory}
+    return pd.DataFrame(columns, index=list(regressor.output_names_))
 
 
 def noise_table(noise: Mapping[str, float] | pd.DataFrame) -> pd.DataFrame:
@@ -287,10 +279,9 @@ def _inverse(fisher: Matrix) -> Matrix:
 def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
     r"""Return what a model knows of its derivatives: the inverse of the covariance of their errors.
 
-    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). The errors are those of
-    :func:`skdgp.dynamics.stability_derivatives` without what is merged: of the posterior, and of a model learned from
-    flights also ``std_random`` and ``std_method``. Its standard errors are ``std_unmerged`` there. Raises ValueError if
-    the model has no posterior covariance.
+    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). Standard errors are
+    ``std_unmerged`` of :func:`skdgp.dynamics.stability_derivatives`. Raises ValueError if the model has no posterior
+    covariance.
 
     Examples
     --------
@@ -321,3 +312,87 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
         both = np.concatenate([-(at @ of_slopes)[:, None], of_slopes], axis=1)
         found += both @ both.swapaxes(1, 2)
     return Information(scaled_inverse(found, 1e-9), tuple(coefficients), aerodynamics.regressors)
+
+
+def _derivatives(model: Aerodynamics, coefficients: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Return numbers of coefficient and regressor by name, such as ``Cm_q``."""
+    short = [name.removesuffix(HAT) for name in model.regressors]
+    return {f"{one}_{name}": (i, k) for i, one in enumerate(coefficients) for k, name in enumerate(short)}
+
+
+def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of them."""
+    known = _derivatives(model, coefficients)
+    names = (goal,) if isinstance(goal, str) else tuple(known if goal is None else goal)
+    lacking = [name for name in names if name not in {*known, *WHOLE}]
+    if lacking or not names or isinstance(goal, str):
+        raise ValueError(
+            f"Got the goal {lacking or goal!r}, but the model has the coefficients {list(coefficients)} and the "
+            f"regressors {list(model.regressors)}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} or derivatives such as "
+            f"{next(iter(known))!r}, or learn a model with that regressor."
+        )
+    still = np.zeros(len(model.regressors), bool) if model.limits is None else np.ptp(model.limits, axis=0) == 0
+    for name in goal or ():
+        if name in known and still[known[name][1]]:
+            raise ValueError(
+                f"Got the goal {name!r}, but {model.regressors[known[name][1]]} did not move in the flights that the "
+                "model was learned from, so it knows nothing of its effect: learn from a flight in which it moves, or "
+                "ask for another goal."
+            )
+    return names
+
+
+def goal_weights(
+    names: Sequence[str], model: Aerodynamics, aircraft: Aircraft, trims: Sequence[Trim], coefficients: Sequence[str],
+    thrust: Any,
+) -> dict[str, Array]:  # fmt: skip
+    r"""Return W (P, 1 + d, 1 + d) of each goal, whose error is the root of :math:`\sum_i \mathrm{tr}(W_i C_i)`.
+
+    :math:`C_i` is the covariance of the constant and the slopes of coefficient i. Of a derivative W is one element.
+    With the mean M of :math:`x x^T` over rows x = (1, regressors) of the flown envelope, :math:`\mathrm{tr}(M C_i)` is
+    the mean variance of the coefficient. "function": its sum over coefficients, each in units of its spread over these
+    rows, over P. "free-flight": the mean variance of alpha, beta, phi, theta [rad^2] after two seconds, by errors that
+    stay as they are, through the linear model at the trims.
+    """
+    derivatives, found = _derivatives(model, coefficients), {}
+    chosen = [COEFFICIENTS.index(one) for one in coefficients]
+    for name in names:
+        if name in derivatives:
+            i, k = derivatives[name]
+            found[name] = np.zeros((len(coefficients), *[1 + len(model.regressors)] * 2))
+            found[name][i, 1 + k, 1 + k] = 1.0
+            continue
+        if model.limits is None:
+            raise ValueError(
+                f"Got the goal {name!r}, but the model does not say what was flown: give an Aerodynamics with limits."
+            )
+        low, high = model.limits
+        rows = low + (high - low) * np.random.default_rng(0).uniform(size=(ROWS, len(low)))
+        x = np.column_stack([np.ones(ROWS), rows])
+        if name == FUNCTION:
+            spread = model(rows)[:, chosen].var(axis=0)
+            share = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0) / len(chosen)
+        else:
+            share = np.mean([_growth(model, aircraft, point, thrust)[chosen] for point in trims], axis=0)
+        found[name] = share[:, None, None] * (x.T @ x) / ROWS
+    return found
+
+
+def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -> Array:
+    """Return the mean square of alpha, beta, phi, theta after `HORIZON` by a unit error of each coefficient, (6,)."""
+    found = jacobian(Motion(model, aircraft, thrust=thrust), point.state, point.controls)
+    system = np.zeros((18, 18))
+    system[:12] = np.column_stack([found.state, found.coefficients])
+    moved = expm(system * HORIZON)[:12, 12:]
+    euler = euler_per_rotation(point.phi, point.theta) @ moved[TURN]
+    angles = np.concatenate([found.outputs_state[ANGLES] @ moved, euler[:2]])
+    return (angles**2).mean(axis=0)
+
+
+def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
+    """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
+    errors, covariance = information.std, information.whole_covariance
+    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
+    for name, weight in (weights or {}).items():
+        found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
+    return pd.Series(found, dtype=float)

@@ -12,24 +12,18 @@ from skdgp._excitation.multisines import orthogonal_multisines
 from skdgp._excitation.signals import Limits, Signal, Steps, doublet, three_two_one_one
 from skdgp.dynamics import LinearModel
 
-DOUBLET_PEAK = 2.331
-"""Frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x."""
+DOUBLET_PEAK = 2.331  # frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x
 LONGITUDINAL, LATERAL = ("short period",), ("Dutch roll", "roll")
 """How names of the modes begin that surfaces excite; a pair that has split also has numbers."""
 MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
 MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
 MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
-BELOW, ABOVE = 0.4, 2.5
-"""The band begins at this part of the slowest mode and ends at this multiple of an oscillation."""
-WIDTHS = (1.0, 2.5)
-"""Widths of pulses, in units of the suggested one."""
-MULTISINES = (5.0, 10.0)
-"""Durations of multisines [s]."""
-TICK = 0.5
-"""Unit of time of a pilot's steps [s]."""
+BELOW, ABOVE = 0.4, 2.5  # the band begins at this part of the slowest mode and ends at this multiple of an oscillation
+WIDTHS = (1.0, 2.5)  # widths of pulses, in units of the suggested one
+MULTISINES = (5.0, 10.0)  # durations of multisines [s]
+TICK = 0.5  # unit of time of a pilot's steps [s]
 MOST_TONES = 8
-STARTS = 2
-"""Searches for the phases of a multisine."""
+STARTS = 2  # searches for the phases of a multisine
 Inputs = dict[str, Signal]
 
 
@@ -54,22 +48,18 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     >>> from skdgp.design import input_bands
     >>> from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
     >>> def linear(X):
-    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
-    ...     lift = 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
-    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
-    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
-    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-    >>> model = Aerodynamics(linear, names)
+    ...     alpha, q, elevator = X.T
+    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
+    >>> model = Aerodynamics(linear, ["alpha", "q_hat", "elevator"])
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> bands = input_bands(linearize(model, aircraft, trim(model, aircraft, 20.0)))
-    >>> bands.loc["aileron"].round(2)
-    frequency                  4.98
-    doublet_width              0.47
-    three_two_one_one_width    0.32
-    lowest                     0.32
-    highest                    3.11
-    Name: aileron, dtype: float64
+    >>> input_bands(linearize(model, aircraft, trim(model, aircraft, 20.0), inputs=["elevator"])).T.round(2)
+                             elevator
+    frequency                   10.12
+    doublet_width                0.23
+    three_two_one_one_width      0.16
+    lowest                       0.64
+    highest                      4.03
     """
     table = linear.modes()
     rows = {}

@@ -1,10 +1,13 @@
-"""Planned flights: their manoeuvres, what they will teach, and what they risk."""
+"""Planned flights: their manoeuvres, what they will teach, what they risk, and the file that says so."""
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,12 +17,12 @@ from skdgp._excitation.signals import UNLIMITED, Signal
 from skdgp._excitation.wavetrain import Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._information import Information
+from skdgp.design._information import Information, errors_of
 from skdgp.design._rehearsal import ROW_STEP
 from skdgp.dynamics import Aircraft, Trim
 
-SAMPLES = 20
-"""Stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most."""
+SAMPLES = 20  # stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most
+GEOMETRY = ("wing_area", "span", "chord")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +41,12 @@ class Plan:
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
         In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
-        ``name``, ``duration`` [s], ``pause`` [s] after it (at most 3 s after the last one), ``scale`` (its amplitude
-        relative to the limits), ``risk`` (predicted probability of leaving the envelope; NaN of a model without
-        posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average) and
-        ``gain_per_second`` (of the logarithm of these errors).
-    alone : DataFrame
-        What each manoeuvre of the library would teach if it were repeated for the whole time: ``name``, ``scale``,
-        ``risk`` (NaN: not simulated), ``gain``.
+        ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to the limits), ``risk`` (predicted
+        probability of leaving the envelope; NaN without posterior), ``gain`` (by which part it reduces the errors of
+        the goal, on geometric average) and ``gain_per_second`` (of the logarithm of these errors).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
-        posterior also what holds 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on for beta,
-        load_factor, bank, airspeed and altitude.
+        posterior also the band of 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on.
     parts : tuple of Information
         Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn; ``after`` is ``before``
         and their sum.
@@ -72,7 +70,6 @@ class Plan:
     before: Information
     after: Information
     manoeuvres: pd.DataFrame
-    alone: pd.DataFrame
     flight: pd.DataFrame
     parts: tuple[Information, ...]
     limits: pd.DataFrame
@@ -139,17 +136,12 @@ class Plan:
             "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
             "aircraft": self.aircraft.to_dict(),
             "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
-            "at": dict(self.at),
-            "step": step,
-            "manoeuvres": rows,
-            "risk": self.risk,
-            "gusts": self.gusts,
-            "limits": self.limits.to_dict("index"),
-            "errors": self.errors.to_dict("index"),
+            "at": dict(self.at), "step": step, "manoeuvres": rows, "risk": self.risk, "gusts": self.gusts,
+            "limits": self.limits.to_dict("index"), "errors": self.errors.to_dict("index"),
             "confounded": self.confounded.to_dict("records"),
             "weights": {name: value.tolist() for name, value in self.weights.items()},
             "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
-        }
+        }  # fmt: skip
 
     @property
     def abort_limits(self) -> pd.DataFrame:
@@ -171,10 +163,79 @@ class Plan:
         return pairs[names.isin(self.goal).any(axis=1)].reset_index(drop=True)
 
 
-def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
-    """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
-    errors, covariance = information.std, information.whole_covariance
-    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
-    for name, weight in (weights or {}).items():
-        found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
-    return pd.Series(found, dtype=float)
+class Record(NamedTuple):
+    """What `Plan.to_dict` says of a plan, read again."""
+
+    aircraft: Mapping[str, Any]
+    before: Information
+    at: list[float]  # regressors about which derivatives are meant, in the order of ``before``
+    step: float  # of the inputs [s]
+    curvature: bool
+    weights: dict[str, Array]
+    errors: pd.DataFrame
+    limits: dict[str, tuple[float, float]]  # lowest and highest value; NaN: no limit
+    manoeuvres: list[dict[str, Any]]
+
+
+def read_plan(plan: Plan | str | os.PathLike[str]) -> Record:
+    """Return the record of a plan, or of the plan.json of ``python -m skdgp plan``; errors are as of `flown_plan`."""
+    if isinstance(plan, Plan):
+        return record_of(plan.to_dict())
+    if not Path(plan).is_file():
+        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
+    try:
+        found = json.loads(Path(plan).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):  # no JSON, too deep, or no text
+        found = None
+    return record_of(found, str(plan))
+
+
+def record_of(plan: Any, source: str = "a dictionary") -> Record:
+    """Return the record of what `Plan.to_dict` returns; raise ValueError if a part is missing or damaged."""
+    part = "aircraft"
+    try:
+        aircraft = plan[part]
+        _finite([aircraft[name] for name in GEOMETRY])
+        part = "known"
+        known = plan[part]
+        before = Information(_finite(known["fisher"]), tuple(known["coefficients"]), tuple(known["regressors"]))
+        errors_of(before)
+        part = "at"
+        at = _finite([plan[part][name] for name in before.regressors]).tolist()
+        part = "step"
+        if (step := float(_finite(plan[part]))) <= 0:
+            raise ValueError
+        part = "curvature"
+        curvature = bool(plan[part])
+        part = "weights"
+        weights = {name: np.asarray(value, dtype=float) for name, value in plan[part].items()}
+        told = errors_of(before, weights)
+        part = "errors"
+        errors = pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
+        told[[*errors.index]]
+        part = "limits"
+        pairs = {name: np.array([limit["low"], limit["high"]], dtype=float) for name, limit in plan[part].items()}
+        limits = {name: (float(low), float(high)) for name, (low, high) in pairs.items()}
+        part = "manoeuvres"
+        for one in plan[part]:
+            expected = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
+            _finite([len(one["name"]), one["duration"], one["pause"], len(expected)])
+            for values in one["inputs"].values():
+                _finite(values)
+        if not (plan[part] and all(one["inputs"] for one in plan[part])):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+        what = f"whose {part!r} is missing or damaged" if isinstance(plan, dict) and plan else "which is none"
+        raise ValueError(
+            f"Got {source} as the plan, {what}, but expected the plan.json that python -m skdgp plan writes: copy it "
+            "again, or plan again."
+        ) from None
+    return Record(aircraft, before, at, step, curvature, weights, errors, limits, plan["manoeuvres"])
+
+
+def _finite(values: Any) -> Array:
+    """Return numbers; raise ValueError if there is none, or one that is not finite."""
+    found = np.asarray(values, dtype=float)
+    if not (found.size and np.isfinite(found).all()):
+        raise ValueError
+    return found

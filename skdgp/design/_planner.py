@@ -22,11 +22,13 @@ from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names
 from skdgp.design._envelope import OPTIONS, WHOLE_RANGE, Envelope, flown_quantities, with_band
-from skdgp.design._goals import WHOLE, check_goal, goal_weights
 from skdgp.design._information import (
+    WHOLE,
     Information,
+    check_goal,
     coefficient_noise,
     expected_information,
+    goal_weights,
     noise_table,
     padded,
     posterior_information,
@@ -36,32 +38,16 @@ from skdgp.design._information import (
 from skdgp.design._library import TICK, Inputs, duration_of, input_bands, library, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
-from skdgp.dynamics import (
-    Aircraft,
-    SimulationWarning,
-    Trim,
-    as_aerodynamics,
-    linearize,
-    stability_derivatives,
-    trim,
-)
+from skdgp.dynamics import Aircraft, SimulationWarning, Trim, as_aerodynamics, linearize, stability_derivatives, trim
 
-ENTRIES = 12
-"""Number of aircraft and entries drawn, over which the information of a manoeuvre is averaged."""
-SHRINK = 0.7
-"""Least factor by which a manoeuvre is made smaller after a check: large responses are not in proportion to it."""
-TRIES, NEAR = 6, 0.03
-"""Checks of a manoeuvre at most, and the part of its size by which the largest safe one may be missed."""
-MOST = np.pi / 2
-"""Deflection that no surface has [rad]."""
-UNBOUNDED = ("thrust", "propeller_speed")
-"""Axes that are no deflections."""
-MOST_PATHS, MOST_SECONDS = 10_000, 1800.0
-"""Aircraft drawn: a risk of 5 % is then known to .2 %; and duration of a plan: the search takes a minute or two [s]."""
-WORTH = 0.002
-"""Least part by which a flight lowers the errors of the goal: for less it is not flown."""
-VAGUE = 1e-8
-"""Information that is assumed of everything, relative to the largest of a manoeuvre: its errors are finite."""
+ENTRIES = 12  # aircraft and entries drawn, over which the information of a manoeuvre is averaged
+SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: large responses are not in proportion to it
+TRIES, NEAR = 6, 0.03  # checks of a manoeuvre at most, and the part of its size by which the safe one may be missed
+MOST = np.pi / 2  # deflection that no surface has [rad]
+UNBOUNDED = ("thrust", "propeller_speed")  # axes that are no deflections
+MOST_PATHS, MOST_SECONDS = 10_000, 1800.0  # a risk of 5 % is then known to .2 %; the search takes a minute or two
+WORTH = 0.002  # least part by which a flight lowers the errors of the goal: for less it is not flown
+VAGUE = 1e-8  # information assumed of everything, relative to the largest of a manoeuvre, so that errors are finite
 
 
 class Known(NamedTuple):
@@ -76,15 +62,8 @@ class Known(NamedTuple):
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=False
-        Whether coefficients also have unknown curvature, from which the flight must tell the derivatives: errors are
-        larger, and those after the flight are the mean over aircraft and entries that are drawn, in still air. False:
-        coefficients are linear.
-
-    Examples
-    --------
-    >>> from skdgp.design import Known
-    >>> Known(noise={"Cm": 0.004}).curvature
-    False
+        Whether the flight must tell the derivatives from unknown curvature too: errors are larger, and those after the
+        flight are the mean over aircraft and entries that are drawn, in still air.
     """
 
     information: Information | None = None
@@ -100,19 +79,12 @@ class Pilot(NamedTuple):
     ----------
     pause : float or "auto"
         At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
-        the phugoid's period, in which the airspeed returns, and at least 3 s. The period is Lanchester's, of the
-        airspeed alone: :math:`\sqrt{2} \pi V / g`.
+        the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), in which the airspeed returns; at least 3 s.
     rate : float, default=50.0
         Of the autopilot [Hz].
     detents : mapping of str to float, optional
         Of all axes [rad, or 1 of the throttle]: the plan then holds only steps, whose times are half seconds and whose
         levels are multiples of these.
-
-    Examples
-    --------
-    >>> from skdgp.design import Pilot
-    >>> Pilot(detents={"elevator": 0.0175}).rate
-    50.0
     """
 
     pause: float | Literal["auto"] = "auto"
@@ -145,14 +117,17 @@ def plan(
     the goal; then each is exchanged while that helps.
 
     Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
-    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). The
-    response of the mean counts the ``margin`` of the envelope more: slopes learned in gusts err by more than the
-    posterior says. If K of N leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of
-    succession). A manoeuvre is as large as limits and allowed risk let it be, or left out, and the choice is made
-    again. Controls are open loop during a manoeuvre and a second after it, for which the risk is predicted; the pilot
-    or the autopilot returns to the trim in the pause.
+    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). If K of N
+    leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large
+    as limits and allowed risk let it be, or left out, and the choice is made again. Controls are open loop during a
+    manoeuvre and a second after it, for which the risk is predicted; the pilot or the autopilot returns to the trim in
+    the pause.
 
     Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
+
+    Raises ValueError if there is no trim, the trim has not an axis, the model has not a regressor of the goal or did
+    not see it move, no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
+    Warns if the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
 
     Parameters
     ----------
@@ -167,9 +142,8 @@ def plan(
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
         Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
-        error of the six coefficients over the flown range of the regressors, each in units of its spread there;
-        "free-flight": the deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all
-        derivatives.
+        error of the six coefficients over the flown range, each in units of its spread there; "free-flight": the
+        deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all derivatives.
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
@@ -191,41 +165,28 @@ def plan(
     -------
     Plan
 
-    Raises
-    ------
-    ValueError
-        If there is no trim, the trim has not an axis, the model has not a regressor of the goal or did not see it move,
-        no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
-
-    Warns
-    -----
-    UserWarning
-        If the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
-
     Examples
     --------
     >>> import numpy as np
     >>> from skdgp.design import Known, plan
     >>> from skdgp.dynamics import Aerodynamics, Aircraft
     >>> def linear(X):
-    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
-    ...     lift = 0.3 + 4.5 * alpha
-    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
-    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
-    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
-    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    ...     alpha, q, elevator = X.T
+    ...     none, lift = 0 * alpha, 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.02 * lift, none, -lift, none, 0.02 - 0.6 * alpha - 9 * q - elevator, none], axis=-1)
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-    >>> found = plan(Aerodynamics(linear, names), aircraft, airspeeds=20.0, seconds=16.0, axes=["elevator"],
-    ...              goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04}, known=Known(noise={"Cm": 0.004}))
+    >>> found = plan(Aerodynamics(linear, ["alpha", "q_hat", "elevator"]), aircraft, airspeeds=20.0, seconds=16.0,
+    ...              axes=["elevator"], goal=["Cm_alpha", "Cm_q"], limits={"elevator": 0.04},
+    ...              known=Known(noise={"Cm": 0.004}))
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
-        seed = int(check_random_state(random_state).randint(2**31 - 1))
         planner = Planner(
             model, aircraft, airspeeds=airspeeds, seconds=seconds, axes=axes, limits=limits, envelope=envelope,
-            altitude=altitude, banks=banks, known=known, pilot=pilot, thrust=thrust, seed=seed, goal=goal,
+            altitude=altitude, banks=banks, known=known, pilot=pilot, thrust=thrust, goal=goal,
+            seed=int(check_random_state(random_state).randint(2**31 - 1)),
         )  # fmt: skip
         return planner.search(goal)
 
@@ -288,15 +249,13 @@ class Manoeuvre:
 
     name: str
     at: int
-    full: Inputs
-    """As large as the limits allow."""
+    full: Inputs  # as large as the limits allow
     inputs: Inputs
     pause: float
     information: Information
     flight: pd.DataFrame
     scale: float = 1.0
-    risk: float | None = None
-    """None: not checked."""
+    risk: float | None = None  # None: not checked
 
     @property
     def seconds(self) -> float:
@@ -327,16 +286,12 @@ class Planner:
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(axes, limits or {})
-        pause = pilot.pause
-        self.pauses = [pause_of(point.airspeed) if pause == "auto" else float(pause) for point in self.trims]
-        if self.detents:  # a pilot counts
-            self.pauses = [TICK * np.ceil(wait / TICK) for wait in self.pauses]
-        self.rehearsals = [
-            Rehearsal(
-                model, aircraft, point, self.limits, self.envelope, pilot.rate, min(RESPONSE, wait), thrust, seed
-            )
-            for point, wait in zip(self.trims, self.pauses, strict=True)
-        ]  # fmt: skip
+        self.rehearsals = []
+        for point in self.trims:
+            pause = pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause)
+            pause = TICK * np.ceil(pause / TICK) if self.detents else pause  # a pilot counts
+            flown = Rehearsal(model, aircraft, point, self.limits, envelope, pilot.rate, pause, thrust, seed)
+            self.rehearsals.append(flown)
         names = self.aerodynamics.regressors
         self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
         self.before = Information(np.zeros((len(self.noise), 1 + len(names), 1 + len(names))), self.coefficients, names)
@@ -347,9 +302,10 @@ class Planner:
         self.about = self.at if known.curvature else None
         self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)}
         if not self.library:
+            pause = min(one.pause for one in self.rehearsals)
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {min(self.pauses):.3g} s is that short and "
-                "can be flown: give more seconds, a shorter pause, smaller limits or smaller detents."
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that short and can be "
+                "flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
         peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
         vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
@@ -390,11 +346,8 @@ class Planner:
     def _trims(self, airspeeds: Array, altitude: float | None, banks: Array) -> list[Trim]:
         """Return the trims, by default at the highest altitude that was flown."""
         flown = flown_quantities(self.aerodynamics)
-        level = {
-            "altitude": flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude,
-            "climb": None if self.thrust is None else 0.0,
-            "thrust": self.thrust,
-        }
+        height = flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude
+        level = {"altitude": height, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
         pairs = product(airspeeds, banks)
         try:
             return [cast(Trim, trim(self.model, self.aircraft, v, bank=bank or None, **level)) for v, bank in pairs]
@@ -428,8 +381,7 @@ class Planner:
 
     def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
         """Return the largest deviation of an axis from the trims, to both sides, in its range."""
-        low, high = ends
-        values = [point.controls[axis] for point in self.trims]
+        (low, high), values = ends, [point.controls[axis] for point in self.trims]
         room = min(min(value - low, high - value) for value in values)
         if not room > 0:
             raise ValueError(
@@ -459,7 +411,6 @@ class Planner:
         return label
 
     def _library(self, at: int, bands: pd.DataFrame | None) -> list[Manoeuvre]:
-        """Return the manoeuvres that fit into the time and can be flown by the mean."""
         notify(f"planning: {self._label(at)}library", 0, 0.0)
         if bands is None:
             axes = list(self.limits)
@@ -468,30 +419,26 @@ class Planner:
 
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
-        pause = self.pauses[at]
-        most = self.seconds - pause - min(pause, RESPONSE)
+        rehearsal = self.rehearsals[at]
+        most = self.seconds - rehearsal.pause - rehearsal.response
         named = {name: one for name, one in named.items() if duration_of(one) <= most}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             rest = {name: scaled(one, factor, self.detents) for name, one in named.items() if name not in scales}
             for name, flight in self._flights(at, rest).items():
-                scales[name] = float(np.clip(factor * self.rehearsals[at].room(flight), LEAST, 1.0))
+                scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
         inputs = {name: scaled(named[name], scale, self.detents) for name, scale in scales.items()}
         inputs = {name: one for name, one in inputs.items() if any(signal.peak for signal in one.values())}  # detents
+        label, flights, pause = self._label(at), self._flights(at, inputs), rehearsal.pause
         return [
-            Manoeuvre(
-                self._label(at) + name, at, named[name], inputs[name], pause, self._information(flight), flight,
-                scales[name],
-            )
-            for name, flight in self._flights(at, inputs).items()
-        ]  # fmt: skip
+            Manoeuvre(label + name, at, named[name], inputs[name], pause, self._information(one), one, scales[name])
+            for name, one in flights.items()
+        ]
 
     def _flights(self, at: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of those manoeuvres that the mean flies to their end."""
-        if not named:
-            return {}
-        flown = zip(named, self.rehearsals[at].flown([*named.values()]), strict=True)
-        return {name: flight for name, flight in flown if (flight["ended"] == "").all()}
+        flights = self.rehearsals[at].flown([*named.values()]) if named else []
+        return {name: one for name, one in zip(named, flights, strict=True) if (one["ended"] == "").all()}
 
     def _gain(self, chosen: Sequence[Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
@@ -500,7 +447,7 @@ class Planner:
         return float(-0.5 * np.mean(np.log(self.errors @ covariance.ravel())))
 
     def _fits(self, chosen: Sequence[Manoeuvre]) -> bool:
-        last = sum(min(self.pauses[at], RESPONSE) for at in {one.at for one in chosen})
+        last = sum(self.rehearsals[at].response for at in {one.at for one in chosen})
         return sum(one.seconds for one in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list[Manoeuvre], library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
@@ -596,8 +543,8 @@ class Planner:
         trains, gained = [], self._gain([])
         rows: list[dict[str, Any]] = []
         for at in flown:
-            here = [one for one in chosen if one.at == at]
-            start, pauses = self.pauses[at], [self.pauses[at]] * (len(here) - 1) + [min(self.pauses[at], RESPONSE)]
+            here, start = [one for one in chosen if one.at == at], self.rehearsals[at].pause
+            pauses = [start] * (len(here) - 1) + [self.rehearsals[at].response]
             trains.append(wavetrain([one.inputs for one in here], pause=start, limits=self.limits))
             for one, pause in zip(here, pauses, strict=True):
                 gain = self._gain(chosen[: len(rows) + 1]) - gained
@@ -608,35 +555,21 @@ class Planner:
                     "gain": -np.expm1(-gain), "gain_per_second": gain / one.seconds,
                 })  # fmt: skip
                 start += one.seconds
-        alone = [
-            {"name": one.name, "scale": one.scale, "risk": np.nan if one.risk is None else one.risk,
-             "gain": -np.expm1(self._gain([]) - self._gain(self._filled([], [one])))}
-            for one in self.library.values()
-        ]  # fmt: skip
         parts = tuple(one.information for one in chosen)
-        gusts = self.envelope.gusts
-        gusts = self.aerodynamics.turbulence if isinstance(gusts, str) else gusts
+        gusts = self.aerodynamics.turbulence if self.envelope.gusts == "auto" else self.envelope.gusts
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
-            trains=tuple(trains),
-            trims=tuple(self.trims[at] for at in flown),
-            goal=self.goal,
-            before=self.before,
-            after=sum(parts, self.before),
-            manoeuvres=pd.DataFrame(rows),
-            alone=pd.DataFrame(alone),
+            trains=tuple(trains), trims=tuple(self.trims[at] for at in flown), goal=self.goal, parts=parts,
+            before=self.before, after=sum(parts, self.before), manoeuvres=pd.DataFrame(rows),
+            aircraft=self.aircraft, merged=self._merged(),
             flight=pd.concat([one.flight.assign(flight=k) for k, one in enumerate(chosen)], ignore_index=True),
-            parts=parts,
             limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
-            aircraft=self.aircraft,
             at=dict(zip(self.before.regressors, self.at.tolist(), strict=True)),
             weights={name: weight for name, weight in self.weights.items() if name in WHOLE},
-            merged=self._merged(),
             gusts=None if is_still else tuple(map(float, gusts.intensity)),
-        )
+        )  # fmt: skip
 
     def _merged(self) -> dict[str, float]:
-        """Return the deviations of derivatives by what is merged, none of a model without such errors."""
         if self.aerodynamics.slope_errors is None:
             return {}
         table = stability_derivatives(self.model, self.aircraft, self.trims, n_paths=2, thrust=self.thrust)

@@ -17,14 +17,11 @@ from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
 from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
 
-ROW_STEP = 0.04
-"""Time between rows of a simulation, which count as independent measurements [s]."""
-ENTRY = {"phi": 0.035, "theta": 0.035}
-"""Standard deviations of the angles from trim in which a manoeuvre begins [rad]."""
+ROW_STEP = 0.04  # time between rows of a simulation, which count as independent measurements [s]
+ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of the angles from trim in which a manoeuvre begins [rad]
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
 """Standard deviations of the airspeed, relative to it, and of held controls, relative to their limits."""
-LEAST = 0.2
-"""Part of the limits below which a manoeuvre is left out."""
+LEAST = 0.2  # part of the limits below which a manoeuvre is left out
 RESPONSE, REACTION = 3.0, 1.0
 """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
 
@@ -32,17 +29,12 @@ RESPONSE, REACTION = 3.0, 1.0
 class Hold(NamedTuple):
     """Trimmed flight of the mean and of aircraft that are drawn, and the envelope around it."""
 
-    centre: Matrix
-    """Channels of the envelope by the mean, (n, c)."""
-    drawn: Array
-    """The same by each aircraft, (paths, n, c)."""
-    low: Vector
-    """Of the envelope, (c,)."""
+    centre: Matrix  # channels of the envelope by the mean, (n, c)
+    drawn: Array  # the same by each aircraft, (paths, n, c)
+    low: Vector  # of the envelope, (c,)
     high: Vector
-    margin: Vector
-    """Part of the response by which it may be larger, (c,)."""
-    allowed: int
-    """Paths that may leave."""
+    margin: Vector  # part of the response by which it may be larger, (c,)
+    allowed: int  # paths that may leave
 
     def response(self, values: Matrix) -> Matrix:
         """Return the deviation of channels (n, c) from trimmed flight."""
@@ -64,14 +56,10 @@ class Checked(NamedTuple):
     """What a manoeuvre risks."""
 
     risk: float
-    causes: str
-    """The limits that it leaves."""
-    flight: pd.DataFrame
-    """By the mean."""
-    paths: pd.DataFrame
-    """By aircraft that are drawn, or by the mean without a posterior."""
-    factor: float
-    """By which it may be larger, if responses grow with it."""
+    causes: str  # the limits that it leaves
+    flight: pd.DataFrame  # by the mean
+    paths: pd.DataFrame  # by aircraft that are drawn, or by the mean without a posterior
+    factor: float  # by which it may be larger, if responses grow with it
 
 
 @dataclass(eq=False)
@@ -84,13 +72,13 @@ class Rehearsal:
     limits: Mapping[str, Limits]
     envelope: Envelope
     rate: float
-    response: float
-    """Time after each manoeuvre that is flown too [s]."""
+    pause: float  # at the trim before and after each manoeuvre [s]
     thrust: Any
     seed: int
 
     def __post_init__(self) -> None:
         self.aerodynamics = as_aerodynamics(self.model)
+        self.response = min(RESPONSE, self.pause)  # flown after each manoeuvre too [s]
         self._nothing: Inputs = {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
 
     @cached_property
@@ -112,10 +100,8 @@ class Rehearsal:
             return self.flown([inputs])[0]
         (train,), tables = self._tables([inputs])
         rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
-        beside = {
-            axis: ENTRY_CONTROLS * limit.amplitude * rng.standard_normal((n_paths, 1))
-            for axis, limit in self.limits.items()
-        }
+        spreads = {axis: ENTRY_CONTROLS * limit.amplitude for axis, limit in self.limits.items()}
+        beside = {axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()}
         columns = {str(name): values.to_numpy() for name, values in tables[0].items()}
 
         def controls(t: float, state: Any) -> dict[str, Any]:
@@ -133,8 +119,8 @@ class Rehearsal:
         tables = [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
         for table in tables:
             for axis, limit in self.limits.items():
-                moved = limit.followed(table[axis].to_numpy() - trimmed[axis], 1.0 / self.rate)
-                table[axis] = trimmed[axis] + moved
+                deviation = table[axis].to_numpy() - trimmed[axis]
+                table[axis] = trimmed[axis] + limit.followed(deviation, 1.0 / self.rate)
         return trains, tables
 
     def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:
@@ -164,7 +150,7 @@ class Rehearsal:
         centre, allowed = self.channels(self.still), 0
         if self.aerodynamics.is_uncertain:
             allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
-        return Hold(centre, self._by_path(paths, len(centre)), low, high, margin, allowed)
+        return Hold(centre, self.channels(paths).reshape(-1, *centre.shape), low, high, margin, allowed)
 
     def _possible(self, paths: pd.DataFrame) -> str:
         """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
@@ -185,13 +171,8 @@ class Rehearsal:
         """Return flights of a manoeuvre until the pilot acts."""
         return flight[flight["time"] <= flight["time"].max() - max(0.0, self.response - REACTION) + 1e-6]
 
-    def _by_path(self, paths: pd.DataFrame, n: int) -> Array:
-        """Return what the envelope limits along flights of n rows, (paths, n, c)."""
-        values = self.channels(paths)
-        return values.reshape(len(values) // n, n, -1)
-
     def channels(self, flight: pd.DataFrame) -> Matrix:
-        """Return what the envelope limits along one flight, (n, c)."""
+        """Return what the envelope limits along flights, one after another, (n, c)."""
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def checked(self, inputs: Inputs) -> Checked:
@@ -201,7 +182,7 @@ class Rehearsal:
         paths = self.drawn(inputs, n_paths, gusts) if self.aerodynamics.is_uncertain else flight
         more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
-        flown = self._by_path(counted, len(more))
+        flown = self.channels(counted).reshape(-1, *more.shape)
         factor = self.hold.largest(flown + more - self.hold.drawn[:, self.hold._rows(more)])
         return Checked(*self.risk(counted, np.tile(more, (len(flown), 1))), flight, paths, factor)
 
@@ -210,10 +191,10 @@ class Rehearsal:
         left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
         by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
-        named = [f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})"
-                 for name, share in shares[shares > 0].items()]  # fmt: skip
-        causes = ", ".join(named).replace(GROWTH, "flown ")
+        shares = shares[shares > 0]
+        causes = ", ".join(
+            f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})" for name, share in shares.items()
+        )
         n_left = int(by_path.any(axis=1).sum())
-        if not self.aerodynamics.is_uncertain:
-            return float(n_left), causes
-        return (n_left + 1) / (self.envelope.n_paths + 2), causes
+        risk = (n_left + 1) / (self.envelope.n_paths + 2) if self.aerodynamics.is_uncertain else float(n_left)
+        return risk, causes.replace(GROWTH, "flown ")

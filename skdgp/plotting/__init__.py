@@ -31,14 +31,6 @@ from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
 from skdgp.plotting._trajectory import TrajectoryDisplay
 
 __all__ = [
-    "BuildUpDisplay",
-    "CalibrationDisplay",
-    "CoefficientDisplay",
-    "CouplingDisplay",
-    "DerivativeDisplay",
-    "EffectsDisplay",
-    "EnvelopeDisplay",
-    "FlightDisplay",
-    "StateDisplay",
-    "TrajectoryDisplay",
-]
+    "BuildUpDisplay", "CalibrationDisplay", "CoefficientDisplay", "CouplingDisplay", "DerivativeDisplay",
+    "EffectsDisplay", "EnvelopeDisplay", "FlightDisplay", "StateDisplay", "TrajectoryDisplay",
+]  # fmt: skip

@@ -60,10 +60,7 @@ class CouplingDisplay:
 
     @classmethod
     def from_correlation(cls, correlation: Any, *, output_names: Any = None, **plot_options: Any) -> Self:
-        """Draw a correlation matrix (P, P), or what ``output_correlation()`` returns; options of :meth:`plot`.
-
-        Names of the outputs are by default those of the Bunch or DataFrame; of six without names CX CY CZ Cl Cm Cn.
-        """
+        """Draw a correlation matrix (P, P), or what ``output_correlation()`` returns; options of :meth:`plot`."""
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names
             correlation = correlation.correlation

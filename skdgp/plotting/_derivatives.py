@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-import numpy as np
 import pandas as pd
 
-from skdgp._compute.intervals import check_level
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.style import ROLES, axis_label, display_unit, draw_curve, plain, symbol, tidy
+from skdgp._display.style import axis_label, display_unit, draw_curve, plain, symbol
 from skdgp._flight.checks import check_choice
 from skdgp.plotting._display import Display, Names, choose
 
@@ -24,7 +22,7 @@ DEFAULT_DERIVATIVES = (
 class DerivativeDisplay(Display):
     """Derivatives with their bands over airspeed, alpha or beta, one panel each.
 
-    The artists are ``lines_``, ``bands_`` and ``truth_``.
+    The artists are ``lines_`` and ``bands_``.
 
     Parameters
     ----------
@@ -32,8 +30,8 @@ class DerivativeDisplay(Display):
         The points, rising, [m/s] or [rad], and their quantity.
     values, names : (n, k), k names
         The derivatives ``CL_alpha``, ``Cm_q``, ...
-    std, truth : (n, k), optional
-        Their standard deviations; known derivatives, NaN where there is none.
+    std : (n, k), optional
+        Their standard deviations.
 
     Examples
     --------
@@ -56,43 +54,28 @@ class DerivativeDisplay(Display):
     values: Matrix
     names: tuple[str, ...]
     std: Matrix | None = None
-    truth: Matrix | None = None
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
-        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
-        level = check_level(level)
+        """Draw the panels; see :mod:`skdgp.plotting`."""
         at = self.at * display_unit(self.over)[0]
 
         def draw(ax, k):
-            std, known = None if self.std is None else self.std[:, k], None
-            line, band = draw_curve(ax, at, self.values[:, k], std, level, "model")
-            if self.truth is not None and np.isfinite(self.truth[:, k]).any():
-                (known,) = ax.plot(at, self.truth[:, k], "--", color=ROLES["truth"], label="known")
             ax.set_ylabel(_label(self.names[k]))
-            tidy(ax)
-            return line, band, known
+            return draw_curve(ax, at, self.values[:, k], None if self.std is None else self.std[:, k], level, "model")
 
-        keys, label = range(len(self.names)), axis_label(self.over)
-        artists = self._draw_panels(
-            ax, draw, keys, min(3, len(keys)), (3.2, 1.9), xlabel=label, legend=legend, sharex=True
-        )
-        self.lines_, self.bands_, self.truth_ = artists
+        keys, options = range(len(self.names)), {"xlabel": axis_label(self.over), "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, keys, min(3, len(keys)), (3.2, 1.9), **options)
+        self.lines_, self.bands_ = artists
         return self
 
     @classmethod
     def from_sweep(
-        cls,
-        sweep: pd.DataFrame,
-        *,
-        over: str = "airspeed",
-        derivatives: Names = None,
-        truth: pd.DataFrame | None = None,
-        **plot_options: Any,
+        cls, sweep: pd.DataFrame, *, over: str = "airspeed", derivatives: Names = None, **plot_options: Any
     ) -> Self:
         """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
 
         ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The derivatives are by default
-        the most common ones of the table. ``truth`` holds known ones at the same points, in the same form.
+        the most common ones of the table.
         """
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(
@@ -105,17 +88,13 @@ class DerivativeDisplay(Display):
         choose(tuple(known), names)
         at = sweep[over].groupby(level=0).first().sort_values()
 
-        def columns(table, column):
-            return table[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(dtype=float)
+        def columns(column):
+            return sweep[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(dtype=float)
 
         return cls(
-            at=at.to_numpy(dtype=float),
-            values=columns(sweep, "value"),
-            std=columns(sweep, "std") if "std" in sweep else None,
-            truth=None if truth is None else columns(truth, "value"),
-            over=over,
-            names=tuple(names),
-        ).plot(**plot_options)
+            at=at.to_numpy(dtype=float), values=columns("value"), std=columns("std") if "std" in sweep else None,
+            over=over, names=tuple(names),
+        ).plot(**plot_options)  # fmt: skip
 
 
 def _label(name: str) -> str:

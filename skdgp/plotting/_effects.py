@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Matrix
 from skdgp._display.style import (
     PALETTE,
@@ -23,7 +22,6 @@ from skdgp._display.style import (
     plain,
     scale_beside,
     symbol,
-    tidy,
 )
 from skdgp._effects import Curve, effects
 from skdgp.plotting._display import Display, Names, choose
@@ -35,14 +33,14 @@ N_PAIRS = 2
 
 
 class _CurveDisplay(Display):
-    """Base of both displays."""
-
     curves: dict[str, Curve]
     samples: pd.DataFrame
 
-    def _draw_effect(self, ax, i, name, level):
+    def _draw_effect(self, ax, i, name, level, named):
         """Draw the effect of a regressor on output i, and quantiles of the samples."""
         curve, factor = self.curves[name], display_unit(name)[0]
+        if named:
+            ax.set_xlabel(axis_label(name).replace(" [", "\n["))
         ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
         artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
         mark_samples(ax, factor * self.samples[name])
@@ -90,8 +88,8 @@ class EffectsDisplay(_CurveDisplay):
     samples: pd.DataFrame
 
     def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
-        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
-        z = norm.ppf(0.5 + check_level(level) / 2)
+        """Draw the panels; see :mod:`skdgp.plotting`."""
+        z = half_width(level)
         names = list(self.importance.columns)
         rows = choose(names, outputs)
         several = [name for name in self.importance.index if name not in self.curves]
@@ -99,13 +97,10 @@ class EffectsDisplay(_CurveDisplay):
 
         def draw(ax, key):
             i, column = key
-            tidy(ax)
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if column != OTHERS:
-                if i == rows[-1]:
-                    ax.set_xlabel(axis_label(column).replace(" [", "\n["))
-                return *self._draw_effect(ax, i, column, level), None
+                return *self._draw_effect(ax, i, column, level, i == rows[-1]), None
             ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
             half = z * self.importance.loc[several].iloc[:, i].to_numpy()
             style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
@@ -142,9 +137,8 @@ class EffectsDisplay(_CurveDisplay):
 class BuildUpDisplay(_CurveDisplay):
     r"""A row for each coefficient: the effect of each regressor with its band, then its largest tables of two.
 
-    An effect is the derivative and the table of a regressor. Effects and tables of two have mean zero over the samples.
-    Panels of effects in a row have the same vertical axis; short lines at their bottom are quantiles of the samples,
-    each 4 %. Maps are tables of two regressors; their contours are standard deviations.
+    An effect is the derivative and the table of a regressor; it is drawn as by `EffectsDisplay`. Maps are tables of two
+    regressors; their contours are standard deviations. Effects and maps have mean zero over the samples.
 
     The artists are ``lines_``, ``bands_`` and ``meshes_``, the maps.
 
@@ -180,23 +174,20 @@ class BuildUpDisplay(_CurveDisplay):
     samples: pd.DataFrame
 
     def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
-        """Draw the panels. See :mod:`skdgp.plotting` for the options."""
-        z = norm.ppf(0.5 + check_level(level) / 2)
+        """Draw the panels; see :mod:`skdgp.plotting`."""
+        z = half_width(level)
         names, regressors = list(self.maps), list(self.curves)
         rows, n_curves = choose(names, outputs), len(regressors)
         n_maps = max(len(self.maps[names[i]]) for i in rows)
 
         def draw(ax, key):
             i, k = key
-            tidy(ax)
             if k == 0:
                 ax.set_ylabel(symbol(names[i]))
             if k < n_curves:
-                artists = *self._draw_effect(ax, i, regressors[k], level), None
+                artists = *self._draw_effect(ax, i, regressors[k], level, i == rows[-1]), None
                 ax.set_ylim(*self._range(i, z))
                 ax.tick_params(labelleft=k == 0, labelbottom=i == rows[-1])
-                if i == rows[-1]:
-                    ax.set_xlabel(axis_label(regressors[k]).replace(" [", "\n["))
                 return artists
             if k - n_curves < len(self.maps[names[i]]):
                 return None, None, self._draw_map(ax, *self.maps[names[i]][k - n_curves])
@@ -235,18 +226,9 @@ class BuildUpDisplay(_CurveDisplay):
 
     @classmethod
     def from_build_up(cls, build: Any, *, n_grid: int = 40, **plot_options: Any) -> Self:
-        """Read the effects of a build-up, and draw them with the options of :meth:`plot`.
+        """Draw the effects of a :func:`skdgp.export.build_up` with standard deviations; options of :meth:`plot`.
 
-        Raises ValueError if ``n_grid`` is less than 2.
-
-        Parameters
-        ----------
-        build : BuildUp
-            Of :func:`skdgp.export.build_up`, with standard deviations.
-        n_grid : int, default=40
-            Points of each curve, and of each axis of a map.
-        **plot_options
-            See :meth:`plot`.
+        Curves and each axis of a map have ``n_grid`` points; ValueError if there are less than 2.
         """
         check_matplotlib(cls.__name__)
         if n_grid < 2:

@@ -13,8 +13,7 @@ from skdgp._display.flights import ground_path, named_flights, start_marker
 from skdgp._display.style import CYCLE, PALETTE, axis_label, display_unit, legend_above, plain, scale_beside, tidy
 from skdgp._flight.channels import ELEVONS, SURFACES
 from skdgp._flight.checks import check_choice
-from skdgp.plotting._display import Display, Names, panels
-from skdgp.plotting._lines import line_points
+from skdgp.plotting._display import Display, Names, line_points, panels
 
 INPUTS = ("throttle", *SURFACES)
 
@@ -42,9 +41,6 @@ class FlightDisplay(Display):
     >>> display = FlightDisplay.from_flights({"train": flight}, ax=Figure())
     >>> display.axes_[0, 0].get_ylabel()
     'rudder [deg]'
-    >>> path = FlightDisplay.from_flights({"train": flight}, kind="path", ax=Figure())
-    >>> path.axes_[0, 0].get_xlabel()
-    'east [m]'
     """
 
     flights: dict[str, pd.DataFrame]
@@ -55,17 +51,16 @@ class FlightDisplay(Display):
         return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
 
     def plot_inputs(self, ax: Any = None, *, n_bins: int = 2000, channels: Names = None) -> Self:
-        """Draw the inputs against time, one row per input and one column per flight.
+        """Draw the inputs against time, one row per input and one column per flight; see :mod:`skdgp.plotting`.
 
         ``channels`` are by default throttle, elevator, aileron and rudder, those that some flight has, or the elevons
-        where no flight has an elevator. See :mod:`skdgp.plotting` for the other options.
+        where no flight has an elevator.
         """
         names = list(self.flights)
         channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
 
         def draw(ax, key):
             name, channel = key
-            tidy(ax)
             if name == names[0]:
                 ax.set_ylabel(axis_label(channel))
             if channel == channels[0]:
@@ -86,11 +81,11 @@ class FlightDisplay(Display):
         return self
 
     def plot_path(self, ax: Any = None, *, legend: bool = True, color_by: str | None = None) -> Self:
-        """Draw the path over the ground, north up, both axes to one scale.
+        """Draw the path over the ground, north up, both axes to one scale; see :mod:`skdgp.plotting`.
 
-        Positions are the columns ``north`` and ``east``. Without these, ``v_north`` and ``v_east`` are integrated
-        from the origin by trapezoids. The colour is that of "flight", "altitude" or "time"; by default of the flight
-        when there are several, else of the altitude or the time. See :mod:`skdgp.plotting` for the other options.
+        Positions are the columns ``north`` and ``east``, else integrals of ``v_north`` and ``v_east``. The colour is
+        that of "flight", "altitude" or "time"; by default of the flight when there are several, else of the altitude or
+        the time.
         """
         altitude = all("altitude" in table for table in self.flights.values())
         if color_by is None:

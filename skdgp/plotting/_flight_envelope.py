@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
+from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display, Names, choose
 
@@ -65,8 +65,6 @@ class EnvelopeDisplay(Display):
     >>> flown = pd.DataFrame(np.random.default_rng(0).normal(0, 0.05, (60, 2)), columns=["alpha", "beta"])
     >>> model = DependentGPRegressor(n_latent=1, optimizer=None).fit(flown, np.sin(20 * flown["alpha"]))
     >>> display = EnvelopeDisplay.from_estimator(model, flown, ax=Figure())
-    >>> display.axes_[0, 0].get_xlabel(), display.axes_[0, 0].get_ylabel()
-    ('$\\alpha$ [deg]', '$\\beta$ [deg]')
     >>> rho = display.relative_std()[0]
     >>> bool(rho[8, 8] < rho[0, 0])
     True
@@ -104,7 +102,6 @@ class EnvelopeDisplay(Display):
         names = self.pairs[k]
         factors = np.array([display_unit(name)[0] for name in names])
         x, y = (factor * values for factor, values in zip(factors, self.points[k], strict=True))
-        tidy(ax)
         density = _draw_density(ax, factors * self.flown[list(names)].to_numpy(), (x, y))
         # Variances of smooth functions are smooth: cubic splines to a grid as fine as the picture.
         spline = RectBivariateSpline(y, x, relative, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))
@@ -136,22 +133,13 @@ class EnvelopeDisplay(Display):
 
     @classmethod
     def compute(cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16) -> Self:
-        """Compute the uncertainty of a fitted estimator around its data, without drawing it.
+        """Compute the uncertainty of a fitted estimator around its training data X, without drawing it.
 
-        Parameters
-        ----------
-        estimator : fitted estimator or Pipeline
-            A pipeline with a ``RegressorSelector``, or an estimator fitted on a DataFrame of regressors. It ends in a
-            ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``.
-        X : DataFrame (n, ...)
-            Training data of the pipeline or estimator.
-        flight : DataFrame (m, ...), optional
-            Another flight like X to draw.
-        pairs : list of (name, name), optional
-            Regressors of the panels; default: alpha with beta, elevator and q, beta with r and rudder, p with aileron,
-            where present, or else neighbouring columns.
-        n_grid : int, default=16
-            Points of the grid along each axis.
+        The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of regressors; it ends in
+        a ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``. X and ``flight``, another one
+        to draw, are tables like its training data. The regressors of the panels, ``pairs``, are by default alpha with
+        beta, elevator and q, beta with r and rudder, p with aileron, where present, or else neighbouring columns. Grids
+        have ``n_grid`` points along each axis.
         """
         selection, scaling, last = _split_steps(estimator)
         flown, path = (

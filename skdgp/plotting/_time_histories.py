@@ -7,12 +7,11 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
-from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.clock import true_runs
@@ -20,13 +19,16 @@ from skdgp.plotting._display import (
     Display,
     Names,
     as_columns,
+    band_points,
     check_std,
     choose,
     grid_columns,
+    isolated,
+    line_points,
     names_of,
     predicted,
+    segment_starts,
 )
-from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
 
 MAX_BAND = 0.6  # a band widens the vertical axis by at most this part of the lines' range, so that lines stay readable
 MAX_MARKS = 150  # restarts; more would be a grey bar
@@ -69,21 +71,10 @@ class CoefficientDisplay(Display):
     output_names: Any = None
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        outputs: Names = None,
-        level: float = 0.95,
-        n_bins: int = 2000,
-        legend: bool = True,
-        kind: str = "values",
-        time_span: tuple[float, float] | None = None,
-    ) -> Self:
-        """Draw the panels; other options are those of :mod:`skdgp.plotting`.
-
-        ``kind`` is "values", or "residuals": measured minus estimated, with the band about zero, which is clearer for a
-        long record.
-        """
+        self, ax: Any = None, *, outputs: Names = None, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
+        kind: str = "values", time_span: tuple[float, float] | None = None,
+    ) -> Self:  # fmt: skip
+        """Draw the panels: ``kind`` "values" or "residuals", measured minus estimated; see :mod:`skdgp.plotting`."""
         check_choice("kind", kind, ("values", "residuals"))
         chosen = choose(self.output_names, outputs)
         zero, less = (self.mean, " less estimate") if kind == "residuals" else (0.0, "")
@@ -97,16 +88,9 @@ class CoefficientDisplay(Display):
 
     @classmethod
     def from_predictions(
-        cls,
-        time: ArrayLike,
-        measured: ArrayLike,
-        mean: ArrayLike,
-        std: ArrayLike | None = None,
-        *,
-        truth: ArrayLike | None = None,
-        output_names: Any = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, time: ArrayLike, measured: ArrayLike, mean: ArrayLike, std: ArrayLike | None = None, *,
+        truth: ArrayLike | None = None, output_names: Any = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw predictions and measurements; see the class and :meth:`plot`."""
         values = as_columns(measured, "measured outputs")
         return cls(
@@ -120,20 +104,12 @@ class CoefficientDisplay(Display):
 
     @classmethod
     def from_estimator(
-        cls,
-        estimator: Any,
-        X: Any,
-        Y: Any,
-        *,
-        time: ArrayLike | None = None,
-        truth: ArrayLike | None = None,
-        include_noise: bool = False,
-        **plot_options: Any,
-    ) -> Self:
+        cls, estimator: Any, X: Any, Y: Any, *, time: ArrayLike | None = None, truth: ArrayLike | None = None,
+        include_noise: bool = False, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Predict with a fitted estimator and draw, as :meth:`CalibrationDisplay.from_estimator`; see :meth:`plot`.
 
-        ``time`` (n,) is by default the column ``time`` of X. The band is that of the noise-free output, or with
-        ``include_noise``, which the estimator must take, that of a new measurement.
+        ``time`` (n,) is by default the column ``time`` of X. With ``include_noise`` the band is that of a measurement.
         """
         if time is None and "time" not in getattr(X, "columns", ()):
             raise ValueError("Got an X without a column 'time': give the samples' times as time=... [s].")
@@ -154,95 +130,56 @@ class StateDisplay(Display):
     Parameters
     ----------
     time : (n,)
-        Time of the samples [s]. Where every replay ends a row later, rows may repeat a time.
+        Time of the samples [s].
     measured, replayed : (n, k)
         States, SI units and radians.
+    window : (n,)
+        Number of the replay that a row belongs to, which changes at a restart.
+    state_names : k names
+        Columns of a flight table.
     std : (n, k), optional
         Standard deviations of the replayed states.
-    window : (n,), optional
-        Number of the replay that a row belongs to; it changes at a restart.
-    state_names : k names, optional
-        Columns of a flight table; default those of a DataFrame ``measured``, or v_east, p, r.
 
     Examples
     --------
-    >>> import numpy as np
+    >>> import numpy as np, pandas as pd
     >>> from matplotlib.figure import Figure
     >>> from skdgp.plotting import StateDisplay
-    >>> time = np.arange(0, 30, 0.1)
-    >>> states = np.sin(time[:, None] * [0.3, 1.0, 0.7])
-    >>> display = StateDisplay.from_predictions(time, states, 1.1 * states, window=time // 10, ax=Figure())
-    >>> [ax.get_ylabel() for ax in display.axes_.flat]
-    ['$v_E$ [m/s]', '$p$ [deg/s]', '$r$ [deg/s]']
+    >>> flight = pd.DataFrame({"time": np.arange(0, 30, 0.1), "p": 0.1})
+    >>> replayed = flight.assign(horizon=10.0, window=flight["time"] // 10, p=0.11)
+    >>> StateDisplay.from_replay(replayed, flight, states=["p"], ax=Figure()).axes_[0, 0].get_ylabel()
+    '$p$ [deg/s]'
     """
 
     time: Vector
     measured: Matrix
     replayed: Matrix
+    window: np.ndarray
+    state_names: tuple[str, ...]
     std: Matrix | None = None
-    window: np.ndarray | None = None
-    state_names: Any = LATERAL_STATES
 
     def plot(
-        self,
-        ax: Any = None,
-        *,
-        level: float = 0.95,
-        n_bins: int = 2000,
-        legend: bool = True,
-        states: Names = None,
+        self, ax: Any = None, *, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
         time_span: tuple[float, float] | None = None,
-    ) -> Self:
-        """Draw ``states``, default all, one above the other; other options are those of :mod:`skdgp.plotting`."""
-        chosen = choose(self.state_names, states)
+    ) -> Self:  # fmt: skip
+        """Draw the states, one above the other; see :mod:`skdgp.plotting`."""
         columns = self.measured, self.replayed, self.std, None
         draw = _drawing(self.time, columns, self.state_names, "replayed", level, n_bins, time_span, window=self.window)
-        label = "time [s]"
-        artists = self._draw_panels(ax, draw, chosen, 1, (9, 1.7), xlabel=label, legend=legend, sharex=True)
+        options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, range(len(self.state_names)), 1, (9, 1.7), **options)
         self.measured_, self.replayed_, self.bands_, _, self.restarts_ = artists
         return self
 
     @classmethod
-    def from_predictions(
-        cls,
-        time: ArrayLike,
-        measured: ArrayLike,
-        replayed: ArrayLike,
-        std: ArrayLike | None = None,
-        *,
-        window: ArrayLike | None = None,
-        state_names: Any = None,
-        **plot_options: Any,
-    ) -> Self:
-        """Draw replayed and measured states; see the class and :meth:`plot`."""
-        values = as_columns(measured, "measured states")
-        window = None if window is None else np.asarray(window)
-        if window is not None and window.shape != (len(values),):
-            raise ValueError(f"Got window of shape {window.shape} for {len(values)} samples: give one per sample.")
-        return cls(
-            time=check_time(time, len(values)),
-            measured=values,
-            replayed=as_columns(replayed, "replayed states", values.shape),
-            std=check_std(std, values.shape),
-            window=window,
-            state_names=names_of(measured, values.shape[1], state_names, LATERAL_STATES),
-        ).plot(**plot_options)
-
-    @classmethod
     def from_replay(
-        cls,
-        trajectory: pd.DataFrame,
-        flight: pd.DataFrame,
-        *,
-        states: Any = LATERAL_STATES,
-        horizon: float | None = None,
-        **plot_options: Any,
-    ) -> Self:
+        cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, states: Any = LATERAL_STATES,
+        horizon: float | None = None, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.replay` and the flight that it replays; see :meth:`plot`.
 
         ``trajectory`` has columns ``time``, ``horizon``, ``window``, the states and, for bands, ``<state>_std``, and
-        one row per row of the flight and horizon; rows that were not replayed are NaN. ``flight`` holds the measured
-        states, in the same row order. The horizon [s] is by default the longest.
+        one row per row of the flight and horizon. ``flight`` holds the measured states, in the same row order. The
+        horizon [s] is by default the longest.
         """
         states = list(states)
         rows = replay_rows(trajectory, horizon)
@@ -254,10 +191,14 @@ class StateDisplay(Display):
                 "was replayed, with all its rows."
             )
         bands = [f"{name}_std" for name in states]
-        std = rows[bands] if set(bands) <= set(rows.columns) else None
-        return cls.from_predictions(
-            rows["time"], flight[states], rows[states], std, window=rows["window"], **plot_options
-        )
+        return cls(
+            time=check_time(rows["time"]),
+            measured=flight[states].to_numpy(float),
+            replayed=rows[states].to_numpy(float),
+            std=rows[bands].to_numpy(float) if set(bands) <= set(rows.columns) else None,
+            window=rows["window"].to_numpy(),
+            state_names=tuple(states),
+        ).plot(**plot_options)
 
 
 def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window=None, less=""):
@@ -265,7 +206,7 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
 
     It returns the artists of measured, estimate, band, truth and restarts; None where there is none.
     """
-    level, rows = check_level(level), slice(None)
+    z, rows = half_width(level), slice(None)
     if time_span is not None:
         begin, end = time_span
         rows = (time >= begin) & (time <= end)
@@ -293,13 +234,12 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
         thin = line(measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured")
         band = None
         if std is not None:
-            half = norm.ppf(0.5 + level / 2) * std
+            half = z * std
             edges = band_points(time, mean - half, mean + half, n_bins=n_bins, starts=starts)
             band = _draw_band(ax, *edges, f"{level:.0%} band")
         known = line(truth, color=ROLES["truth"], linewidth=0.7 * width, zorder=2.1, label="truth")
         broad = line(mean, color=ROLES["mean"], linewidth=1.8 * width, label=estimate)
         _limit(ax, [values for values in (measured, mean, truth) if values is not None])
-        tidy(ax)
         ax.set_ylabel(axis_label(names[k]) + less)
         return thin, broad, band, known, _mark_restarts(ax, time, window)
 

@@ -7,11 +7,10 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.intervals import check_level
+from skdgp._compute.intervals import half_width
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit, tidy
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
@@ -27,10 +26,10 @@ class TrajectoryDisplay(Display):
 
     Of an ensemble the band holds the central share of the paths at each time, and the line is the trajectory ``mean``
     where it is given, else the median of the paths, which no aircraft flies. Of one trajectory with ``return_std=True``
-    the band is that of a normal distribution. Marks on the upper edge show where a path leaves the range of the
-    training data. Angles are drawn in degrees.
+    the band is that of a normal distribution.
 
-    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, the marks outside the training data.
+    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, marks on the upper edge where a path leaves the
+    range of the training data.
 
     Parameters
     ----------
@@ -66,14 +65,14 @@ class TrajectoryDisplay(Display):
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
         """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""
-        level = check_level(level)
+        z = half_width(level)
 
         def draw(ax, k):
             factor = display_unit(self.names[k])[0]
             values, label = factor * self.values[:, :, k], "simulated"
             low, middle, high = None, values[0], None  # no edges of one path without deviations
             if self.std is not None:
-                half = norm.ppf(0.5 + level / 2) * factor * self.std[:, k]
+                half = z * factor * self.std[:, k]
                 low, high = middle - half, middle + half
             elif len(values) > 1:
                 low, middle, high = path_quantiles(values, level)
@@ -89,11 +88,10 @@ class TrajectoryDisplay(Display):
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
                 (truth,) = ax.plot(self.time, factor * self.truth[:, k], "--", **style)
             ax.set_ylabel(axis_label(self.names[k]))
-            tidy(ax)
             return line, band, truth, self._mark_beyond(ax)
 
-        keys, label = range(len(self.names)), "time [s]"
-        artists = self._draw_panels(ax, draw, keys, 2, (5, 1.7), xlabel=label, legend=legend, sharex=True)
+        options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, range(len(self.names)), 2, (5, 1.7), **options)
         self.lines_, self.bands_, self.truth_, self.beyond_ = artists
         if legend:
             first = self.axes_.flat[0]
@@ -110,30 +108,14 @@ class TrajectoryDisplay(Display):
 
     @classmethod
     def from_trajectories(
-        cls,
-        trajectories: pd.DataFrame,
-        truth: pd.DataFrame | None = None,
-        *,
-        mean: pd.DataFrame | None = None,
-        start: Any = None,
-        columns: Any = DEFAULT_COLUMNS,
-        **plot_options: Any,
-    ) -> Self:
+        cls, trajectories: pd.DataFrame, truth: pd.DataFrame | None = None, *, mean: pd.DataFrame | None = None,
+        start: Any = None, columns: Any = DEFAULT_COLUMNS, **plot_options: Any,
+    ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
-        Parameters
-        ----------
-        trajectories : DataFrame
-            One trajectory, or the paths of one start (column ``path``).
-        truth, mean : DataFrame, optional
-            The recorded flight, interpolated to the times of the simulation; and, beside paths, the trajectory that the
-            mean of the model flies: the line.
-        start : optional
-            Start to draw, where there are several; by default the first.
-        columns : names
-            Columns to draw.
-        **plot_options
-            See :meth:`plot`.
+        ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start`` is the one to draw,
+        by default the first. ``truth`` is the recorded flight, interpolated to the times of the simulation. ``mean``,
+        beside paths, is the trajectory that the mean of the model flies, the line.
         """
         names = list(columns)
         check_columns(trajectories, ["time", *names], what="trajectory")

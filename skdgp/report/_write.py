@@ -8,8 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.html import text
-from skdgp._display.page import can_draw, render_page
+from skdgp._display.html import can_draw, render_page, text
 from skdgp._display.style import units_shown
 from skdgp.report import _sections as sections
 from skdgp.report._charts import thinning

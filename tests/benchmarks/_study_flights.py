@@ -13,8 +13,7 @@ from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH
 from skdgp._flight.frames import euler_to_quaternion, ned_to_body
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, fly_plans, measure
-from skdgp.datasets._flight_controls import COMMANDS
-from skdgp.datasets._flight_plans import FLIGHT_PLANS
+from skdgp.datasets._flight_plans import COMMANDS, FLIGHT_PLANS
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
 from skdgp.dynamics._equations.motion import Motion
 

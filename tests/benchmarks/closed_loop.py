@@ -169,7 +169,7 @@ def planned(
 def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
     """Return the classical inputs, each kind as large as the limits and the envelope allow, until the time is used."""
     bands = input_bands(linearize(planner.model, planner.aircraft, planner.trims[0], inputs=list(AXES)))
-    limits, pause = planner.limits, planner.pauses[0]
+    limits, pause = planner.limits, planner.rehearsals[0].pause
     kinds: dict[str, list[dict]] = {}
     for name, make in (("doublets", doublet), ("3-2-1-1", three_two_one_one)):
         widths = {axis: bands.loc[axis, f"{make.__name__}_width"] for axis in AXES}
@@ -224,14 +224,14 @@ def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int
     known = truth.aerodynamics(as_aerodynamics(model)), subject, seconds, seed, n_paths, planner.noise, planner.before
     found |= {name + BY_TRUTH: one for name, one in planned(*known)[0].items()}
     kinds = {name: _manoeuvres(one) for name, one in found.items()} | classical(planner, seconds)
-    sorties = {name: sortie(one, planner.pauses[0]) for name, one in kinds.items() if one}
+    sorties = {name: sortie(one, planner.rehearsals[0].pause) for name, one in kinds.items() if one}
     logs = dict(zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True))
     rows = {"explored": rows_of(first, subject)}
     rows |= {name: rows_of(seen(log, [seed, 1, k]), subject) for k, (name, log) in enumerate(logs.items())}
     exact = {name: felt(log) for name, log in [("explored", explored), *logs.items()]}
     took["all"] = time.process_time() - watch + took["learn"]
     return {
-        "rows": rows, "exact": exact, "took": took, "pause": planner.pauses[0],
+        "rows": rows, "exact": exact, "took": took, "pause": planner.rehearsals[0].pause,
         "manoeuvres": {name: one.manoeuvres for name, one in found.items()},
         "left": {name: left(log, sorties[name].busy, model, subject) for name, log in logs.items()},
         "pauses left": {name: left(log, sorties[name].pauses(seconds), model, subject) for name, log in logs.items()},

@@ -20,7 +20,7 @@ from closed_loop import AIR, EXPLORED, WIDE, Truth, _manoeuvres, learned, rows_o
 from study import kept
 
 from skdgp.design import Known, Pilot, plan
-from skdgp.design._plan import errors_of
+from skdgp.design._information import errors_of
 from skdgp.dynamics import SimulationWarning
 from skdgp.identification import flight_noise
 

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from sklearn.base import BaseEstimator, RegressorMixin
 
 from skdgp.calibration import CalibratedRegressor
-from skdgp.calibration._conformal import unit_weights, units_needed, weighted_quantile
+from skdgp.calibration._regressor import unit_weights, units_needed, weighted_quantile
 
 
 class Standard(RegressorMixin, BaseEstimator):

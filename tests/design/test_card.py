@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._display import page
+from skdgp._display import html as page
 from skdgp.design import (
     Envelope,
     Information,
@@ -58,7 +58,7 @@ def plan():
                   for d in ([0, 60, 0, 0, 0], [0, 0, 12, 0, 0], [0, 36, 0, 0, 0]))  # fmt: skip
     return Plan(
         (train,), (trim(Aerodynamics(linear, NAMES), aircraft, 20.0, altitude=100.0),), ("Cm_alpha", "Cm_q"), before,
-        sum(parts, before), rows, pd.DataFrame(), pd.concat([one.assign(flight=k) for k in range(3)]), parts, limits,
+        sum(parts, before), rows, pd.concat([one.assign(flight=k) for k in range(3)]), parts, limits,
         aircraft, dict.fromkeys(NAMES, 0.0),
     )  # fmt: skip
 

@@ -8,10 +8,18 @@ import pytest
 from scipy.signal import lsim
 
 from skdgp import design
-from skdgp.design import Information, _library, doublet, expected_information, posterior_information, three_two_one_one
+from skdgp.design import (
+    Information,
+    _flown,
+    _library,
+    doublet,
+    expected_information,
+    posterior_information,
+    three_two_one_one,
+)
 from skdgp.design._envelope import QUANTITIES
-from skdgp.design._flown import compare_with_plan, read_plan
-from skdgp.design._plan import errors_of
+from skdgp.design._information import errors_of
+from skdgp.design._plan import read_plan, record_of
 from skdgp.dynamics import Aerodynamics, Aircraft
 
 STEP = 0.04
@@ -19,6 +27,10 @@ REGRESSORS = ("alpha", "elevator")
 NOISE = pd.DataFrame({"white": 0.002, "drift": 0.001, "memory": 0.5}, index=["CZ", "Cm"])
 SIGNALS = {"doublet": {"elevator": doublet(0.6, 0.05)}, "3-2-1-1": {"rudder": three_two_one_one(0.4, 0.1)}}
 BEFORE = Information(np.stack([np.diag([1e4, 100.0, 400.0])]), ("Cm",), REGRESSORS)
+
+
+def compare_with_plan(plan, *flown):
+    return _flown.compare_with_plan(record_of(plan), *flown)
 
 
 @pytest.fixture
@@ -154,7 +166,7 @@ def made(plan, uav, name, inputs, limits=None):
         [{"train": 0, "start": 1.0, "risk": np.nan} | {key: row[key] for key in ("name", "duration", "pause")}]
     )
     flight = flown([]).assign(flight=0)
-    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, table, flight, (), pd.DataFrame(), uav, {})
+    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, flight, (), pd.DataFrame(), uav, {})
     return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}
 
 
@@ -250,5 +262,5 @@ def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown
         envelope=design.Envelope(growth=np.inf, gusts=None, n_paths=18),
     )  # fmt: skip
     assert plan.manoeuvres["airspeed"].value_counts().reindex([18.0, 27.0], fill_value=0).std() > 0
-    said = posterior_information(model, [*read_plan(plan)["at"].values()], plan.before.coefficients)
+    said = posterior_information(model, read_plan(plan).at, plan.before.coefficients)
     np.testing.assert_allclose(errors_of(said)[[*plan.goal]], plan.errors["before"], rtol=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skdgp.design import Limits, Wavetrain, chirp, doublet, input_bands, multisine, three_two_one_one, wavetrain
+from skdgp.design import Limits, Wavetrain, doublet, input_bands, multisine, three_two_one_one, wavetrain
 from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
 from skdgp.dynamics._control.linearize import Matrices
 
@@ -63,31 +63,6 @@ def test_overlapping_inputs_add_up_within_limits():
     both = {start: doublet(1.0, 0.05, limits=Limits(0.1, rate=0.5)) for start in (0.0, 0.01)}
     with pytest.raises(ValueError, match="overlap"):
         Wavetrain({"rudder": both}, {"rudder": Limits(0.2, rate=0.5)}).table(50.0)
-
-
-def test_a_pilots_card_is_in_ticks_and_detents_and_within_limits():
-    train = wavetrain(
-        [{"elevator": doublet(0.31, 0.043)}, {"rudder": three_two_one_one(0.7, -0.12)}],
-        pause=4.3,
-        limits={"rudder": Limits(0.13)},
-    )
-    flown = train.flyable(tick=0.5, detent=0.01)
-    card = flown.card()
-    np.testing.assert_allclose(card["time"] % 0.5, 0.0)
-    np.testing.assert_allclose(card["level"], [0.04, -0.04, 0, -0.12, 0.12, -0.12, 0.12, 0], atol=1e-12)
-    np.testing.assert_allclose(card["time"].diff()[4:], [2.0, 1.5, 0.5, 0.5])
-    quick = Wavetrain({"elevator": {0.0: three_two_one_one(0.2, 0.05)}}).flyable().card()
-    np.testing.assert_allclose(quick["time"], [0.0, 1.5, 2.5, 3.0, 3.5])  # the shape is kept
-    with pytest.raises(ValueError, match="leave longer pauses"):
-        Wavetrain({"elevator": {0.0: doublet(0.2, 0.05), 0.5: doublet(0.2, 0.05)}}).flyable()
-    with pytest.raises(ValueError, match="no pilot"):
-        Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).flyable()
-    with pytest.raises(ValueError, match="at least a detent"):
-        train.flyable(detent=0.1)
-    with pytest.raises(ValueError, match="flyable"):
-        Wavetrain({"elevator": {0.0: chirp(20, (0.1, 1), 0.1)}}).card()
-    with pytest.raises(ValueError, match="both > 0"):
-        train.flyable(tick=0.0)
 
 
 @pytest.mark.parametrize(

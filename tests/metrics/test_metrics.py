@@ -258,8 +258,8 @@ class TestScorers:
         for metric in METRICS:
             expected = metric(*arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values")
             np.testing.assert_allclose(scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10)
-        with pytest.raises(ValueError, match="lacks the columns 'day'"):
-            score_flights(TwoOutputs().fit(X, Y), X, Y, flight="day")
+        with pytest.raises(ValueError, match="lacks the columns 'flight'"):
+            score_flights(TwoOutputs().fit(X, Y), X[["x"]], Y)
 
     def test_the_last_step_is_asked_for_observed_rows_alone_transformers_see_all(self):
         X = np.arange(50.0)[:, None]

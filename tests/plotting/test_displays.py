@@ -58,8 +58,16 @@ def coefficients(n, ax, corrupt=lambda values: values):
 
 def states(n, ax, corrupt=lambda values: values):
     time, measured, mean, std = outputs(n, 3)
-    window = (time // 2).astype(int)
-    return StateDisplay.from_predictions(time, corrupt(measured), corrupt(mean), std, window=window, ax=ax)
+    return replayed(time, corrupt(measured), corrupt(mean), std, (time // 2).astype(int), ax=ax)
+
+
+def replayed(time, measured, mean, std=None, window=0, **options):
+    """Return the display of states as `replay` and a flight hold them."""
+    table, flight = (pd.DataFrame(values, columns=["v_east", "p", "r"]) for values in (mean, measured))
+    table = table.assign(time=time, window=window, horizon=10.0)
+    if std is not None:
+        table[["v_east_std", "p_std", "r_std"]] = std
+    return StateDisplay.from_replay(table, flight, **options)
 
 
 def calibration(n, ax, corrupt=lambda values: values):
@@ -287,17 +295,17 @@ class TestCoefficients:
 
 class TestStates:
     def test_degrees_are_drawn_from_radians(self):
-        time, measured, replayed, std = outputs(100, 3)
-        display = StateDisplay.from_predictions(time, measured, replayed, std, ax=Figure())
+        time, measured, mean, std = outputs(100, 3)
+        display = replayed(time, measured, mean, std, ax=Figure())
         np.testing.assert_array_equal(display.measured_[0].get_ydata(), measured[:, 0])
-        np.testing.assert_allclose(display.replayed_[1].get_ydata(), np.rad2deg(replayed[:, 1]))
+        np.testing.assert_allclose(display.replayed_[1].get_ydata(), np.rad2deg(mean[:, 1]))
         top = display.bands_[2].get_path().vertices[:100, 1]
-        np.testing.assert_allclose(top, np.rad2deg(replayed[:, 2] + norm.ppf(0.975) * std[:, 2]))
+        np.testing.assert_allclose(top, np.rad2deg(mean[:, 2] + norm.ppf(0.975) * std[:, 2]))
 
     def test_lines_break_between_windows_and_marks_show_where(self):
-        time, measured, replayed, _ = outputs(100, 3)
+        time, measured, mean, _ = outputs(100, 3)
         window = np.arange(100) // 25
-        display = StateDisplay.from_predictions(time, measured, replayed, window=window, ax=Figure())
+        display = replayed(time, measured, mean, window=window, ax=Figure())
         for line in display.replayed_:
             assert np.isnan(line.get_ydata()).sum() == 3
         np.testing.assert_array_equal(display.restarts_[0].get_xdata(), time[[25, 50, 75]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.plotting._lines import band_points, isolated, line_points, segment_starts
+from skdgp.plotting._display import band_points, isolated, line_points, segment_starts
 
 
 def noisy_record(n=30_000, seed=0):

@@ -1,18 +1,35 @@
-"""Metrics of predicted means and standard deviations."""
+"""Metrics of predictions and of their standard deviations.
+
+Targets are (n,) or (n, P). A NaN target was not observed and is left out, output by output. ``multioutput`` is
+scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"`` for their mean, or an array of
+weights. The metric of an output that is never observed is NaN, with a warning. The metrics raise ValueError if shapes
+differ, a prediction is not finite, a standard deviation is not positive (negative, for ``coverage_curve``), or a level
+is not inside (0, 1). The scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._compute.intervals import LEVELS, check_level, check_levels, shares_inside, standardized
+from skdgp._compute.intervals import LEVELS, check_levels, half_width, shares_inside, standardized
+from skdgp._compute.predicting import accepts, predict_observed
+from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
+from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.clock import flight_rows
+
+__all__ = [
+    "SCORERS", "continuous_ranked_probability_score", "coverage_curve", "interval_coverage", "make_predictive_scorer",
+    "median_relative_error", "negative_log_predictive_density", "normalized_rmse", "score_flights", "score_outputs",
+]  # fmt: skip
 
 Average: TypeAlias = "str | ArrayLike"
 Score: TypeAlias = "float | Vector"
@@ -61,8 +78,7 @@ def negative_log_predictive_density(
 ) -> Score:
     """Return the mean of ``log(2 pi s^2) / 2 + (y - m)^2 / 2 s^2`` (Rasmussen & Williams 2006, eq 2.34).
 
-    It is small when predictions are close and their standard deviations are small. For measured targets ``y_std`` must
-    include measurement noise (``include_noise=True``).
+    For measured targets ``y_std`` must include measurement noise (``include_noise=True``).
 
     Parameters
     ----------
@@ -93,8 +109,7 @@ def continuous_ranked_probability_score(
 
     .. math:: s \left[z (2 \Phi(z) - 1) + 2 \varphi(z) - 1 / \sqrt{\pi}\right].
 
-    Like :func:`negative_log_predictive_density` it is a proper score, but in units of the output and linear in a large
-    error, so one outlier does not dominate it. For s = 0 it is the absolute error.
+    It is a proper score, in units of the output and linear in a large error, so one outlier does not dominate it.
 
     Parameters
     ----------
@@ -118,16 +133,12 @@ def continuous_ranked_probability_score(
 
 
 def interval_coverage(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    y_std: ArrayLike,
-    *,
-    level: float = 0.95,
+    y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, level: float = 0.95,
     multioutput: Average = "uniform_average",
-) -> Score:
+) -> Score:  # fmt: skip
     """Return the fraction of targets inside the central ``level`` interval of a normal prediction.
 
-    It is near ``level`` where the standard deviations are right, and smaller where they are too small.
+    It is smaller than ``level`` where the standard deviations are too small.
 
     Parameters
     ----------
@@ -146,7 +157,7 @@ def interval_coverage(
     0.5
     """
     target, mean, std = check_scored(y_true, y_pred, y_std)
-    inside = np.abs(target - mean) <= norm.ppf(0.5 + check_level(level) / 2) * std
+    inside = np.abs(target - mean) <= half_width(level) * std
     return _aggregate(_by_output(np.mean, inside, target), multioutput)
 
 
@@ -155,7 +166,7 @@ def coverage_curve(
 ) -> pd.DataFrame:
     """Return the fraction of targets inside central intervals of several levels, by output.
 
-    Right standard deviations give a curve near the diagonal. Below it they are too small, above it too large.
+    Below the diagonal the standard deviations are too small, above it too large.
 
     Parameters
     ----------
@@ -234,3 +245,139 @@ def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
         UndefinedMetricWarning,
         stacklevel=4,
     )
+
+
+def make_predictive_scorer(
+    metric: Callable, *, greater_is_better: bool, needs_std: bool = False, **kwargs: Any
+) -> Callable[..., float]:
+    """Return a scorer ``(estimator, X, y) -> float`` of a metric that may need predicted standard deviations.
+
+    Parameters
+    ----------
+    metric : callable
+        ``metric(y_true, y_pred, **kwargs)``; with ``needs_std``, ``metric(y_true, y_pred, y_std, **kwargs)``.
+    greater_is_better : bool
+        False flips the sign, as scikit-learn maximises scores.
+    needs_std : bool, default=False
+        Whether to call ``predict(X, return_std=True)``, with ``include_noise=True`` where the estimator takes it, as
+        the targets are measurements.
+    **kwargs
+        Passed to the metric.
+
+    Returns
+    -------
+    callable
+        For ``scoring=``; it can be pickled.
+
+    Examples
+    --------
+    >>> from sklearn.gaussian_process import GaussianProcessRegressor
+    >>> from sklearn.model_selection import cross_val_score
+    >>> import numpy as np
+    >>> X, y = np.linspace(0, 3, 30)[:, None], np.sin(np.linspace(0, 3, 30))
+    >>> half = make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True, level=0.5)
+    >>> scores = cross_val_score(GaussianProcessRegressor(alpha=1e-6), X, y, scoring=half, cv=3)
+    >>> scores.shape
+    (3,)
+    """
+    return _PredictiveScorer(metric, greater_is_better, needs_std, kwargs)
+
+
+@dataclass(frozen=True, repr=False)
+class _PredictiveScorer:
+    metric: Callable
+    greater_is_better: bool
+    needs_std: bool
+    kwargs: dict[str, Any]
+
+    def __call__(self, estimator: Any, X: Any, y: Any) -> float:
+        rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
+        value = self.metric(safe_indexing(y, rows), *predicted, **self.kwargs)
+        return value if self.greater_is_better else -value
+
+    def __repr__(self) -> str:
+        return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.greater_is_better})"
+
+
+POINT = (median_relative_error, normalized_rmse)
+PROBABILISTIC = (negative_log_predictive_density, continuous_ranked_probability_score, interval_coverage)
+
+SCORERS = {
+    name: make_predictive_scorer(metric, greater_is_better=greater, needs_std=metric in PROBABILISTIC)
+    for name, metric, greater in (
+        ("neg_median_relative_error", median_relative_error, False),
+        ("neg_normalized_rmse", normalized_rmse, False),
+        ("log_predictive_density", negative_log_predictive_density, False),
+        ("neg_continuous_ranked_probability_score", continuous_ranked_probability_score, False),
+        ("interval_coverage", interval_coverage, True),
+    )
+}
+"""Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near its level."""
+
+
+def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
+    """Return the metrics of each output, ``{"normalized_rmse_CX": ..., ...}``, for ``scoring=`` of ``cross_validate``.
+
+    There are five metrics where the estimator predicts standard deviations, otherwise the two that need none. Outputs
+    are named by the columns of ``y``, or numbered.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> X, Y = np.arange(6.0)[:, None], np.arange(12.0).reshape(6, 2)
+    >>> sorted(score_outputs(LinearRegression().fit(X, Y), X, Y))
+    ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
+    """
+    rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
+    scores = _scores(safe_indexing(y, rows), *predicted)
+    return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
+
+
+def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
+    """Return the metrics of a fitted estimator or pipeline by flight and output.
+
+    The table (n, ...), regressors or the flights of an identification pipeline, names flights in its column ``flight``;
+    Y (n,) or (n, P) are measured targets. The result has a row per flight and output, with ``n_observed`` and the
+    metrics of :func:`score_outputs`; NaN where an output is never observed in a flight. Standard deviations include
+    measurement noise where the estimator has it. Raises ValueError if the table lacks the column.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from sklearn.pipeline import make_pipeline
+    >>> table = pd.DataFrame({"flight": ["a"] * 5 + ["b"] * 5, "alpha": np.linspace(0.0, 0.9, 10)})
+    >>> Y = pd.DataFrame({"CZ": -4.0 * table.alpha + 0.1 * (table.flight == "b")})
+    >>> from skdgp.preprocessing import RegressorSelector
+    >>> model = make_pipeline(RegressorSelector(["alpha"]), LinearRegression()).fit(table[:5], Y[:5])
+    >>> score_flights(model, table, Y)["normalized_rmse"].round(2)
+    flight  output
+    a       CZ        0.00
+    b       CZ        0.18
+    Name: normalized_rmse, dtype: float64
+    """
+    check_columns(check_table(table), ["flight"], what="table of flights")
+    values = np.asarray(Y, dtype=float).reshape(len(table), -1)
+    Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
+    rows, *observed = predict_observed(estimator, table, Y, with_std=accepts(estimator, "return_std"))
+    predicted = [np.ones(values.shape) for _ in observed]  # no row without a target is scored
+    for full, part in zip(predicted, observed, strict=True):
+        full[rows] = part.reshape(len(rows), -1)
+    tables = {}
+    for name, rows in flight_rows(table["flight"]).items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UndefinedMetricWarning)  # the NaN shows it
+            scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))
+        scores.insert(0, "n_observed", Y.iloc[rows].notna().sum())
+        tables[name] = scores
+    return pd.concat(tables, names=["flight", "output"])
+
+
+def _scores(y, *predicted) -> dict[str, dict]:
+    """Return every metric that the predictions allow, by output."""
+    found: dict[str, Any] = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
+    if len(predicted) > 1:
+        found |= {metric.__name__: metric(y, *predicted, multioutput="raw_values") for metric in PROBABILISTIC}
+    names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
+    return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}

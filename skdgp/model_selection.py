@@ -1,4 +1,9 @@
-"""Which rows of flights a model learns from: blocks held out, with a gap in time, and thinned targets."""
+"""Training subsets and splits of flights.
+
+Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``. Neighbouring
+samples of one flight are nearly equal, so a random split inside a flight gives scores that are too good. With a single
+flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,8 @@ from skdgp._compute.tables import column_names
 from skdgp._compute.typing import ArrayLike, Indices, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_rows
+
+__all__ = ["BlockSplit", "thin_targets"]
 
 MIN_BLOCK_ROWS = 3  # a hole of three rows is longer than 2.5 steps, so flight_segments splits the rest there
 

@@ -156,14 +156,13 @@ def main(arguments=None):
     if options.data:
         tables |= {name: pd.read_parquet(f"{options.data}/flights/{name}.parquet") for name in SHARED}
     tables = {name: table.astype(dict.fromkeys(INPUTS + FORCE, float)) for name, table in tables.items()}
-    seconds, damages = (20.0, ["none", "velocity held for 1 s"]) if options.smoke else (100.0, list(DAMAGES))
-    tables = {name: table[table["time"] < table["time"].min() + seconds] for name, table in tables.items()}
-    cut = {name: records(table) for name, table in tables.items() if not options.smoke}
+    tables = {name: table[table["time"] < table["time"].min() + 100.0] for name, table in tables.items()}
+    cut = {name: records(table) for name, table in tables.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # contradictions, and records too short to smooth
-        long = [{"damage": name, **judged(DAMAGES[name], tables)} for name in damages]
-        short = [{"damage": name, **judged(DAMAGES[name], cut)} for name in damages if cut]
-    finish(options, "paths", **{"flights_of_100_s": long} | ({"nine_records": short} if short else {}))
+        long = [{"damage": name, **judged(DAMAGES[name], tables)} for name in DAMAGES]
+        short = [{"damage": name, **judged(DAMAGES[name], cut)} for name in DAMAGES]
+    finish(options, "paths", flights_of_100_s=long, nine_records=short)
 
 
 if __name__ == "__main__":

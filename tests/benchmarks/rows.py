@@ -35,8 +35,6 @@ FLIGHTS = {
 
 def task_of(name, options):
     """Return the task of comparison.py or sportcub.py, and the regressors of its pipeline."""
-    if options.smoke:
-        return comparison.toy(), ["alpha", "beta", "elevator"]
     if name != "sportcub":
         return comparison.task_of(name, options.data), "quasi-steady"
     cub = sportcub.task_of(options.sportcub, "direct")
@@ -56,11 +54,11 @@ class Learner:
         self.clock = {name: task.train[name].to_numpy() for name in ("time", "flight") if name in task.train}
         self.n_rows = int(task.targets.notna().any(axis=1).sum())
 
-    def run(self, n_rows, seed, **parameters):
+    def run(self, n_rows, seed):
         """Return errors and times of both methods."""
         targets = thin_targets(self.task.targets, n_rows)
         rows = targets.notna().all(axis=1).to_numpy()
-        model = clone(self.regressor).set_params(random_state=seed, **parameters)
+        model = clone(self.regressor).set_params(random_state=seed)
         start = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -85,7 +83,7 @@ class Learner:
 def table(runs):
     """Return a row for each flight and number of rows; the errors of skdgp are over the seeds."""
     rows, best = [], {}
-    order = {name: k for k, name in enumerate(("toy", *FLIGHTS))}
+    order = {name: k for k, name in enumerate(FLIGHTS)}
     keys = sorted({(run["flight"], run["rows"]) for run in runs}, key=lambda key: (order[key[0]], key[1]))
     for flight, n in keys:
         found = [run for run in runs if (run["flight"], run["rows"]) == (flight, n)]
@@ -115,20 +113,17 @@ def main(words=None):
     parser.add_argument("--sportcub", type=Path, help="unpacked copy of jgoppert/sysid_litreview_26")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     options = parsed(parser, words)
-    if options.smoke:
-        options.flights, options.seeds = ["toy"], [0]
-    elif options.sportcub is None:
+    if options.sportcub is None:
         options.flights = [name for name in options.flights if name != "sportcub"]
-    kept, parameters = comparison.Kept(options.out, "rows"), {"max_iter": 2} if options.smoke else {}
+    kept = comparison.Kept(options.out, "rows")
     for seed in options.seeds:
         for flight in options.flights:
             learner = Learner(*task_of(flight, options))
-            sizes = [20, "all"] if options.smoke else SIZES
-            for n in sorted({learner.n_rows if n == "all" else n for n in sizes}):
+            for n in sorted({learner.n_rows if n == "all" else n for n in SIZES}):
                 name = f"{flight}-{n}-{seed}"
                 if n > learner.n_rows or (name in kept and not options.redo):
                     continue
-                kept.keep(name, {"flight": flight, **learner.run(n, seed, **parameters)})
+                kept.keep(name, {"flight": flight, **learner.run(n, seed)})
                 found = {method: round(kept.memory[name][method], 3) for method in ("skdgp", "least squares")}
                 print(f"{name}: NRMSE {found}", file=sys.stderr, flush=True)
     finish(options, "rows", error_over_rows=table(list(kept.memory.values())))

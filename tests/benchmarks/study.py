@@ -424,8 +424,6 @@ def study(subject, options, folder):
     parts += [(part, options.others) for part in (COMPARED, CHAINED)]
     wanted = [(*task, seed) for part, n in parts for seed in range(n) for task in part]
     unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
-    if options.smoke:
-        unique = {("light", LOGGED, "default", 0): {}}
     until = time.monotonic() + 60 * options.minutes
     processes = run(
         joblib.delayed(process_task)(
@@ -433,11 +431,10 @@ def study(subject, options, folder):
         )
         for (air, case, _, seed), changes in unique.items()
     )
-    cases = [] if options.smoke else [CHAINS[name]["noise of loads"] for name in CHAINS]
     known = run(
         joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
         for seed in range(options.others)
-        for case in cases
+        for case in [CHAINS[name]["noise of loads"] for name in CHAINS]
     )
     return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
 
@@ -457,13 +454,10 @@ def main(words=None):
     parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
     options = parser.parse_args(words)
     options.max_iter = 60
-    if options.smoke:
-        options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
-        options.others = options.trends = 1
     if options.aircraft == "viggen":
         finish(options, "study_viggen", air=viggen_table(options.data))
         return
-    folder = options.out / "study" if options.out and not options.smoke else None
+    folder = options.out / "study" if options.out else None
     name = options.aircraft
     flown = max(options.seeds, options.trends)
     subject_of = flights.example_subject if name == "example" else partial(flights.jsbsim_subject, name)

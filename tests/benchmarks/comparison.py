@@ -26,7 +26,6 @@ import pandas as pd
 from _common import finish, parsed, parser_of
 from _comparison_methods import INPUTS, METHODS, regressors
 from _comparison_tables import tables
-from jura import error as jura_error
 
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import read_flight
@@ -140,16 +139,6 @@ def covered(y, mean, std):
     return interval_coverage(y, mean, std, multioutput="raw_values").tolist()
 
 
-def jura(folder):
-    """Return mean absolute errors, the median of three seeds."""
-
-    def median(**options):
-        return float(np.median([jura_error(folder / "jura", seed=seed, **options) for seed in range(3)]))
-
-    kinds = {"raw": False, "logarithms": True}
-    return {"2": {kind: median(logarithms=logs) for kind, logs in kinds.items()}}
-
-
 def wanted(options, peers):
     """Yield (flight, inputs, method) of every run that is asked for, those that matter most first."""
     for inputs in options.inputs:
@@ -188,11 +177,10 @@ def runs_parser(description, flights, **more):
 def main(words=None):
     parser = runs_parser(__doc__, FLIGHTS, smoke=True)
     parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=list(INPUTS))
-    parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours", "jura"], default=[*METHODS, "jura"])
+    parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours"], default=[*METHODS])
     options = parsed(parser, words)
     if options.smoke:
         options.flights, options.inputs = ["toy"], [kind for kind in ("filtered", OWN) if kind in options.inputs]
-        options.methods = [name for name in options.methods if name != "jura"]
     kept, task, X, known = Kept(options.out), None, None, None
     for flight, inputs, method in wanted(options, not options.no_peers and find_spec("gpytorch")):
         name = f"{flight}-{inputs}-{method}"
@@ -207,8 +195,6 @@ def main(words=None):
         print(
             f"{name}: NRMSE {np.mean(result['NRMSE']):.3f}, {result['cpu_seconds']:.0f} s", file=sys.stderr, flush=True
         )
-    if {"jura", "ours"} & set(options.methods) and not options.smoke and ("jura" not in kept or options.redo):
-        kept.keep("jura", jura(options.data))
     finish(options, "comparison", **tables(kept.memory))
 
 

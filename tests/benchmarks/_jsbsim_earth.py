@@ -6,7 +6,7 @@ aircraft is, the Coriolis force, and the Earth's share of what gyroscopes feel. 
 """
 
 import numpy as np
-from _jsbsim_flight import EARTH_RATE, air, earth_to_ned, fly
+from _jsbsim_flight import EARTH_RATE, earth_to_ned
 
 from skdgp.dynamics import (
     body_to_ned,
@@ -15,12 +15,10 @@ from skdgp.dynamics import (
     quaternion_to_matrix,
     rigid_body_derivative,
     rk4,
-    standard_atmosphere,
 )
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
-EARTH_RADIUS = 6356766.0  # m, of the standard atmosphere's geopotential altitude
 
 
 class Earth:
@@ -104,28 +102,6 @@ def trajectory(flight, aircraft, horizon, kind):
     flown = rk4(derivative, state, samples / rate)
     errors = [missed(k, ours) for k, ours in zip(samples, flown, strict=True)]
     return {name: float(max(np.linalg.norm(each[name], axis=1).max() for each in errors)) for name in errors[0]}
-
-
-def live(model="c172p", seconds=20.0):
-    """Return tables of accelerations, trajectories and air against JSBSim as it flies."""
-    tables = {"live_accelerations": accelerations(*fly(model, seconds, 120, "default")), "live_trajectories": []}
-    for integrator, rate in (("default", 120), ("default", 1200), ("4th order", 1200)):
-        flight, aircraft = fly(model, seconds, rate, integrator)
-        tables["live_trajectories"] += [
-            {"JSBSim": f"{integrator}, {rate} Hz", "Earth": kind, "seconds": horizon}
-            | trajectory(flight, aircraft, horizon, kind)
-            for kind in ("flat", "turning")
-            for horizon in (2.0, 10.0)
-        ]
-    altitudes = np.arange(0.0, 31000.0, 5000.0)
-    ours = np.stack(standard_atmosphere(altitudes * EARTH_RADIUS / (EARTH_RADIUS + altitudes)), axis=-1)
-    relative = np.abs(ours / air(model, altitudes) - 1.0)
-    names = ("density", "pressure", "temperature", "speed of sound")
-    tables["live_air"] = [
-        {"geometric altitude [m]": int(altitude), **dict(zip(names, map(float, row), strict=True))}
-        for altitude, row in zip(altitudes, relative, strict=True)
-    ]
-    return tables
 
 
 def _vector(flight, start, axes):

@@ -77,7 +77,6 @@ DERIVATIVES = [  # label, case, method
 ]
 COVERED = DERIVATIVES[:3]  # of them, those whose deviations are compared with their errors
 LINEAR = ("least squares", "second order", "IV commands", "weighted")
-ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p")
 SHOWN = (

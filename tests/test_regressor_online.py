@@ -54,13 +54,12 @@ def model(models, kind):
 
 class TestPartialFit:
     @KINDS
-    @pytest.mark.parametrize("size", [1, 3, 20])
-    def test_is_conditioning_on_everything_at_the_same_hyperparameters(self, data, model, kind, size):
+    def test_is_conditioning_on_everything_at_the_same_hyperparameters(self, data, model, kind):
         X, Y = data
         before, theta = model.posterior_, model.theta_.copy()
         center, scale = model.center_, model.scale_
-        for a in range(40, 60, size):
-            assert model.partial_fit(X[a : a + size], Y[a : a + size]) is model
+        for rows in (slice(40, 41), slice(41, 60)):
+            assert model.partial_fit(X[rows], Y[rows]) is model
         if kind == "exact":
             reference = ExactPosterior(before.kernel, before.noise, Data.from_table(X, (Y - center) / scale))
         else:
@@ -191,8 +190,7 @@ class TestCompact:
         with pytest.warns(UserWarning, match=r"16 inducing variables changes.*standard deviation.*Raise n_inducing"):
             models["exact"].compact(10)
 
-    @pytest.mark.parametrize("n", [2, 3, 6])
-    @pytest.mark.parametrize("trend", ["linear", "constant", None])
+    @pytest.mark.parametrize(("n", "trend"), [(2, "linear"), (3, None), (6, "constant")])
     def test_of_few_samples(self, data, n, trend):
         X, y = data[0][:n], data[1][:n, 0]
         model = DependentGPRegressor(optimizer=None, trend=trend, n_latent=1, random_state=0).fit(X, y)
@@ -200,20 +198,18 @@ class TestCompact:
         np.testing.assert_allclose(small.predict(NEW), model.predict(NEW), rtol=1e-3)
         assert small.partial_fit(X[:1] + 1.0, y[:1]).predict(NEW).shape == (7,)
 
-    @pytest.mark.parametrize("n_inducing", [0, -3, 2.5, True, "many", None, np.nan])
-    def test_numbers_without_sense(self, models, n_inducing):
-        with pytest.raises(ValueError, match=r"Got n_inducing=.*from 1 on"):
-            models["exact"].compact(n_inducing)
-
-    @pytest.mark.parametrize("tolerance", [0, -0.1, np.nan, np.inf, "small", True])
-    def test_tolerances_without_sense(self, models, tolerance):
-        with pytest.raises(ValueError, match=r"Got tolerance=.*positive fraction"):
-            models["exact"].compact(10, tolerance=tolerance)
-
-    @pytest.mark.parametrize("max_iter", [-1, 2.5, None, True])
-    def test_iterations_without_sense(self, models, max_iter):
-        with pytest.raises(ValueError, match=r"Got max_iter=.*or 0 for none"):
-            models["exact"].compact(10, max_iter=max_iter)
+    @pytest.mark.parametrize(
+        ("name", "values", "words"),
+        [
+            ("n_inducing", [0, -3, 2.5, True, "many", None, np.nan], "from 1 on"),
+            ("tolerance", [0, -0.1, np.nan, np.inf, "small", True], "positive fraction"),
+            ("max_iter", [-1, 2.5, None, True], "or 0 for none"),
+        ],
+    )
+    def test_numbers_without_sense(self, models, name, values, words):
+        for value in values:
+            with pytest.raises(ValueError, match=f"Got {name}=.*{words}"):
+                models["exact"].compact(**{name: value})
 
     def test_memory_is_looked_at_first(self, models, monkeypatch):
         monkeypatch.setattr(linalg, "_physical_memory", lambda: 1000)

@@ -32,12 +32,6 @@ def model(request):
     return fitted(request.param)
 
 
-@pytest.fixture
-def few_waves(monkeypatch):
-    """Moments over paths do not depend on how many waves a path has."""
-    monkeypatch.setattr("skdgp.inference._paths.FREQUENCIES", 6)
-
-
 def test_shapes_and_the_ways_to_ask_agree(model):
     paths = model.sample_paths(7, random_state=1)
     X = np.random.default_rng(2).normal(size=(7, 5, 2))
@@ -50,25 +44,6 @@ def test_shapes_and_the_ways_to_ask_agree(model):
     np.testing.assert_allclose(paths(X[0])[3], paths[3](X[0]), rtol=1e-9)
     np.testing.assert_allclose(paths[2:4](X[0]), paths(X[0])[2:4], rtol=1e-9)
     assert paths.gradient(X[0]).shape == (7, 5, 2, 2)
-
-
-@pytest.mark.parametrize("trend", ["linear", "constant", None])
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_moments_are_those_of_predict(inference, trend, few_waves):
-    """In the units of the outputs, which differ a thousandfold, with noisy regressors, after more was learned."""
-    X, Y = table(40, seed=1)
-    model = fitted(inference, trend=trend, input_noise=[0.05, 0.02], covariance_type="full").partial_fit(X, Y)
-    new = np.array([[0.3, -0.2], [0.5, -0.2], [3.0, 3.0]])
-    n_paths = 4000
-    paths = model.sample_paths(n_paths, random_state=2)
-    mean, cov = model.predict(new, return_cov=True, include_input_noise=False)
-    std = np.sqrt(np.diag(cov))
-    off = (paths(new) - mean).swapaxes(1, 2).reshape(n_paths, -1) / std
-    assert (np.abs(off.mean(axis=0)) < 5 / np.sqrt(n_paths)).all()
-    correlation = cov / np.multiply.outer(std, std)
-    assert (np.abs(off.T @ off / n_paths - correlation) < 5 * np.sqrt((1 + correlation**2) / n_paths)).all()
-    slope, of_slope = model.predict_gradient(new, return_std=True)
-    assert (np.abs(paths.gradient(new).mean(axis=0) - slope) < 5 * of_slope / np.sqrt(n_paths)).all()
 
 
 def test_one_output_has_no_axis_of_outputs():

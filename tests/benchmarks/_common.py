@@ -14,13 +14,14 @@ from pathlib import Path
 VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpy", "mogptk", "jsbsim")
 
 
-def parser_of(description, *, data=False, redo=False):
-    """Return a parser of the command line that all benchmarks have; ``data`` and ``redo``: what some have too."""
+def parser_of(description, *, data=False, redo=False, smoke=False):
+    """Return a parser of the command line of all benchmarks; ``data``, ``redo``, ``smoke``: of some."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json; page.py reads them there")
     parser.add_argument("--repeats", type=int, default=3, help="of each measurement; the shortest counts")
-    parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     parser.add_argument("--no-peers", action="store_true", help="leave out what other packages do")
+    if smoke:
+        parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     if data:
         parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
     if redo:
@@ -31,7 +32,7 @@ def parser_of(description, *, data=False, redo=False):
 def parsed(parser, words):
     """Return the options, of which ``data``, the folder of the shared data, is needed but for ``--smoke``."""
     options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
+    if options.data is None and not getattr(options, "smoke", False):
         parser.error("the folder of the shared data is needed")
     return options
 

@@ -3,16 +3,6 @@
 import numpy as np
 from _comparison_methods import METHODS, ORDER
 
-PUBLISHED = {  # mean absolute error of cadmium, raw and of logarithms (shared data's README)
-    "independent GP": (0.5739, None),
-    "co-kriging": (0.51, None),
-    "ICM": (0.4608, 0.4114),
-    "SLFM": (0.4578, 0.4145),
-    "convolved (dependent) GP": (0.4552, None),
-    "GPRN": (0.4525, 0.4040),
-    "GPAR": (None, 0.3996),
-}
-
 
 def tables(runs):
     """Return tables by name from the runs, a dict of name to result."""
@@ -26,8 +16,6 @@ def tables(runs):
     ahead = [row for flight in found if flight != "methods" for row in standing(flight, runs)]
     if ahead:
         found["standing"] = ahead
-    if "jura" in runs:
-        found["jura"] = jura(runs["jura"])
     return found
 
 
@@ -86,11 +74,3 @@ def called(run):
 def coefficients(run, score, factor, unit=""):
     each = {f"{name} {unit}".strip(): factor * value for name, value in zip(run["outputs"], run[score], strict=True)}
     return {"method": METHODS[run["method"]].name, "samples": run["samples"], **each}
-
-
-def jura(ours):
-    rows = [{"method": name, "MAE": raw, "MAE of logarithms": logs} for name, (raw, logs) in PUBLISHED.items()]
-    for n_latent, found in ours.items():
-        name = f"**skdgp regressor**, n_latent={n_latent}"
-        rows.append({"method": name, "MAE": found["raw"], "MAE of logarithms": found["logarithms"]})
-    return rows

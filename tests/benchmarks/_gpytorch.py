@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import gpytorch
 import numpy as np
 import torch
 from gpytorch.variational import (
     CholeskyVariationalDistribution,
     LMCVariationalStrategy,
-    NaturalVariationalDistribution,
     VariationalStrategy,
 )
-from sklearn.cluster import MiniBatchKMeans
 
 
 class LCM(gpytorch.models.ExactGP):
@@ -72,11 +68,12 @@ def gradient(model, likelihood):
 class Variational(gpytorch.models.ApproximateGP):
     """Latent processes with inducing points of their own, mixed linearly."""
 
-    def __init__(self, Z, n_outputs, *, natural):
+    def __init__(self, Z, n_outputs):
         L, m, d = Z.shape
         batch = torch.Size([L])
-        distribution = NaturalVariationalDistribution if natural else CholeskyVariationalDistribution
-        strategy = VariationalStrategy(self, Z, distribution(m, batch_shape=batch), learn_inducing_locations=True)
+        strategy = VariationalStrategy(
+            self, Z, CholeskyVariationalDistribution(m, batch_shape=batch), learn_inducing_locations=True
+        )
         super().__init__(LMCVariationalStrategy(strategy, num_tasks=n_outputs, num_latents=L, latent_dim=-1))
         self.mean_module = gpytorch.means.ConstantMean(batch_shape=batch)
         rbf = gpytorch.kernels.RBFKernel(ard_num_dims=d, batch_shape=batch)
@@ -86,61 +83,25 @@ class Variational(gpytorch.models.ApproximateGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
-def train_variational(
-    X,
-    Y,
-    *,
-    n_latent=6,
-    n_inducing=150,
-    batch=512,
-    rate=0.02,
-    decay=None,
-    natural=0.0,
-    kmeans=False,
-    seed=0,
-    length_scale=None,
-):
-    """Maximise the evidence lower bound by stochastic steps; yield (step, predictor) after each, without end.
-
-    Parameters
-    ----------
-    n_latent : int
-        Latents of the linear model of coregionalisation.
-    rate, decay : float
-        Of Adam; after ``decay`` steps the rate is a tenth.
-    natural : float
-        Step of natural gradients for the variational parameters; 0: Adam for these too.
-    """
+def train_variational(X, Y, *, n_latent=6, n_inducing=150, batch=512, rate=0.02, seed=0):
+    """Maximise the evidence lower bound by Adam; yield the predictor after each step, without end."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    centres = MiniBatchKMeans(n_inducing, n_init=1, random_state=seed).fit(X).cluster_centers_ if kmeans else None
-    starts = [centres if kmeans else X[rng.choice(len(X), n_inducing, replace=False)] for _ in range(n_latent)]
+    starts = [X[rng.choice(len(X), n_inducing, replace=False)] for _ in range(n_latent)]
     X, Y = torch.as_tensor(X, dtype=torch.float32), torch.as_tensor(Y, dtype=torch.float32)
-    Z = torch.as_tensor(np.stack(starts), dtype=torch.float32)
-    model = Variational(Z, Y.shape[1], natural=natural > 0)
+    model = Variational(torch.as_tensor(np.stack(starts), dtype=torch.float32), Y.shape[1])
     likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=Y.shape[1])
-    if length_scale is not None:
-        model.covar_module.base_kernel.lengthscale = length_scale
     model.train()
     likelihood.train()
     objective = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(Y))
-    slow = list(model.hyperparameters() if natural else model.parameters()) + list(likelihood.parameters())
-    optimizers = [torch.optim.Adam(slow, lr=rate)]
-    if natural:
-        optimizers.append(gpytorch.optim.NGD(model.variational_parameters(), num_data=len(Y), lr=natural))
-    schedule = decay and torch.optim.lr_scheduler.ExponentialLR(optimizers[0], 0.1 ** (1 / decay))
-    step, predictor = 0, Predictor(model, likelihood)
+    optimizer = torch.optim.Adam([*model.parameters(), *likelihood.parameters()], lr=rate)
+    predictor = Predictor(model, likelihood)
     while True:
         for rows in torch.randperm(len(X)).split(batch):
-            for optimizer in optimizers:
-                optimizer.zero_grad()
+            optimizer.zero_grad()
             (-objective(model(X[rows]), Y[rows])).backward()
-            for optimizer in optimizers:
-                optimizer.step()
-            if schedule:
-                schedule.step()
-            step += 1
-            yield step, predictor
+            optimizer.step()
+            yield predictor
 
 
 class Predictor:
@@ -166,15 +127,3 @@ class Predictor:
             values = torch.cat([moment(self.model(part)) for part in parts]).double().numpy()
         self.model.train()
         return values
-
-
-def clocked(steps, seconds):
-    """Yield (seconds, step, predict) at each of the given seconds of training; what happens between is not counted."""
-    spent, targets = 0.0, list(seconds)
-    while targets:
-        start = time.perf_counter()
-        step, predictor = next(steps)
-        spent += time.perf_counter() - start
-        if spent >= targets[0]:
-            targets.pop(0)
-            yield spent, step, predictor

@@ -13,12 +13,6 @@ INTEGRATORS = {  # the default is Euler's method for rates and attitude
     "4th order": {"rate/rotational": 5, "rate/translational": 5, "position/rotational": 7, "position/translational": 5},
 }
 START = {"h-sl-ft": 4000, "vc-kts": 100, "lat-geod-deg": 45, "long-gc-deg": 10, "psi-true-deg": 60, "gamma-deg": 0}
-AIR = [  # JSBSim's property and the factor to SI
-    ("rho-slugs_ft3", SLUG / FOOT**3),
-    ("P-psf", POUND_FORCE / FOOT**2),
-    ("T-R", 5 / 9),
-    ("a-fps", FOOT),
-]
 DOUBLETS = {"elevator": (1.0, -0.08), "aileron": (4.0, 0.25), "rudder": (7.0, 0.3)}  # from [s], size;
 # a second each way, smooth: a jump would cost any integrator an order
 
@@ -59,16 +53,6 @@ def fly(model, seconds, rate, integrator):
         rows[k] = [fdm[source] * factor for _, source, factor in columns]
     flight = pd.DataFrame(rows, columns=[name for name, *_ in columns])
     return flight.assign(time=np.arange(len(rows)) / rate), aircraft_of(fdm, model)
-
-
-def air(model, altitudes):
-    """Return JSBSim's density, pressure, temperature and speed of sound, (n, 4), at geometric altitudes [m]."""
-    fdm, found = started(model, 120), []
-    for altitude in altitudes:
-        fdm["ic/h-sl-ft"] = altitude / FOOT
-        fdm.run_ic()
-        found.append([fdm[f"atmosphere/{source}"] * factor for source, factor in AIR])
-    return np.array(found)
 
 
 def started(model, rate, knots=START["vc-kts"]):

@@ -199,7 +199,7 @@ class SparseLCM:
 
         use_torch_threads(1)  # small matrices: faster so
         steps = train_variational(X, Y, n_inducing=min(150, len(X)))
-        _, self.predict = next(islice(steps, self.n_steps - 1, None))
+        self.predict = next(islice(steps, self.n_steps - 1, None))
         return self
 
     def bands(self, X):

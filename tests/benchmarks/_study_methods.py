@@ -209,13 +209,6 @@ def learned(model, X, Y, case, table, **options):
         return FlightPipeline(steps, **options).fit(flight, pd.DataFrame(Y, columns=COEFFICIENTS))
 
 
-def trend(seen, subject, case):
-    """Return derivatives of the trend alone, with all products of two regressors, and their ``std_random``."""
-    model = DependentGPRegressor(structure="trend", trend=PolynomialFeatures(2), optimizer=None)
-    pipeline = learned(model, *case.table(seen), case, seen.log.table)
-    return tuple(slopes_of(pipeline, subject, case, ("value", "std_random")))
-
-
 def slopes_of(pipeline, subject, case, columns):
     """Return columns of the table of derivatives at the trim, (6, 11) each."""
     at = dict(zip(NAMES, subject.trim, strict=True))

@@ -12,7 +12,7 @@ import time
 import numpy as np
 from _common import finish, parsed
 from _comparison_methods import Identification
-from comparison import FLIGHTS, Kept, runs_parser, scores, task_of, toy
+from comparison import FLIGHTS, Kept, runs_parser, scores, task_of
 
 PLAIN = {"reconstruction": "passthrough"}
 INDEPENDENT = {"dependentgpregressor__n_latent": 0}
@@ -74,14 +74,12 @@ def main(words=None):
     parser = runs_parser(__doc__, FLIGHTS)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     options = parsed(parser, words)
-    parameters = {"dependentgpregressor__max_iter": 2} if options.smoke else {}
     kept = Kept(options.out, "ablation")
-    asked = ["defaults", "reconstruction", "processes__the_trend_alone"] if options.smoke else options.parts
-    for flight in ["toy"] if options.smoke else options.flights:
-        parts = [part for part in asked if options.redo or f"{flight}-{part}" not in kept]
-        task = parts and (toy() if options.smoke else task_of(flight, options.data))
+    for flight in options.flights:
+        parts = [part for part in options.parts if options.redo or f"{flight}-{part}" not in kept]
+        task = parts and task_of(flight, options.data)
         for part in parts:
-            result = {"flight": flight, "part": part, **run(task, part, **parameters)}
+            result = {"flight": flight, "part": part, **run(task, part)}
             kept.keep(f"{flight}-{part}", result)
             print(f"{flight}-{part}: NRMSE {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)
     finish(options, "ablation", one_part_off=table(list(kept.memory.values())))

@@ -374,7 +374,7 @@ def main(words: Any = None) -> None:
     parser.add_argument("--paths", type=int, default=200, help="aircraft drawn for each check of a manoeuvre")
     options = parser.parse_args(words)
     folder = options.out / "closed_loop" if options.out else None
-    subjects = {} if options.smoke else {name: SUBJECTS[name]() for name in options.aircraft}
+    subjects = {name: SUBJECTS[name]() for name in options.aircraft}
     truths = {name: Truth.of(subject) for name, subject in subjects.items()}
     flown: dict[str, list] = {name: [] for name in subjects}
     for seed, name in itertools.product(range(options.seeds), subjects):
@@ -387,8 +387,6 @@ def main(words: Any = None) -> None:
             print(name, seed, error, flush=True)
             continue
         print(name, seed, flown[name][-1]["took"], flush=True)
-    if options.smoke:
-        truths["toy"], flown["toy"] = toy()
     tables: dict[str, list] = {"ratios": [], "errors": [], "floor": [], "risks": []}
     for name, every in flown.items():
         learning = [curves(found, truths[name]) for found in every]
@@ -397,22 +395,6 @@ def main(words: Any = None) -> None:
         tables["floor"] += floor_rows(name, every, truths[name])
         tables["risks"] += risk_rows(name, every)
     finish(options, "closed_loop", **tables)
-
-
-def toy() -> tuple[Truth, list[dict[str, Any]]]:
-    """Return rows without a flight: does the script make its tables?"""
-    rng, clock = np.random.default_rng(0), np.arange(0.0, 10.0, 0.1)
-    X = rng.standard_normal((4, len(clock), 8))
-    Y = X @ rng.standard_normal((8, 6))
-    noisy = Y + 0.1 * rng.standard_normal(Y.shape)
-    rows = {kind: (clock, *one) for kind, *one in zip(("explored", "plan", "multisine"), X[1:], noisy[1:], strict=True)}
-    risks = {
-        "manoeuvres": {"plan": pd.DataFrame({"risk": [0.02]})},
-        "left": {"plan": [False]},
-        "pauses left": {"plan": [False]},
-        "took": {"plan": 1.0},
-    }
-    return Truth.known(X[0], Y[0]), [risks | {"rows": rows}]
 
 
 if __name__ == "__main__":

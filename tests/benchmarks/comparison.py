@@ -17,6 +17,7 @@ are of all runs that are there. Peers take some hours on one core.
 import json
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,8 +26,6 @@ import pandas as pd
 from _common import finish, parsed, parser_of
 from _comparison_methods import INPUTS, METHODS, regressors
 from _comparison_tables import tables
-from heldout import has_gpytorch
-from jura import error as jura_error
 
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import read_flight
@@ -140,16 +139,6 @@ def covered(y, mean, std):
     return interval_coverage(y, mean, std, multioutput="raw_values").tolist()
 
 
-def jura(folder):
-    """Return mean absolute errors, the median of three seeds."""
-
-    def median(**options):
-        return float(np.median([jura_error(folder / "jura", seed=seed, **options) for seed in range(3)]))
-
-    kinds = {"raw": False, "logarithms": True}
-    return {"2": {kind: median(logarithms=logs) for kind, logs in kinds.items()}}
-
-
 def wanted(options, peers):
     """Yield (flight, inputs, method) of every run that is asked for, those that matter most first."""
     for inputs in options.inputs:
@@ -178,23 +167,22 @@ class Kept:
             (self.folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
-def runs_parser(description, flights):
+def runs_parser(description, flights, **more):
     """Return a parser of scripts that keep their runs: folder of the data, flights, ``--redo``."""
-    parser = parser_of(description, data=True, redo=True)
+    parser = parser_of(description, data=True, redo=True, **more)
     parser.add_argument("--flights", nargs="+", choices=flights, default=list(flights))
     return parser
 
 
 def main(words=None):
-    parser = runs_parser(__doc__, FLIGHTS)
+    parser = runs_parser(__doc__, FLIGHTS, smoke=True)
     parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=list(INPUTS))
-    parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours", "jura"], default=[*METHODS, "jura"])
+    parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours"], default=[*METHODS])
     options = parsed(parser, words)
     if options.smoke:
         options.flights, options.inputs = ["toy"], [kind for kind in ("filtered", OWN) if kind in options.inputs]
-        options.methods = [name for name in options.methods if name != "jura"]
     kept, task, X, known = Kept(options.out), None, None, None
-    for flight, inputs, method in wanted(options, not options.no_peers and has_gpytorch()):
+    for flight, inputs, method in wanted(options, not options.no_peers and find_spec("gpytorch")):
         name = f"{flight}-{inputs}-{method}"
         if name in kept and not options.redo:
             continue
@@ -207,8 +195,6 @@ def main(words=None):
         print(
             f"{name}: NRMSE {np.mean(result['NRMSE']):.3f}, {result['cpu_seconds']:.0f} s", file=sys.stderr, flush=True
         )
-    if {"jura", "ours"} & set(options.methods) and not options.smoke and ("jura" not in kept or options.redo):
-        kept.keep("jura", jura(options.data))
     finish(options, "comparison", **tables(kept.memory))
 
 

@@ -18,7 +18,7 @@ import pandas as pd
 from _common import finish, parser_of, show
 from sklearn.exceptions import ConvergenceWarning
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
@@ -131,9 +131,6 @@ def learned(data, options, seed):
     """Return the pipeline, fitted."""
     model = make_identification_pipeline(data.aircraft, regressors=options.regressors)
     model.set_params(dependentgpregressor__random_state=seed)
-    if options.smoke:
-        regressor = DependentGPRegressor(max_iter=2, n_latent=1)
-        model.set_params(flightpathreconstruction="passthrough", dependentgpregressor=regressor)
     Y, start = aerodynamic_coefficients(data.train, data.aircraft), time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -149,13 +146,9 @@ def main(words=None):
     parser.add_argument("--turbulence", type=float, default=1.0)
     parser.add_argument("--regressors", default="quasi-steady")
     options, n_paths = parser.parse_args(words), 200
-    if options.smoke:
-        options.samples, options.seeds, n_paths = 30, [0], 10
     tables, roots = {}, {}
     for seed in options.seeds:
         data = load_example_flights(random_state=seed, turbulence=options.turbulence)
-        if options.smoke:
-            data.train = data.train.groupby("flight", observed=True).head(400)
         model, truth = learned(data, options, seed), known_aircraft(data)
         tables[seed], roots[seed] = compared(model, truth, data, n_paths), modes(model, truth, data, n_paths)
         show(coverage({seed: tables[seed]}))

@@ -30,7 +30,7 @@ import pandas as pd
 from _common import finish, parsed, parser_of
 from sklearn.linear_model import LinearRegression
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp import make_identification_pipeline
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
 from skdgp.datasets import load_example_flights
@@ -52,7 +52,6 @@ from skdgp.dynamics import (
 )
 from skdgp.identification import predict_flight
 from skdgp.io import read_flight
-from skdgp.model_selection import thin_targets
 
 PAIRS = [
     ("c172p", "train_latlon", "test_calm"),
@@ -293,18 +292,6 @@ def main(words=None):
     options = parsed(parser, words)
     example = load_example_flights()
     test = example.test.assign(gravity_true=STANDARD_GRAVITY)
-    if options.smoke:
-        regressor = DependentGPRegressor(n_latent=0, optimizer=None)
-        small = make_identification_pipeline(
-            example.aircraft, reconstruction="passthrough", cutoff=6.0, regressor=regressor
-        )
-        targets = aerodynamic_coefficients(example.train, example.aircraft, cutoff=6.0)
-        finish(
-            options,
-            "freeflight",
-            times=timed(small.fit(example.train, thin_targets(targets, 100)), example.aircraft, 3, 0.2),
-        )
-        return
     cases = {"example test": ("example", example.aircraft, example.train, test)}
     cases |= {
         f"{name} {test}": (f"{name}_{test[:4]}", *flights_of(options.data / "flights", name, train, test))

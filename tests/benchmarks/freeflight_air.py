@@ -166,7 +166,7 @@ def main(words=None):
     parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
     options = parser.parse_args(words)
     models, flights, gusts = [], [], []
-    for name in options.aircraft[: 0 if options.smoke else None]:
+    for name in options.aircraft:
         model, log, aircraft = learned(name, options.models)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
         models.append(model_row(name, model, log, flown))

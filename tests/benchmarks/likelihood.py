@@ -207,7 +207,7 @@ def compare(case, names, repeats, isolated=True):
 
 
 def main(words=None):
-    options = parser_of(__doc__).parse_args(words)
+    options = parser_of(__doc__, smoke=True).parse_args(words)
     case = Case(20, 6, 2, 3) if options.smoke else Case()
     names = [FLOOR, OURS] if options.no_peers else list(CONTENDERS)
     rows = compare(case, names, options.repeats, not options.smoke)

@@ -20,9 +20,7 @@ import pandas as pd
 from _common import finish, parsed, parser_of
 from _study_flights import NAMES, ROTATION, exact_regressors, hats, milspec_rates, slopes_of_third_order
 
-from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS, RATE_LENGTHS, TRUTH_SUFFIX
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, air_velocity, stability_derivatives
 from skdgp.identification import identify
 from skdgp.io import FULL_THROW, read_flight
@@ -44,11 +42,6 @@ NORMAL_95 = 1.96
 
 def subjects(options):
     """Yield name, kind, aircraft, training and test flight."""
-    if options.smoke:
-        example = load_example_flights()
-        train, test = (table[table["time"] < 15].reset_index(drop=True) for table in (example.train, example.test))
-        yield "example", "flying wing", example.aircraft, train[train["flight"] == train["flight"].iloc[0]], test
-        return
     for name, (train, test, kind) in FLIGHTS.items():
         if not options.aircraft or name in options.aircraft:
             read = [read_flight(options.data / "flights" / f"{name}_{part}.parquet") for part in (train, test)]
@@ -96,11 +89,10 @@ def state_at(at, airspeed, aircraft):
 def derivatives(things, aircraft, kind, train, test, at, airspeed, options):
     """Return the table of derivatives by one radian, and the error over the spread of the test flight."""
     told, (train, test), units = withhold(things, aircraft, kind, train, test)
-    small = {"regressor": DependentGPRegressor(max_iter=2, n_latent=1, random_state=0)} if options.smoke else {}
     servos = FULL_THROW if units else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = identify(train, told, test=test, samples=options.samples, reading={"servos": servos}, **small)
+        found = identify(train, told, test=test, samples=options.samples, reading={"servos": servos})
         controls = {name: at[name] / units.get(name, 1.0) for name in (*SURFACES, "throttle")}
         state = state_at(at, airspeed, aircraft)
         table = stability_derivatives(found.pipeline, told, state, controls, thrust=None, n_paths=options.paths)
@@ -154,9 +146,7 @@ def main(words=None):
     parser.add_argument("--aircraft", nargs="*", choices=FLIGHTS, help="by default both")
     parser.add_argument("--withheld", nargs="*", choices=WITHHELD, help="beside nothing; by default each in turn")
     options = parsed(parser, words)
-    options.paths = 10 if options.smoke else 200
-    if options.smoke:
-        options.samples, options.withheld = 40, ["all of these"]
+    options.paths = 200
     rows, outside = [], []
     for name, kind, aircraft, train, test in subjects(options):
         at, known = truth_of(aircraft, train, test)

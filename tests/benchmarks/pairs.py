@@ -2,7 +2,7 @@
 
     python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--pairs P] [--seeds S] [--latents M] [--redo]
 
-REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see real.py; the HFB-320 is the book's
+REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py; the HFB-320 is
 ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights and predicts those of others: NRMSE,
 mean over the coefficients, over that of least squares from the same regressors. Members are those of the same fit, each
 alone; "one search": the mean error of the average of each search alone. "product": members weighted by precision at
@@ -19,11 +19,11 @@ import time
 from functools import partial
 from pathlib import Path
 
+import _real_flights as real
 import numpy as np
 import pandas as pd
-import real
 from _common import finish, parser_of
-from comparison import BANDS_EVERY, FLIGHTS, SAMPLES, Kept, Task, ampyx_ap2, task_of, toy
+from comparison import BANDS_EVERY, FLIGHTS, SAMPLES, Kept, Task, ampyx_ap2, task_of
 from scipy.io import loadmat
 from sklearn.linear_model import LinearRegression
 
@@ -86,7 +86,7 @@ def small_uav(folder, split):
     """Return aircraft, training and test records of the UAV."""
     path = Path(folder) / real.UAV / "ProcessedData_2022_05_07_11_13_57.mat"
     records = loadmat(path, squeeze_me=True, struct_as_record=False)
-    parts = [[real._uav(records[name], name) for name in names.split()] for names in RECORDS[split]]
+    parts = [[real.uav(records[name], name) for name in names.split()] for names in RECORDS[split]]
     return (real.SMALL_UAV, *(pd.concat(part, ignore_index=True) for part in parts), {"thrust": None})
 
 
@@ -133,12 +133,12 @@ def task_of_pair(name, repository, data):
     return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
 
 
-def result(task, seed, latents, **parameters):
+def result(task, seed, latents):
     """Return what the average, each member and other ways to mix them are worth."""
     seen, stacked = [], _average.stacked
     _average.stacked = lambda *evidence: seen.append(evidence) or stacked(*evidence)
     pipeline = make_identification_pipeline(
-        task.aircraft, regressor=DependentGPRegressor(n_latent=latents, random_state=seed, **parameters)
+        task.aircraft, regressor=DependentGPRegressor(n_latent=latents, random_state=seed)
     )
     start = time.process_time()
     try:
@@ -279,16 +279,15 @@ def main(words=None):
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--latents", type=int, default=2, help="shared latents")
     options = parser.parse_args(words)
-    if options.data is None and not options.smoke:
+    if options.data is None:
         parser.error("the copy of the repository and the folder of the shared data are needed")
     kept = Kept(options.out, "pairs")
-    parameters = {"max_iter": 2} if options.smoke else {}
-    for pair in ["toy"] if options.smoke else options.pairs:
-        task = toy() if options.smoke else task_of_pair(pair, options.repository, options.data)
+    for pair in options.pairs:
+        task = task_of_pair(pair, options.repository, options.data)
         for seed in options.seeds:
             name = f"{pair}-{options.latents}-{seed}"
             if options.redo or name not in kept:
-                found = result(task, seed, options.latents, **parameters)
+                found = result(task, seed, options.latents)
                 kept.keep(name, {"pair": pair, "latents": options.latents, "seed": seed, **found})
                 ratio = found["average"]["error"] / found["least squares"]
                 print(f"{name}: {ratio:.3f} of least squares, {found['seconds']:.0f} s", file=sys.stderr, flush=True)

@@ -284,7 +284,7 @@ def picture(case, runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, redo=True)
+    parser = parser_of(__doc__, redo=True, smoke=True)
     parser.add_argument("data", type=Path, nargs="?", help="folder of the data, see above")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))

@@ -37,7 +37,7 @@ def _range(values):
 
 
 def main(words=None):
-    parser = runs_parser(__doc__, FLIGHTS)
+    parser = runs_parser(__doc__, FLIGHTS, smoke=True)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     options = parsed(parser, words)
     kept = Kept(options.out, "seeds")

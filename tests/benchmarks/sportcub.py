@@ -36,10 +36,8 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import body_to_ned, ned_to_body
 from skdgp.dynamics import (
-    Aerodynamics,
     Air,
     Aircraft,
     SimulationWarning,
@@ -203,24 +201,6 @@ def task_of(folder, way):
     return Task(aircraft, train, test, train_truth, test_truth)
 
 
-def toy():
-    """Return a task of the same form that takes no time: a glider with linear coefficients."""
-    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    slopes = np.zeros((9, 6))
-    slopes[[0, 1, 0, 2, 3, 4, 5, 6, 7], [2, 1, 4, 3, 4, 5, 4, 3, 5]] = -4.5, -0.4, -0.4, -0.4, -8, -0.1, -0.8, 0.1, 0.1
-    model = Aerodynamics(lambda X: X @ slopes + [-0.05, 0, -0.2, 0, 0.02, 0], REGRESSORS)
-    rng, tables = np.random.default_rng(0), []
-    for k in range(5):
-        moves = 0.1 * np.cumsum(rng.normal(0, 0.03, (131, 4)), axis=0)
-        controls = pd.DataFrame(moves, columns=[*SURFACES, "throttle"]).assign(time=STEP * np.arange(131))
-        start = {"airspeed": 12.0, "alpha": 0.05, "phi": rng.normal(0, 0.3), "altitude": 1.0}
-        flown = simulate(model, glider, start, controls, dt=STEP, thrust=None)
-        tables.append(flown.drop(columns=["ended", "beyond", *COEFFICIENTS]).assign(flight=str(k)))
-    coefficients = [aerodynamic_coefficients(table, glider, thrust=None) for table in tables]
-    both = Records(tables, [table.iloc[:1] for table in tables], coefficients)
-    return Task(glider, both.some(range(3)), both.some((3, 4)), tables[:3], tables[3:])
-
-
 # -- predictions and scores -----------------------------------------------------------------------------------------
 
 
@@ -368,9 +348,7 @@ def main(words=None):
     parser.add_argument("--ways", nargs="+", choices=("direct", "poses"), default=["direct", "poses"])
     parser.add_argument("--paths", type=int, default=100, help="functions drawn for bands")
     options = parser.parse_args(words)
-    if options.smoke:
-        options.methods, options.ways, options.paths = ["hold", "least_squares", "pipeline"], ["direct"], 4
-    elif options.folder is None:
+    if options.folder is None:
         parser.error("the folder of the repository is needed")
     kept = Kept(options.out, "sportcub")
     for way in options.ways:
@@ -378,10 +356,8 @@ def main(words=None):
         for name in options.methods:
             if f"{way}-{name}" in kept and not options.redo:
                 continue
-            task = task or (toy() if options.smoke else task_of(options.folder, way))
+            task = task or task_of(options.folder, way)
             method = METHODS[name]
-            if options.smoke and method.bands:
-                method = method._replace(regressor=structured("trend").set_params(max_iter=2))
             kept.keep(f"{way}-{name}", run(task, method, options.paths))
             print(f"{way}-{name}: {mean_of(kept.memory[f'{way}-{name}']['test']):.4f}", file=sys.stderr, flush=True)
     finish(options, "sportcub", **tables({tuple(key.split("-")): run for key, run in kept.memory.items()}))

@@ -128,14 +128,6 @@ def power(values: np.ndarray) -> np.ndarray:
     return np.abs(np.fft.rfft(values, axis=0)) ** 2
 
 
-def toy() -> dict[str, Any]:
-    """Return errors without a flight: does the script make its tables?"""
-    rng = np.random.default_rng(0)
-    basis = rng.standard_normal((20, 400, 8))
-    rows = [(None, X, X @ rng.standard_normal((8, 6)) + 0.1 * rng.standard_normal((400, 6))) for X in basis]
-    return {"predicted": {PLAN: np.full((6, 8), 0.005)}, "found": scatter(rows, np.zeros(8))}
-
-
 def summary(name: str, air: str, found: dict[str, Any]) -> dict[str, Any]:
     """Return for each way of predicting the share of ratios within 25 %, and their geometric mean."""
     row = {"aircraft": name, "air": air}
@@ -158,18 +150,21 @@ def main(words: Any = None) -> None:
     options = parser.parse_args(words)
     folder = options.out / "standard_errors" if options.out else None
     cases = {}
-    for name, air in [("toy", "none")] if options.smoke else itertools.product(options.aircraft, AIR):
-        make = toy if options.smoke else lambda name=name, air=air: case(SUBJECTS[name](), air, options.flights)
+    for name, air in itertools.product(options.aircraft, AIR):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
-            cases[name, air] = kept(folder, f"{name}-{air}-{options.flights}", make)
+            cases[name, air] = kept(
+                folder,
+                f"{name}-{air}-{options.flights}",
+                lambda: case(SUBJECTS[name](), air, options.flights),  # noqa: B023
+            )
         print(name, air, cases[name, air].get("growth"), flush=True)
     finish(
         options,
         "standard_errors",
         summary=[summary(*key, found) for key, found in cases.items()],
         by_coefficient=[by_coefficient(*key, found) for key, found in cases.items()],
-        repeated=[] if options.smoke else [repeated(name, SUBJECTS[name]()) for name in options.aircraft],
+        repeated=[repeated(name, SUBJECTS[name]()) for name in options.aircraft],
     )
 
 

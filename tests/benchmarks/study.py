@@ -1,7 +1,6 @@
 """Why the learned function and its derivatives miss the truth: one cause of error switched at a time.
 
     python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 10] [--jobs N] [--aircraft c172p]
-    python tests/benchmarks/study.py [--out OUT] --aircraft viggen --data ../shared/data
 
 Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
 in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
@@ -13,9 +12,8 @@ another path, derivatives at a trim. A case says which causes of error the train
     slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
     rows      all, or the half in which the roll rate is largest
 
-From one case to the next of a chain one cause is added; the rise of the squared error, split into squared bias and
-variance over the seeds, is that cause's part. ``--processes`` seeds are learned by the default and the model for
-other air, ``--others`` by other dependent processes, all ``--seeds`` by linear methods. Each fit is kept under
+From one case to the next of a chain one cause is added. ``--processes`` seeds are learned by the default and the model
+for other air, ``--others`` by other dependent processes, all ``--seeds`` by linear methods. Each fit is kept under
 OUT/study and not done again. Aircraft of JSBSim need the jsbsim wheel.
 """
 
@@ -26,15 +24,12 @@ from functools import partial
 import _study_flights as flights
 import joblib
 import numpy as np
-import pandas as pd
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, agitation, lagged, learned, line, noise_spectra, parabola, process, trend
+from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process
 from _study_methods import weighted as weighted_least_squares
-from comparison import task_of
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
 
 EXACT = Case("exact", "exact", "air", "exact")
@@ -82,7 +77,6 @@ DERIVATIVES = [  # label, case, method
 ]
 COVERED = DERIVATIVES[:3]  # of them, those whose deviations are compared with their errors
 LINEAR = ("least squares", "second order", "IV commands", "weighted")
-ALONG = 0.25  # of a rolling gust in the pitching of an aircraft that flies along the wind
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p")
 SHOWN = (
@@ -213,67 +207,6 @@ def air_table(results):
     return rows
 
 
-def viggen_table(folder):
-    """Return errors at exact regressors of a gusty flight, less the rates of the air, while it flies along the wind.
-
-    There the rates q and r of the air follow from the wind. Last, what second order of these rows themselves leaves.
-    """
-    task = task_of("viggen_latlon", folder)
-    rates, across = flights.milspec_rates(task.test, task.aircraft.span)
-    exact = flights.exact_regressors(task.test, task.aircraft)
-    exact[:, flights.ROTATION] -= rates * flights.hats(task.test, task.aircraft)
-    asked, truth = exact[across < ALONG][:, LOGGED.columns], task.truth[across < ALONG]
-    steps = make_identification_pipeline(task.aircraft)[:-2]
-    X = np.array(steps.fit_transform(task.train)[LOGGED.regressors])
-    given, Y = X.copy(), task.targets.to_numpy()
-    given[:, flights.ROTATION] -= flights.milspec_rates(task.train, task.aircraft.span)[0] * flights.hats(
-        task.train, task.aircraft
-    )
-    tasks = {"default": (X, {}), "symmetric": (X, SYMMETRIC)}
-    tasks |= {"symmetric, rates q and r of the air given": (given, SYMMETRIC)}
-    rows = []
-    for name, (regressors, options) in tasks.items():
-        model = DependentGPRegressor(random_state=0)
-        pipeline = learned(model, regressors, Y, LOGGED, task.train, **options)
-        at = pipeline[:-1].transform(pd.DataFrame(asked.mean(axis=0, keepdims=True), columns=LOGGED.regressors))
-        slopes = pipeline[-1].predict_gradient(at)[0] / pipeline[-2].scale_
-        rows.append(_error_row(name, pipeline.predict(pd.DataFrame(asked, columns=LOGGED.regressors)), truth, slopes))
-    terms = PolynomialFeatures(2).fit_transform(StandardScaler().fit_transform(asked))
-    best = terms @ np.linalg.lstsq(terms, truth, rcond=None)[0]
-    slopes = np.linalg.lstsq(np.column_stack([np.ones(len(asked)), asked]), truth, rcond=None)[0][1:].T
-    return [*rows, _error_row("second order of these rows", best, truth, slopes)]
-
-
-def _error_row(name, found, truth, slopes):
-    error = np.sqrt(((found - truth) ** 2).mean(axis=0)) / truth.std(axis=0)
-    row = {"learned": name, "NRMSE": float(error.mean())}
-    row |= {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, error, strict=True)}
-    return row | {"Cm_q": float(slopes[4, 3]), "Cl_p": float(slopes[3, 2]), "Cn_r": float(slopes[5, 4])}
-
-
-def parts_table(results, method, chains=("quasi-steady", "classical"), air="light"):
-    """Return what each cause adds to the squared error, in per cent of the variance of the truth, over equal seeds."""
-    rows = []
-    for regressors in chains:
-        chain = {cause: (air, case, method) for cause, case in CHAINS[regressors].items()}
-        seeds = min((len(results.found[key]) for key in chain.values() if key in results.found), default=0)
-        before, causes, first = np.zeros((2, 6)), [], {"method": method, "regressors": regressors}
-        for cause, key in chain.items():
-            causes.append(cause)
-            if key in results.found:  # else the next row is of both causes
-                now = results.errors(key, seeds)
-                rows.append(first | {"cause": ", ".join(causes), **_pairs(now - before), "seeds": seeds})
-                before, causes = now, []
-        if seeds:
-            rows.append(first | {"cause": "all", **_pairs(before), "seeds": seeds})
-    return rows
-
-
-def _pairs(errors):
-    bias, variance = 100 * errors + 0.0
-    return {name: f"{b:.2f} + {v:.2f}" for name, b, v in zip(COEFFICIENTS, bias, variance, strict=True)}
-
-
 def place_of(derivative):
     """Return row and column of a derivative."""
     coefficient, _, regressor = derivative.partition("_")
@@ -327,30 +260,6 @@ def coverage_table(results):
                 | {"rms error over stated std": float(np.sqrt(np.mean((error / std) ** 2)))}
                 | {"derivatives": int(matters.sum()), "seeds": len(error)}
             )
-    return rows
-
-
-def scatter_table(subject, folder, n_flights, jobs):
-    """Return the scatter of derivatives over many flights, each in other gusts, over their ``std_random``.
-
-    The model is the trend of second order, which is learned in a second.
-    """
-
-    def one(air, seed):
-        return trend(flights.seen(subject.logs[air][seed], subject.aircraft, seed), subject, LOGGED)
-
-    rows = []
-    for air in ("light", "moderate"):
-        tasks = [(folder, f"{subject.name}-{air}-{k}-trend", partial(one, air, k)) for k in range(n_flights)]
-        found = joblib.Parallel(n_jobs=jobs)(joblib.delayed(kept)(*task) for task in tasks)
-        values, std = (np.array(part) for part in zip(*found, strict=True)) if found else (np.zeros((0, 6, 11)),) * 2
-        if len(values) > 1:
-            matters = (np.abs(subject.known) > 0) & (std[0] > 0)
-            ratio = (values.std(axis=0, ddof=1) / np.sqrt(np.mean(std**2, axis=0)))[matters]
-            shares = dict(zip(("5 %", "median", "95 %"), np.quantile(ratio, [0.05, 0.5, 0.95]), strict=True))
-            rows.append({"air": air, "flights": len(values), "derivatives": int(matters.sum())})
-            rows[-1] |= {f"scatter over std_random, {name}": float(value) for name, value in shares.items()}
-            rows[-1] |= {"in root mean square": float(np.sqrt(np.mean(ratio**2)))}
     return rows
 
 
@@ -424,8 +333,6 @@ def study(subject, options, folder):
     parts += [(part, options.others) for part in (COMPARED, CHAINED)]
     wanted = [(*task, seed) for part, n in parts for seed in range(n) for task in part]
     unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
-    if options.smoke:
-        unique = {("light", LOGGED, "default", 0): {}}
     until = time.monotonic() + 60 * options.minutes
     processes = run(
         joblib.delayed(process_task)(
@@ -433,54 +340,39 @@ def study(subject, options, folder):
         )
         for (air, case, _, seed), changes in unique.items()
     )
-    cases = [] if options.smoke else [CHAINS[name]["noise of loads"] for name in CHAINS]
     known = run(
         joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
         for seed in range(options.others)
-        for case in cases
+        for case in [CHAINS[name]["noise of loads"] for name in CHAINS]
     )
     return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
 
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS, "viggen"])
-    parser.add_argument("--data", help="folder of the shared flights, for the viggen")
+    parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS])
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
     parser.add_argument("--processes", type=int, default=3, help="of them, for the default")
     parser.add_argument("--others", type=int, default=1, help="of them, for other dependent processes")
-    parser.add_argument(
-        "--trends", type=int, default=0, help="flights in light and in moderate air that a trend learns"
-    )
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
     parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further fit of a process begins")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
     options = parser.parse_args(words)
     options.max_iter = 60
-    if options.smoke:
-        options.seeds, options.processes, options.jobs, options.max_iter, options.duration = 1, 1, 1, 2, 4.0
-        options.others = options.trends = 1
-    if options.aircraft == "viggen":
-        finish(options, "study_viggen", air=viggen_table(options.data))
-        return
-    folder = options.out / "study" if options.out and not options.smoke else None
+    folder = options.out / "study" if options.out else None
     name = options.aircraft
-    flown = max(options.seeds, options.trends)
     subject_of = flights.example_subject if name == "example" else partial(flights.jsbsim_subject, name)
-    subject = kept(folder, f"{name}-{flown}", partial(subject_of, flown, options.duration))
+    subject = kept(folder, f"{name}-{options.seeds}", partial(subject_of, options.seeds, options.duration))
     results, seen = study(subject, options, folder)
-    parts = [*parts_table(results, "default"), *parts_table(results, "least squares", ["quasi-steady"])]
     finish(
         options,
         "study" if name == "example" else f"study_{name}",
-        parts=parts,
         function=function_table(results),
         air=air_table(results),
         bounds=bound_table(results),
         derivatives=derivative_table(results),
         amplitudes=amplitude_table(subject, seen),
         coverage=coverage_table(results),
-        scatter=scatter_table(subject, folder, options.trends, options.jobs),
     )
 
 

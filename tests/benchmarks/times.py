@@ -12,24 +12,53 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from _common import extra_memory, finish, in_own_process, parser_of
+import pandas as pd
+from _common import extra_memory, finish, in_own_process, parsed, parser_of
 from _peers import OnTrend, SparseLCM, trees
-from heldout import flights, toy
 
-from skdgp import DependentGPRegressor
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.io import read_flight
+from skdgp.metrics import normalized_rmse
 
 SIZES = (2000, 14400, 144000)
 DENSER = 5
 RATE = 40.0  # Hz
 
 
+class Task(NamedTuple):
+    """Regressors and targets (NaN: not observed), and what is asked."""
+
+    X: np.ndarray
+    Y: np.ndarray
+    Xt: np.ndarray
+    truth: np.ndarray
+
+    def error(self, mean):
+        return float(normalized_rmse(self.truth, mean))
+
+
+def flights(folder, train=("train_latlon",)):
+    """Return the task of learning flights of the viggen, and predicting another."""
+    folder = Path(folder) / "flights"
+    craft = Aircraft.from_json(folder / "viggen_uav.json")
+    *parts, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in (*train, "test_twoalt"))
+    parts = [part.assign(flight=name) for name, part in zip(train, parts, strict=True)]
+    table = pd.concat(parts, ignore_index=True)
+    targets = aerodynamic_coefficients(table, craft)
+    pipeline = make_identification_pipeline(craft)[:-1]
+    X, Xt = np.asarray(pipeline.fit_transform(table)), np.asarray(pipeline.transform(test))
+    return Task(X, targets.to_numpy(), Xt, test[[f"{name}_true" for name in targets]].to_numpy())
+
+
 def table(folder, n):
     """Return regressors, targets, times and flights of n samples, and the task that scores a model of them."""
     if n <= len((task := flights(folder)).X):
         return task.X[:n], task.Y[:n], np.arange(n) / RATE, np.zeros(n), task
-    task = flights(folder, train=["train_latlon", "train_lateral"])
+    task = flights(folder, ("train_latlon", "train_lateral"))
     parts = [dense(*part) for part in zip(np.split(task.X, 2), np.split(task.Y, 2), strict=True)]
     X, Y, time_ = map(np.concatenate, zip(*parts, strict=True))
     return X, Y, time_, np.repeat([0, 1], len(X) // 2), task
@@ -71,18 +100,13 @@ def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--one", nargs=2, metavar=("METHOD", "SAMPLES"), help="only this row, as JSON")
-    options = parser.parse_args(words)
+    options = parsed(parser, words)
     if options.one:
         print(json.dumps(one(options.data, options.one[0], int(options.one[1]))))
         return
-    if options.smoke:
-        task = toy(60)
-        DependentGPRegressor(max_iter=1, random_state=0).fit(task.X, task.Y, time=np.arange(60.0))
-        rows = [{"samples": 60, "method": "ours"}]
-    else:
-        methods = ["ours"] if options.no_peers else ["ours", "trees", "gpytorch"]
-        calls = [(method, n) for n in options.sizes for method in methods]
-        rows = [in_own_process(Path(__file__), options.data, "--one", *call) for call in calls]
+    methods = ["ours"] if options.no_peers else ["ours", "trees", "gpytorch"]
+    calls = [(method, n) for n in options.sizes for method in methods]
+    rows = [in_own_process(Path(__file__), options.data, "--one", *call) for call in calls]
     finish(options, "times", whole_fits=[row for row in rows if row])
 
 

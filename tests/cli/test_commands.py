@@ -107,10 +107,6 @@ class TestPredict:
         assert own.read_text() == "mine = true"
         assert table.read_bytes() == Path("test.csv").read_bytes()
 
-    def test_no_pyarrow(self, refused, monkeypatch):
-        monkeypatch.setattr(_output, "find_spec", lambda name: None)
-        refused("Parquet needs pyarrow", "predict", "test.csv", output="new/out.parquet")
-
 
 class TestModel:
     def test_there_is_none(self, refused):
@@ -123,30 +119,8 @@ class TestModel:
         refused("but expected what make_identification_pipeline makes", "validate", "test.csv",
                 model=tmp_path / "other.joblib")  # fmt: skip
 
-    def test_an_output_folder_that_is_a_file(self, path, capsys, tmp_path):
-        (tmp_path / "file").write_text("mine")
-        assert main(["simulate", path, "--trim", "35", "-o", str(tmp_path / "file")]) == 1
-        assert "nothing can be written there (it is a file)" in capsys.readouterr().err
-        assert (tmp_path / "file").read_text() == "mine"
-
 
 class TestAllOrNone:
-    @pytest.mark.parametrize(
-        ("words", "output"),
-        [
-            (["predict", "test.csv"], "out.csv"),
-            (["simulate", "--trim", "35", "--duration", ".1", "--paths", "0"], "out"),
-            (["derivatives", "--airspeed", "35", "--paths", "0"], "out"),
-        ],
-    )
-    def test_when_the_disk_is_full(self, words, output, refused, monkeypatch):
-        def full(table, path, **options):
-            Path(path).write_text("half")
-            raise OSError(28, "No space left on device", str(path))
-
-        monkeypatch.setattr(pd.DataFrame, "to_csv", full)
-        refused("No space left on device", *words, output=f"new/{output}")
-
     def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(_predict, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT))
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
@@ -359,20 +333,7 @@ class TestDerivatives:
 
 @pytest.mark.usefixtures("few_manoeuvres")
 class TestPlan:
-    WORDS = (
-        "--airspeed",
-        "35",
-        "--seconds",
-        "10",
-        "--axes",
-        "rudder",
-        "--altitude",
-        "300",
-        "--gusts",
-        "none",
-        "--rate",
-        "25",
-    )
+    WORDS = shlex.split("--airspeed 35 --seconds 10 --axes rudder --altitude 300 --gusts none --rate 25")
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")

@@ -232,14 +232,6 @@ class TestBadInput:
     def test_a_missing_flight(self, refused):
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
 
-    def test_an_unknown_suffix(self, refused, folder):
-        (folder / "flight.xlsx").write_bytes(b"MATLAB")
-        refused("suffix '.xlsx', but expected one of", train=["flight.xlsx"])
-
-    def test_missing_columns(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").drop(columns=["ax", "q"]).to_csv(tmp_path / "few.csv", index=False)
-        refused("lacks the columns 'ax'.*'q'", train=[str(tmp_path / "few.csv")])
-
     def test_no_row_is_complete(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(tmp_path / "empty.csv", index=False)
         refused("no row in which all of .*'beta': 300", train=[str(tmp_path / "empty.csv")])
@@ -262,27 +254,15 @@ class TestBadInput:
         pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
         refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", str(tmp_path / "bare.csv"))
 
-    def test_nothing_tells_the_thrust(self, refused, folder, tmp_path):
-        table = pd.read_csv(folder / "latlon.csv")
-        gone = [name for name in table if name.startswith(("thrust", "propeller", "throttle"))]
-        table.drop(columns=gone).to_csv(tmp_path / "glider.csv", index=False)
-        refused("thrust .* is unknown.*or say thrust=None", train=[str(tmp_path / "glider.csv")])
-
-    def test_regressors_that_are_not_there(self, refused):
-        refused("lacks the columns 'flaps'", "--regressors", "alpha,flaps")
-
     @pytest.mark.parametrize(
         ("change", "message"),
         [
             ({"mass": -1}, "Got mass=-1, but expected"),
-            ({"mass": True}, "Got mass=True, but expected"),
             ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
             ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
             ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
-            ({"name": ["a"]}, "but expected a line of text"),
             ({"thrust_line": {"position": [10**400, 0, 0]}}, "thrust-line position .*, but expected three finite"),
             ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter='x' of a propeller"),
-            ({"propeller": {"diameter": 1, "thrust_coefficients": None}}, "Got thrust_coefficients=None of a prop"),
         ],
     )
     def test_a_wrong_aircraft(self, refused, folder, tmp_path, change, message):
@@ -330,10 +310,6 @@ class TestBadInput:
                 "got --aircraft --mass, but exp",
             ),
             (
-                ["identify", "a.csv", "--kind", "delta", "--aircraft", "b.json", "-o", "out"],
-                "got --aircraft --kind, but expected",
-            ),
-            (
                 ["identify", "a.csv", "--mass", "3", "-o", "out"],
                 "got --mass, but expected --aircraft FILE, or --mass and",
             ),
@@ -344,10 +320,8 @@ class TestBadInput:
             (["land"], "argument COMMAND: invalid choice: 'land'"),
             (["demo", "--inference", "magic"], "--inference: invalid choice: 'magic'"),
             (["demo", "--samples", "1"], "--samples: got 1, but expected a whole number, 2 or more, or all"),
-            (["demo", "--samples", "abc"], "--samples: got abc, but expected a whole number, 2 or more, or all"),
             (["demo", "--max-iter", "2.5"], "--max-iter: got 2.5, but expected a whole number, 1 or more"),
             (["demo", "--horizons", "-2"], "--horizons: got -2, but expected seconds > 0"),
-            (["demo", "--horizons", "abc"], "--horizons: got abc, but expected seconds > 0"),
             (["demo", "--n-jobs", "0"], "--n-jobs: got 0, but expected a number of processes"),
             (["demo", "--sample", "50"], "unknown option --sample: did you mean --samples?"),
             (["identify", "a.csv", "--aircrat=uav.json", "-o", "out"], "unknown option --aircrat: did you mean --airc"),
@@ -475,18 +449,6 @@ class TestInterrupt:
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
         assert capsys.readouterr().err.endswith("stopped: no output was written\n")
-
-    def test_twice_within_the_fit_stops(self, tmp_path, monkeypatch):
-        show = Console.progress
-
-        def progress(self, stage, n_evaluations, log_likelihood):
-            if stage == "fit" and n_evaluations == 1:
-                self.interrupts += 1  # the first one
-            interrupting(show, "fit", 1)(self, stage, n_evaluations, log_likelihood)
-
-        monkeypatch.setattr(Console, "progress", progress)
-        assert identify("--test", "test.csv", output=tmp_path / "new") == 130
-        assert not (tmp_path / "new").exists()
 
     def test_the_real_thing(self, folder, tmp_path):
         pty = pytest.importorskip("pty")

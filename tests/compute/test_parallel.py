@@ -173,20 +173,6 @@ class TestFits:
         assert len(model.weights_) == 3  # those of a log
         np.testing.assert_allclose(there, here, rtol=1e-6)
 
-    def test_fits_of_killed_workers_are_done_here(self, tmp_path):
-        home, died = os.getpid(), str(tmp_path / "died")
-        kill = deadly(always=True)
-
-        def fit(k):
-            from collections import namedtuple
-
-            kill(home, died, np.zeros(1))
-            return namedtuple("Ended", "value interrupted")(k, False)
-
-        with pytest.warns(RuntimeWarning, match=LOST):
-            found = fit_map(fit, [{"k": k} for k in range(4)], 2)
-        assert [end.value for end in found] == [0, 1, 2, 3]
-
     def test_finished_fits_stay_when_a_worker_is_killed(self):
         home = os.getpid()
 

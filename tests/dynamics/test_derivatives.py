@@ -179,10 +179,6 @@ class TestSweep:
 
 
 class TestBadInput:
-    def test_a_single_path(self, state):
-        with pytest.raises(ValueError, match="n_paths=1, but expected 0 or at least 2"):
-            stability_derivatives(MODEL, BRUMBY, state, CONTROLS, n_paths=1)
-
     def test_axes(self, state):
         with pytest.raises(ValueError, match="axes='wind', but expected 'body' or 'stability'"):
             stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="wind")
@@ -195,8 +191,3 @@ class TestBadInput:
     def test_no_controls(self, state):
         with pytest.raises(ValueError, match="without controls"):
             stability_derivatives(MODEL, BRUMBY, [state, state])
-
-    def test_a_model_that_is_not_defined_there(self, state):
-        nowhere = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
-        with pytest.raises(ValueError, match="not defined there"):
-            stability_derivatives(nowhere, BRUMBY, state, CONTROLS)

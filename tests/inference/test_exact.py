@@ -67,6 +67,13 @@ class TestLikelihood:
         assert sum(value for value, _ in parts) == pytest.approx(expected[0], rel=1e-10)
         np.testing.assert_allclose(sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10)
 
+    def test_what_a_workspace_held_before_is_gone(self, one_problem):
+        kernel = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=np.ones((3, 3, 2)))  # couples no outputs
+        noise, data = one_problem.noise, one_problem.data
+        used = np.full((data.n_values, data.n_values), np.nan)
+        expected = log_likelihood(kernel, noise, data)
+        assert log_likelihood(kernel, noise, data, workspace=used) == pytest.approx(expected)
+
     def test_other_hyperparameters_of_the_same_data(self, problem):
         posterior = posterior_of(problem)
         other, noise = problem.kernel.clone_with_theta(problem.kernel.theta + 0.1), 2 * problem.noise

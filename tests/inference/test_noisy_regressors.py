@@ -39,6 +39,14 @@ def sparse(problem, kernel=None, noise=None, features=None):
     return SparsePosterior(kernel, features or kernel.features(Z), noise, shares_of(problem.data))
 
 
+def test_every_second_value_keeps_its_own_noise(noisy):
+    some, (samples, loading) = noisy.data.every(2), noisy.data.sample_noise
+    for i, x in enumerate(noisy.data.X):
+        np.testing.assert_array_equal(some.X[i], x[::2])
+        np.testing.assert_array_equal(some.sample_noise.sample[i], samples[i][::2])
+        np.testing.assert_array_equal(some.sample_noise.loading[i], loading[i][::2])
+
+
 class TestExact:
     def test_likelihood(self, noisy):
         expected = multivariate_normal(cov=dense(noisy)).logpdf(noisy.y)

@@ -139,3 +139,11 @@ def test_more_waves_make_paths_more_gaussian():
 
     assert kurtosis(4) > 0.3
     assert kurtosis(64) < 0.1
+
+
+def test_inducing_inputs_far_from_each_other_lose_no_digits():
+    """In length scales; squares of such distances, expanded, would cancel."""
+    kernel, Z = make_kernel(), np.array([[0.0, 0.0], [1e8, -1e8]])
+    features, X = kernel.features(Z), Z + 0.3
+    expected = np.hstack([features.Kfu(i, X) for i in range(kernel.n_outputs)])
+    np.testing.assert_allclose(features.rows()(X), expected, rtol=1e-6, atol=1e-9)

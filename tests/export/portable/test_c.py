@@ -30,7 +30,7 @@ class Library:
     """The functions of aero.c, called from Python."""
 
     def __init__(self, folder, model, kind):
-        self.library = ctypes.CDLL(str(compiled(folder, "-O1", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm")))
+        self.library = ctypes.CDLL(str(compiled(folder, "-O0", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm")))
         self.library.aero_beyond.restype = ctypes.c_ulong
         self.kind, self.shape = kind, (len(model.outputs), len(model.regressors))
 
@@ -55,7 +55,7 @@ class Library:
 
 @pytest.mark.parametrize(
     ("kind", "precision", "tolerance"),
-    [*((kind, "double", 1e-9) for kind in ("exact", "full", "sparse", "constant")), ("sparse", "float", 1e-4)],
+    [*((kind, "double", 1e-9) for kind in ("exact", "full", "sparse")), ("sparse", "float", 1e-4)],
 )
 def test_says_what_the_model_says(portable_of, kind, precision, tolerance, flight, tmp_path):
     model = portable_of(kind)

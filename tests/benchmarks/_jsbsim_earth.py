@@ -1,12 +1,12 @@
 """This package flown beside JSBSim: its accelerations, then trajectories under JSBSim's own loads.
 
-JSBSim's Earth is round and turns, this package's is flat and rests. "flat" is this package as it is, with the gravity
-of the place. "turning" adds what else acts on a body seen from an Earth that turns: gravity's direction where the
-aircraft is, the Coriolis force, and the Earth's share of what gyroscopes feel. What is left there is arithmetic.
+JSBSim's Earth is round and turns, this package's is flat and rests. To its loads is added what else acts on a body seen
+from an Earth that turns: gravity's direction where the aircraft is, the Coriolis force, and the Earth's share of what
+gyroscopes feel. What is left is arithmetic.
 """
 
 import numpy as np
-from _jsbsim_flight import EARTH_RATE, air, earth_to_ned, fly
+from _jsbsim_flight import EARTH_RATE, earth_to_ned
 
 from skdgp.dynamics import (
     body_to_ned,
@@ -15,12 +15,10 @@ from skdgp.dynamics import (
     quaternion_to_matrix,
     rigid_body_derivative,
     rk4,
-    standard_atmosphere,
 )
 from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
-EARTH_RADIUS = 6356766.0  # m, of the standard atmosphere's geopotential altitude
 
 
 class Earth:
@@ -51,31 +49,22 @@ def apparent_loads(state, gravity, earth_rate, aircraft):
     return aircraft.mass * force, moment + np.cross(inertial, turning) @ aircraft.inertia
 
 
-def derivative_of(state, loads, gravity, earth_rate, aircraft, earth):
-    """Return d state / dt on either Earth under the aerodynamic and propulsive loads (..., 6)."""
+def derivative_of(state, loads, gravity, earth_rate, aircraft):
+    """Return d state / dt under the aerodynamic and propulsive loads (..., 6)."""
     force, moment = loads[..., :3], loads[..., 3:]
-    if earth == "flat":
-        return rigid_body_derivative(state, force, moment, aircraft, gravity[..., 2])
     more_force, more_moment = apparent_loads(state, gravity, earth_rate, aircraft)
     return rigid_body_derivative(state, force + more_force, moment + more_moment, aircraft, 0.0)
 
 
-def accelerations(flight, aircraft):
-    """Return a row for each channel: errors of this package's accelerations against JSBSim's, on either Earth."""
+def acceleration_errors(flight, aircraft):
+    """Return the errors (n, 6) of this package's accelerations against JSBSim's."""
     earth, loads = Earth(flight, aircraft), _loads(flight)
     state = np.hstack([np.zeros((len(flight), 3)), flight[["u", "v", "w"]], earth.attitude, flight[["p", "q", "r"]]])
-    theirs = flight[list(CHANNELS)].to_numpy()
-    rows = {channel: {"channel": channel, "std": float(theirs[:, k].std())} for k, channel in enumerate(CHANNELS)}
-    for kind in ("flat", "turning"):
-        found = derivative_of(state, loads, earth.gravity, earth.rate, aircraft, kind)
-        error = np.hstack([found[:, VELOCITY], found[:, RATES]]) - theirs
-        for row, values in zip(rows.values(), error.T, strict=True):
-            row[f"{kind}: rms error / std"] = float(np.sqrt(np.mean(values**2))) / row["std"]
-            row[f"{kind}: largest error"] = float(np.abs(values).max())
-    return list(rows.values())
+    found = derivative_of(state, loads, earth.gravity, earth.rate, aircraft)
+    return np.hstack([found[:, VELOCITY], found[:, RATES]]) - flight[list(CHANNELS)].to_numpy()
 
 
-def trajectory(flight, aircraft, horizon, kind):
+def trajectory(flight, aircraft, horizon):
     """Return the largest errors within ``horizon`` [s] of restarts at JSBSim's own state."""
     earth, loads = Earth(flight, aircraft), _loads(flight)
     rate = round(1.0 / flight["time"][1])
@@ -87,7 +76,7 @@ def trajectory(flight, aircraft, horizon, kind):
     def derivative(t, state):
         now = starts + round(t * rate)
         gravity = _times(earth.turn(starts, now), earth.gravity[now])
-        return derivative_of(state, loads[now], gravity, earth.rate[starts], aircraft, kind)
+        return derivative_of(state, loads[now], gravity, earth.rate[starts], aircraft)
 
     def missed(k, ours):
         now = starts + k
@@ -104,28 +93,6 @@ def trajectory(flight, aircraft, horizon, kind):
     flown = rk4(derivative, state, samples / rate)
     errors = [missed(k, ours) for k, ours in zip(samples, flown, strict=True)]
     return {name: float(max(np.linalg.norm(each[name], axis=1).max() for each in errors)) for name in errors[0]}
-
-
-def live(model="c172p", seconds=20.0):
-    """Return tables of accelerations, trajectories and air against JSBSim as it flies."""
-    tables = {"live_accelerations": accelerations(*fly(model, seconds, 120, "default")), "live_trajectories": []}
-    for integrator, rate in (("default", 120), ("default", 1200), ("4th order", 1200)):
-        flight, aircraft = fly(model, seconds, rate, integrator)
-        tables["live_trajectories"] += [
-            {"JSBSim": f"{integrator}, {rate} Hz", "Earth": kind, "seconds": horizon}
-            | trajectory(flight, aircraft, horizon, kind)
-            for kind in ("flat", "turning")
-            for horizon in (2.0, 10.0)
-        ]
-    altitudes = np.arange(0.0, 31000.0, 5000.0)
-    ours = np.stack(standard_atmosphere(altitudes * EARTH_RADIUS / (EARTH_RADIUS + altitudes)), axis=-1)
-    relative = np.abs(ours / air(model, altitudes) - 1.0)
-    names = ("density", "pressure", "temperature", "speed of sound")
-    tables["live_air"] = [
-        {"geometric altitude [m]": int(altitude), **dict(zip(names, map(float, row), strict=True))}
-        for altitude, row in zip(altitudes, relative, strict=True)
-    ]
-    return tables
 
 
 def _vector(flight, start, axes):

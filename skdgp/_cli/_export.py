@@ -9,7 +9,6 @@ from pathlib import Path
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model
 from skdgp.export import FORMATS, export_model, load_portable
 from skdgp.export._c import TOLERANCE
@@ -78,7 +77,7 @@ def _text(folder, numbers) -> str:
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
-EXPORT = Command(
+EXPORT = opt.Command(
     export,
     {
         "": [

@@ -9,7 +9,6 @@ import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
-from skdgp._cli._parser import Command
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp.io import inspect_log, read_flight, servo_template
 from skdgp.preprocessing import LagCorrector
@@ -60,7 +59,7 @@ def _lags(options) -> tuple[pd.DataFrame | None, str]:
             return None, str(error)
 
 
-INSPECT = Command(
+INSPECT = opt.Command(
     inspect,
     {
         "": [

@@ -11,13 +11,12 @@ import traceback
 from contextlib import nullcontext
 from importlib.metadata import version
 
-from skdgp._cli._console import Console
 from skdgp._cli._derivatives import DERIVATIVES
 from skdgp._cli._export import EXPORT
 from skdgp._cli._identify import DEMO, IDENTIFY
 from skdgp._cli._inspect import INSPECT
-from skdgp._cli._output import OutputFolder, Run
-from skdgp._cli._parser import PROGRAM
+from skdgp._cli._options import PROGRAM
+from skdgp._cli._output import Console, OutputFolder, Run
 from skdgp._cli._plan import PLAN
 from skdgp._cli._predict import PREDICT, VALIDATE
 from skdgp._cli._simulate import SIMULATE

@@ -10,7 +10,6 @@ import numpy as np
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
@@ -161,7 +160,7 @@ def _ends(name: str, help: str) -> opt.Option:
     return opt.option(f"{name} LOW HIGH", help, opt.number(), nargs=2)
 
 
-PLAN = Command(
+PLAN = opt.Command(
     plan,
     {
         "": [

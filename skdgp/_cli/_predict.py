@@ -13,7 +13,6 @@ from sklearn.utils import Bunch
 from skdgp._cli import _options as opt
 from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
-from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
@@ -145,7 +144,7 @@ def validate(run: Run) -> None:
         finish(run, replace(result, command=run.command_line))
 
 
-PREDICT = Command(
+PREDICT = opt.Command(
     predict,
     {
         "": [
@@ -156,7 +155,7 @@ PREDICT = Command(
     },
     writes_table=True,
 )
-VALIDATE = Command(
+VALIDATE = opt.Command(
     validate,
     {
         "": [

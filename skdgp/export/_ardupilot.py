@@ -40,15 +40,14 @@ def write_ardupilot(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     nose, rolls right and yaws right. ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are
     those of SITL (2 kg), which cannot be set by this file: change them in ``SIM_Plane.cpp``.
 
-    The file has also keys that SITL ignores: "mass", "inertia", and "loss". This is the table that is returned, (6, 3):
-    the root mean square difference of each body-axis coefficient to the model, the posterior "deviation", and the
-    "spread" of the coefficient. Raises ValueError if the build-up lacks alpha.
+    The result (6, 3) has "loss", "deviation" (of the posterior) and "spread" of CX ... Cn, root mean square over the
+    samples; SITL ignores it in the file, as "mass" and "inertia". Raises ValueError if the build-up lacks alpha.
     """
     X, C = _flown(build)
     values, fitted = _plane(build, X, C)
-    loss, aircraft = _loss(build, C, fitted), build.aircraft
-    values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": aircraft.mass, "inertia": aircraft.inertia.tolist()}
-    values["loss"] = loss.to_dict("index")
+    loss = _loss(build, C, fitted)
+    values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": build.aircraft.mass, "inertia": build.aircraft.inertia.tolist()}
+    values |= {"loss": loss.to_dict("index")}
     write_atomically(path, text_writer(json.dumps(values, indent=1) + "\n"))
     return loss
 
@@ -62,8 +61,7 @@ def write_gazebo(path: str | os.PathLike, build: BuildUp) -> pd.DataFrame:
     down, aileron > 0 rolls right, rudder > 0 yaws left.
 
     The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin. Add joints named
-    after the surfaces. The result (6, 3) has "loss", "deviation" and "spread" of CX ... Cn, root mean square over the
-    samples. Raises ValueError if the build-up lacks alpha.
+    after the surfaces. Result and errors are those of :func:`write_ardupilot`.
     """
     X, C = _flown(build)
     plugin, fitted = _advanced_lift_drag(build, X, C)
@@ -125,11 +123,8 @@ def _plane(build: BuildUp, X: Matrix, C: Matrix) -> tuple[dict[str, Any], Matrix
     def drag_of(weights: Vector) -> Array:
         return weights[0] + polar**2 / (np.pi * aspect * weights[1]) + weights[2] * longitudinal[:, 1]
 
-    def errors(weights: Vector) -> Array:
-        return drag_of(weights) - drag
-
     bounds = ([-1.0, EFFICIENCY[0], -1e3], [1.0, EFFICIENCY[1], 1e3])
-    cd = least_squares(errors, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
+    cd = least_squares(lambda weights: drag_of(weights) - drag, [max(drag.min(), 0.0), 0.9, 0.0], bounds=bounds).x
     fitted[:, 0], fitted[:, 2] = _turned(alpha, lift_fit, drag_of(cd))
     values: dict[str, Any] = {"s": aircraft.wing_area, "b": aircraft.span, "c": aircraft.chord}
     values |= {"c_lift_0": cl[0], "c_lift_a": cl[1], "c_lift_q": cl[2]}

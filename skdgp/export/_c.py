@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -32,8 +33,6 @@ BLOCK_BYTES = 56
 PART_BYTES = 192  # pointers and numbers of a part, and alignment of its arrays
 CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
-_TEMPLATES = Path(__file__).with_name("c")
-_TENSOR = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
 
 
 def write_c(
@@ -43,9 +42,8 @@ def write_c(
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value, deviations to
-    :meth:`PortableModel.rounding` where that is more. Raises ValueError if ``precision`` or ``max_kb`` is none of
-    these, no form of the model is so small, it exceeds 64 MB, or there are more than 32 regressors.
+    with the model. Raises ValueError if ``precision`` or ``max_kb`` is none of these, no form of the model is so small,
+    it exceeds 64 MB, or there are more than 32 regressors.
 
     Parameters
     ----------
@@ -57,11 +55,7 @@ def write_c(
         changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
     max_kb : float, optional
         Largest size in flash, tables and code [kB of 1024 bytes]. A larger model gets fewer basis functions; the loss
-        is in ``provenance["reduction"]`` of the model that is returned. None: the whole model.
-
-    Returns
-    -------
-    PortableModel
+        is in ``provenance["reduction"]`` of the model that is returned.
     """
     model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
@@ -93,7 +87,7 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
 
 
 def _template(name: str) -> str:
-    return (_TEMPLATES / name).read_text(encoding="utf-8")
+    return Path(__file__).with_name("c").joinpath(name).read_text(encoding="utf-8")
 
 
 # -- tables --------------------------------------------------------------------------------------------------------
@@ -134,7 +128,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
 
 
 class _Table(NamedTuple):
-    """The constants of a model: blocks with their used regressors, and centres, shifts and roots, each set once."""
+    """The blocks of a model with their used regressors, and centres, shifts and roots, each set once."""
 
     rows: list[tuple]
     used: list[int]
@@ -197,10 +191,11 @@ _VECTORS = (
 def _header(model, precision, size) -> dict[str, Any]:
     aircraft = model.aircraft
     constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
-    constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in _TENSOR}
+    tensor = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in tensor}
     functions = max(readout.size for readout in model.readouts)
     return {
-        "aircraft": _comment(aircraft.name),
+        "aircraft": re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name).replace("??", "? ?"),  # which can stand in a comment
         "size": size,
         "stack": 8 * (functions + 4 * len(model.regressors) + 1 + 2 * len(model.mixture)),
         "real": precision,
@@ -256,14 +251,12 @@ def _source(model, precision) -> dict[str, Any]:
     }
 
 
-def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
-    """Yield the arrays of one root."""
+def _triangle(k: int, root: _Rounded | None, readout: Readout) -> list[str]:
+    """Return the arrays of one root."""
     if root is None:
-        yield _array(f"root_{k}", readout.packed_root)
-        return
-    yield _array(f"root_{k}", root.values, "static const int32_t")
-    yield _array(f"row_{k}", root.row)
-    yield _array(f"column_{k}", root.column)
+        return [_array(f"root_{k}", readout.packed_root)]
+    integers = _array(f"root_{k}", root.values, "static const int32_t")
+    return [integers, _array(f"row_{k}", root.row), _array(f"column_{k}", root.column)]
 
 
 def _test(model, precision) -> dict[str, Any]:
@@ -351,9 +344,3 @@ def _names(name: str, values: Iterable[str]) -> str:
 
 def _list(declaration: str, words: list[str], separator: str = ", ") -> str:
     return f"{declaration}[{len(words)}] = {{{separator.join(words)}}};"
-
-
-def _comment(text: str) -> str:
-    """Return a text that can stand in a comment of C."""
-    words = "".join(c if c.isascii() and c.isprintable() and c not in "*\\$" else "?" for c in text)
-    return words.replace("??", "? ?")

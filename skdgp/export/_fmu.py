@@ -105,21 +105,18 @@ def write_fmu(
     r"""Write a model as an FMU for co-simulation; return the platform that it has a binary for.
 
     It holds C source, and a binary for this platform if there is a C compiler (``CC``, cc, gcc or clang); it needs no
-    Python. ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
-
-    Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has
-    a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a
-    simulation cannot rebuild.
+    Python. Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see
+    :func:`write_c`) or has a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a
+    regressor that a simulation cannot rebuild.
 
     Parameters
     ----------
     path : path-like
     model : PortableModel
     form : {"aircraft", "coefficients"}, default="aircraft"
-        "aircraft": six degrees of freedom, :math:`\dot x = f(x, u)` of :func:`skdgp.dynamics.simulate`, by the same
-        method of Runge and Kutta with at most ``dt`` a step. Inputs are the controls [rad], the thrust [N], further
-        forces and moments of the propulsion [N, N m] and the wind [m/s]. Outputs are the state, air data,
-        accelerations, the coefficients and their standard deviations.
+        "aircraft": six degrees of freedom, as :func:`skdgp.dynamics.simulate` with at most ``dt`` a step. Inputs are
+        the controls [rad], the thrust [N], further loads of the propulsion [N, N m] and the wind [m/s]; outputs the
+        state, air data, accelerations, the coefficients and their standard deviations.
         "coefficients": the coefficients and their standard deviations, of columns of a flight.
     fmi : {"2.0", "3.0"}, default="2.0"
         Version of the standard.
@@ -127,8 +124,7 @@ def write_fmu(
     Returns
     -------
     str or None
-        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone, with a warning why: there
-        is no compiler, it fails, or FMI has no name for this platform.
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None, with a warning why: the FMU has source code alone.
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, ROOTS)

@@ -48,8 +48,8 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     Returns
     -------
     dict
-        ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size "mean" and
-        "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
+        ``files``, paths, and ``loss`` of each coefficient: by a smaller size "mean" and "std" in posterior deviations;
+        by tables and derivatives "loss" and "deviation", root mean squares.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
@@ -66,9 +66,6 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
             "needs the pipeline and its samples, which a portable model does not hold."
         )
     return SAMPLE_FORMATS[to](Path(folder), model.pipeline, model.aircraft, **options)
-
-
-# -- of arrays -----------------------------------------------------------------------------------------------------
 
 
 def _one_file(name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None) -> Facts:
@@ -95,11 +92,8 @@ def _file_bytes(model: PortableModel) -> int:
     return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
 
 
-# -- of samples ----------------------------------------------------------------------------------------------------
-
-
 def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    """Write build_up.json, and its picture if matplotlib is installed."""
+    """Write the build-up, and its picture if matplotlib is installed."""
     build, files = build_up(model, aircraft), [folder / "build_up.json"]
     write_build_up(files[0], build)
     if importlib.util.find_spec("matplotlib"):

@@ -228,10 +228,6 @@ class PortableModel:
     envelope : LearnedRange
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
-
-    Examples
-    --------
-    ``portable_model(**load_model("model.joblib"))`` makes one.
     """
 
     regressors: tuple[Regressor, ...]
@@ -353,10 +349,9 @@ class PortableModel:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
-        sources; its noise is not removed. The deviation is that of the coefficient, without the noise of its
-        measurements. ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy
-        as those of the fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a
-        simulation). Errors are those of ``regressor_values``.
+        sources. The deviation is that of the coefficient, without the noise of its measurements.
+        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
+        fit, False for exact ones (a simulation), or a factor of their noise's variance, also (n,).
         """
         chunks = self._chunks(X)
         ends = np.cumsum([len(Z) for Z in chunks])
@@ -375,8 +370,7 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
-        the scatter of the members. The factor 2 is five times the largest found, in C, ONNX and CasADi over 40 exact
-        models of 8 to 60 samples on three kinds of processor. X and errors are those of :meth:`predict`.
+        the scatter of the members. The factor 2 is five times the largest found in C, ONNX and CasADi.
         """
         return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 

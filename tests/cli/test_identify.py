@@ -20,10 +20,9 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._cli import _console, main
-from skdgp._cli._console import CLEAR, Console
+from skdgp._cli import _output, main
 from skdgp._cli._main import COMMANDS
-from skdgp._cli._output import OutputFolder
+from skdgp._cli._output import CLEAR, Console, OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.design import coefficient_noise
@@ -577,7 +576,7 @@ class Terminal(io.StringIO):
 class TestConsole:
     @pytest.fixture(autouse=True)
     def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_console, "PERIOD", 0.0)
+        monkeypatch.setattr(_output, "PERIOD", 0.0)
 
     def test_one_line_rewritten(self):
         stream = Terminal()
@@ -599,7 +598,7 @@ class TestConsole:
         assert max(len(line) for line in stream.getvalue().split(CLEAR)) == 29
 
     def test_written_now_and_then(self, monkeypatch):
-        monkeypatch.setattr(_console, "PERIOD", 1000.0)
+        monkeypatch.setattr(_output, "PERIOD", 1000.0)
         stream = Terminal()
         with Console(stream) as console:
             for k in range(100):

@@ -34,7 +34,7 @@ def inspect(run: Run) -> None:
         path, text = Path(options.servo_template), servo_template(options.log)
         if path.exists():
             raise FileExistsError(
-                f"Got {str(path)!r} for the servo template, but it is there already: name another file."
+                f"Got {str(path)!r} for the servo template, but it is there already: name another one."
             )
         write_atomically(path, text_writer(text))
     run.console.stage("estimating lags")

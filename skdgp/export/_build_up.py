@@ -73,13 +73,10 @@ class BuildUp:
         Smallest and largest value of each regressor in the samples; breakpoints lie between them.
     lengths : tuple of float
         Span and chord of the non-dimensional rates [m].
-    samples : ndarray (n, d)
-        Samples of the flown envelope.
-    predicted, predicted_std : ndarray (n, 6)
-        Coefficients of the model at the samples, and their standard deviations.
+    samples, predicted, predicted_std : ndarray (n, d), (n, 6), (n, 6)
+        Samples of the flown envelope, the coefficients of the model at them, and their standard deviations.
     loss : DataFrame (6, 2)
-        Over the samples, root mean square: "loss", the difference between build-up and model, and "deviation", the
-        posterior standard deviation of the model.
+        Root mean squares over the samples: "loss", the difference to the model, and "deviation", of its posterior.
     """
 
     aircraft: Aircraft
@@ -202,7 +199,6 @@ def build_up(
     tolerance: float = 0.1,
     pairs: str = "all",
     max_loss: float = 1.0,
-    return_std: bool = True,
 ) -> BuildUp:
     r"""Return the coefficients of a model as constants, derivatives and tables of one and of two regressors.
 
@@ -231,8 +227,6 @@ def build_up(
     max_loss : float, default=1.0
         Largest loss, root mean square over the samples, as a fraction of the root mean square posterior deviation;
         ``np.inf`` accepts any.
-    return_std : bool, default=True
-        Also compute standard deviations, which takes most of the time; without, they are NaN.
 
     Returns
     -------
@@ -264,15 +258,14 @@ def build_up(
     truth, std = posterior.mean(tested), posterior.deviation(tested)
     deviation = np.sqrt(np.mean(std**2, axis=0))
     kept = _important(few, mean_of_few, tolerance * deviation, _candidates(posterior.names, pairs))
-    bases, weights, roots, losses = {}, {}, {}, {}
+    bases, weights, losses = {}, {}, {}
     for i, name in enumerate(COEFFICIENTS):
         basis = bases[name] = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
         weights[name] = _Projection(basis, points)(mean[:, [i]])[:, 0]
         losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
-        unknown = np.full((basis.size, 1), np.nan)
-        roots[name] = _Projection(basis, few)(posterior.root(i, few.X)) if return_std else unknown
     loss = pd.DataFrame({"loss": pd.Series(losses), "deviation": deviation})
     _check_loss(loss, max_loss, pairs)
+    roots = {name: _Projection(bases[name], few)(posterior.root(i, few.X)) for i, name in enumerate(COEFFICIENTS)}
 
     def draw(n_draws, random_state):
         values = posterior.paths(n_draws, random_state, points.X)

@@ -17,7 +17,6 @@ from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.checks import check_choice
 from skdgp.export._model import PortableModel, Readout
-from skdgp.export._reduce import reduced_to_kb
 from skdgp.export._text import changes_text
 
 TOLERANCE = {"double": 1e-9, "float": 1e-4}
@@ -35,38 +34,25 @@ CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
 
 
-def write_c(
-    folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double", max_kb: float | None = None
-) -> PortableModel:
-    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile; return the model as written.
+def write_c(folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double") -> None:
+    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile, all or none.
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model. Raises ValueError if ``precision`` or ``max_kb`` is none of these, no form of the model is so small,
-    it exceeds 64 MB, or there are more than 32 regressors.
+    with the model. :func:`export_model` writes a smaller form, too. Raises ValueError if ``precision`` is none of
+    these, the model exceeds 64 MB, or there are more than 32 regressors.
 
     Parameters
     ----------
     folder : path-like
-        It must exist. All files are written or none.
+        It must exist.
     model : PortableModel
     precision : {"double", "float"}
         "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
         changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
-    max_kb : float, optional
-        Largest size in flash, tables and code [kB of 1024 bytes]. A larger model gets fewer basis functions; the loss
-        is in ``provenance["reduction"]`` of the model that is returned.
     """
-    model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
     write_together(Path(folder), {name: text_writer(text) for name, text in texts.items()})
-    return model
-
-
-def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float | None = None) -> PortableModel:
-    """Return the model in at most ``max_kb``; errors as of :func:`write_c`."""
-    check_choice("precision", precision, TOLERANCE)
-    return reduced_to_kb(model, lambda smaller: c_bytes(smaller, precision), max_kb)
 
 
 def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
@@ -166,6 +152,7 @@ def _blocks(model: PortableModel) -> _Table:
 
 def c_bytes(model: PortableModel, precision: str = "double") -> int:
     """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
+    check_choice("precision", precision, TOLERANCE)
     table, triangles = _blocks(model), [len(readout.packed_root) for readout in model.readouts]
     numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
     numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -59,7 +59,7 @@ class _Facts(NamedTuple):
 
 
 def write_dave_ml(
-    path: str | os.PathLike, model: Any, aircraft: Aircraft | None = None, *, form: str = "functions", **options: Any
+    path: str | os.PathLike, model: Any, aircraft: Aircraft, *, form: str = "functions", **options: Any
 ) -> pd.DataFrame:
     r"""Write a model as a DAVE-ML 2.0 file with its uncertainty and check cases, and return its loss.
 
@@ -79,8 +79,7 @@ def write_dave_ml(
         Such as ``uav.dml``; ``xmllint --dtdvalid DAVEfunc.dtd uav.dml`` validates it.
     model : Pipeline or BuildUp
         Fitted; a build-up is written as tables.
-    aircraft : Aircraft, optional
-        Of a pipeline.
+    aircraft : Aircraft
     form : {"functions", "tables"}, default="functions"
     **options
         Of :func:`build_up`, for tables.
@@ -92,10 +91,8 @@ def write_dave_ml(
     """
     check_choice("form", form, ("functions", "tables"))
     build = model if isinstance(model, BuildUp) else None
-    if build is None and aircraft is None:
-        raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
     if build is None and form == "tables":
-        build = build_up(model, cast("Aircraft", aircraft), **options)
+        build = build_up(model, aircraft, **options)
     facts: _Facts | BuildUp
     if build is not None:
         names = identifiers(build.regressors)
@@ -103,7 +100,7 @@ def write_dave_ml(
         content = _build_up(build)
         values = build.evaluate(build.samples)
     else:
-        portable, names = portable_model(model, cast("Aircraft", aircraft)).with_identifiers()
+        portable, names = portable_model(model, aircraft).with_identifiers()
         shown = reduced(portable, lambda m: sum(block.size for block in m.blocks), MAX_FUNCTIONS)
         of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
         facts = _facts(portable, shown)

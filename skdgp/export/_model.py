@@ -30,10 +30,8 @@ class Regressor:
     ----------
     name, unit : str
         Such as ``q_hat`` and "".
-    sources : tuple of str
-        Columns u of a flight table.
-    factors : tuple of float
-        Their factors c: those of the mixing for a control, else 1.
+    sources, factors : tuples of str and of float
+        Columns u of a flight table, and their factors c: those of the mixing for a control, else 1.
     length : float
         Reference length L [m] of a non-dimensional rate.
     power : {0, 1, 2}
@@ -84,12 +82,10 @@ class Block:
         The part j, see :class:`PortableModel`.
     first_centre, first_column, size : int
         Rows of ``PortableModel.centres``, and columns of the basis of the part's readout.
-    gain : float
-    shift : ndarray (d,)
-    root : ndarray (d,) or (d, d)
-        F, or its diagonal.
+    gain, shift, root : float, ndarray (d,), ndarray (d,) or (d, d)
+        ``root`` is F, or its diagonal.
     regressors : tuple of int
-        Regressors that the functions depend on; the others have no visible effect.
+        Regressors that the functions depend on.
     """
 
     output: int
@@ -155,10 +151,8 @@ class LearnedRange:
     ----------
     low, high : ndarray (d,)
         Smallest and largest value.
-    levels, quantiles : ndarray (q,), ndarray (q, d)
-        Probabilities, and the quantile of each regressor; empty where no samples are known.
-    samples : ndarray (n, d)
-        Some of the rows themselves, spread over the training data; none of a compact model.
+    levels, quantiles, samples : ndarray (q,), (q, d), (n, d)
+        Probabilities, and the quantile of each regressor; some rows of the training data. Empty of a compact model.
     """
 
     low: Vector
@@ -202,16 +196,13 @@ class PortableModel:
     regressors : tuple of Regressor
     outputs : tuple of str
     aircraft : Aircraft
-    shift, scale : ndarray (d,)
-        Of the regressors.
+    shift, scale, trend_center : ndarray (d,)
     center, output_scale, deviation_scale : ndarray (P,)
     centres : ndarray (m, d)
-        Centres of Gaussian functions, in scaled regressors.
-    blocks : tuple of Block
-    readouts : tuple of Readout
+        Of Gaussian functions, in scaled regressors.
+    blocks, readouts : tuples of Block and of Readout
     readout_of : ndarray (K P,) of int
         The readout of each part; parts may share one.
-    trend_center : ndarray (d,)
     trend_scale, trend_weights : ndarray (K P, d + 1)
     trend_roots : tuple of ndarray (d + 1, r)
         One for each part, with k <= r <= k + d + 1.

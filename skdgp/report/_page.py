@@ -70,14 +70,13 @@ def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
     aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
     created = datetime.now().astimezone() if content.created is None else content.created
-    flights = f"flights: {len(content.train)} training, {len(content.test)} test"
-    meta = " · ".join(text(part) for part in (aircraft, flights, f"{created:%d %B %Y, %H:%M}") if part)
+    count = f"flights: {len(content.train)} training, {len(content.test)} test"
+    meta = " · ".join(text(part) for part in (aircraft, count, f"{created:%d %B %Y, %H:%M}") if part)
     made = text(f"Made by skdgp {content.model.versions.get('skdgp', '')}".rstrip())
     colophon = f"{made}. SI units; degrees in pictures and in the table of states."
+    kind = "Aerodynamic identification report"
     with units_shown(content.units):
-        return render_page(
-            "Aerodynamic identification report", content.title, meta, _body(content), colophon, script=SCRIPT
-        )
+        return render_page(kind, content.title, meta, _body(content), colophon, script=SCRIPT)
 
 
 def _body(content: ReportContent) -> str:
@@ -87,9 +86,8 @@ def _body(content: ReportContent) -> str:
         parts.append(mechanics(content.mechanics))
     parts.append(what_was_done(content))
     if not draw:
-        parts.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
-    parts += content.sections
-    parts += flights(content, every, draw)
+        parts.append(_note('No pictures: they need matplotlib, pip install "skdgp[plot]".'))
+    parts += [*content.sections, *flights(content, every, draw)]
     if draw and content.test:
         parts.append(calibration(content))
     if draw and content.effects is not None:

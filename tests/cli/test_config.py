@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import main
-from skdgp._cli._main import COMMANDS
+from skdgp._cli import COMMANDS, main
 from skdgp._cli._options import FileName
 from skdgp._cli._output import table_writer
 

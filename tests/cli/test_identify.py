@@ -20,8 +20,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._cli import _output, main
-from skdgp._cli._main import COMMANDS
+from skdgp._cli import COMMANDS, _output, main
 from skdgp._cli._output import CLEAR, Console, OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import math
 import os
@@ -21,7 +20,6 @@ from skdgp._flight.channels import REGRESSOR_SETS
 
 PROGRAM = "python -m skdgp"
 HEAD = f"# {PROGRAM} "
-CHECKSUM = "# sha256 "
 NOT_KEPT = ("config", "output", "traceback")  # in a configuration
 COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers depend on
 PARSED = ("type", "choices", "nargs")  # keywords of an option that a value of a configuration needs
@@ -302,13 +300,6 @@ class Command:
         if not Path(path).exists():
             raise FileNotFoundError(f"Got {path} as the configuration, but there is no such file.")
         values = read_toml(path)
-        above, found, line = Path(path).read_text(encoding="utf-8-sig").rpartition(CHECKSUM)
-        if found and line.split(" ")[0] != hashlib.sha256(above.encode()).hexdigest():
-            warnings.warn(
-                f"{path} is not as the run wrote it, which it would no longer repeat. If you changed it, remove its "
-                "last line.",
-                stacklevel=2,
-            )
         command = values.pop("command", self.name)
         if command != self.name:
             raise ValueError(f"Got {path} of the command {command}, but the command is {self.name}: say {command}.")
@@ -339,9 +330,7 @@ class Command:
             "[versions]",
             *(f"{name} = {_toml(value)}" for name, value in software_versions().items()),
         ]
-        text = "\n".join(lines) + "\n"
-        checksum = hashlib.sha256(text.encode()).hexdigest()
-        return f"{text}{CHECKSUM}{checksum} of the lines above: remove this line when you change them.\n"
+        return "\n".join(lines) + "\n"
 
 
 def _warn_of_versions(path, made_by) -> None:

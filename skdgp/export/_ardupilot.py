@@ -36,15 +36,25 @@ def write_ardupilot(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, 
     """Write the JSON file of a plane of ArduPilot's simulator (SITL), and return what it loses.
 
     The plane of SITL has a lift that is linear in alpha, elevator and q, a drag that is constant plus quadratic in
-    lift, and constant derivatives of the other coefficients. They are fitted by least squares to a pipeline, or a
-    ``DependentGPRegressor``, at X, by default its training samples. Controls of SITL are from -1 to 1; here 1 is the
-    largest deflection of the flights, and positive raises the nose, rolls right and yaws right.
-    ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are those of SITL (2 kg), which cannot
-    be set by this file: change them in ``SIM_Plane.cpp``.
-
-    The result (6, 3) has "loss", "deviation" (of the posterior) and "spread" of CX ... Cn, root mean square over the
-    samples; SITL ignores it in the file, as "mass" and "inertia". Raises ValueError if the model lacks alpha, or is
+    lift, and constant derivatives of the other coefficients, fitted to the model by least squares. Controls of SITL are
+    from -1 to 1; here 1 is the largest deflection of the flights, and positive raises the nose, rolls right and yaws
+    right. ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are those of SITL (2 kg), which
+    cannot be set by this file: change them in ``SIM_Plane.cpp``. Raises ValueError if the model lacks alpha, or is
     compact and X is not given; TypeError if it is another estimator.
+
+    Parameters
+    ----------
+    path : path-like
+    model : DependentGPRegressor or Pipeline
+    aircraft : Aircraft
+    X : array or DataFrame (n, ...), optional
+        Input of the model to fit at; default: its training samples, which a compact model lacks.
+
+    Returns
+    -------
+    DataFrame (6, 3)
+        "loss", "deviation" (of the posterior) and "spread" of CX ... Cn, root mean squares over the samples; SITL
+        ignores them in the file, as "mass" and "inertia".
     """
     flown = _Flown(model, aircraft, X)
     values, fitted = _plane(flown)
@@ -65,6 +75,18 @@ def write_gazebo(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: 
 
     The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin. Add joints named
     after the surfaces.
+
+    Parameters
+    ----------
+    path : path-like
+    model : DependentGPRegressor or Pipeline
+    aircraft : Aircraft
+    X : array or DataFrame (n, ...), optional
+        Input of the model to fit at; default: its training samples, which a compact model lacks.
+
+    Returns
+    -------
+    DataFrame (6, 3)
     """
     flown = _Flown(model, aircraft, X)
     plugin, fitted = _advanced_lift_drag(flown)

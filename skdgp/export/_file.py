@@ -16,7 +16,7 @@ from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomicall
 from skdgp.dynamics import Aircraft
 from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 
-FORMAT, VERSION = "skdgp portable model", 2
+FORMAT, VERSION = "skdgp portable model", 3
 HEAD = "model.json"
 DIGITS = 64  # of the SHA-256 at the end of the file
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
@@ -32,12 +32,9 @@ SHAPES = {
     "B": "block_gain",
     "B 4": "block_place",
     "B d": "block_shift block_regressors",
-    "q": "envelope_levels",
-    "q d": "envelope_quantiles",
     "s d": "envelope_samples",
 }
-"""Arrays by shape: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, q quantiles, s
-samples."""
+"""Arrays by shape: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, s samples."""
 SHAPE_OF = {name: letters for letters, names in SHAPES.items() for name in names.split()}
 TYPES = {"block_place": "<i8", "readout_of": "<i8", "block_regressors": "|u1"}  # else "<f8"
 

@@ -25,8 +25,7 @@ from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form
 from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
-from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths
-from skdgp.kernels._prior_paths import Waves as WavePaths
+from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths, Waves
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -188,7 +187,7 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
 # -- functions -----------------------------------------------------------------------------------------------------
 
 
-class Waves(NamedTuple):
+class Cosines(NamedTuple):
     """Functions of a draw of the prior: sum_k w_ik cos(phase_k + omega_k . z); omega (k, d), phase (k,), w (6, k)."""
 
     frequencies: Matrix
@@ -210,7 +209,7 @@ class GaussianSum:
     centres: Matrix
     blocks: list[list[tuple[Block, Vector]]]
     """Gaussian functions of each coefficient, and their weights."""
-    waves: Waves
+    waves: Cosines
     loss: pd.DataFrame
 
     def evaluate(self, X: Matrix) -> Matrix:
@@ -257,7 +256,7 @@ def gaussian_sums(
         shift=shift,
         scale=scale,
         **_terms(posterior, form, weights, trend),
-        waves=Waves(np.empty((0, d)), np.empty(0), np.empty((len(COEFFICIENTS), 0))),
+        waves=Cosines(np.empty((0, d)), np.empty(0), np.empty((len(COEFFICIENTS), 0))),
         loss=pd.DataFrame(),
     )
     off = np.sqrt(np.mean((mean.evaluate(posterior.tested) - original) ** 2, axis=0))
@@ -317,7 +316,7 @@ def _drawn(mean, posterior, form, weights, trend, bundle: MixedPaths) -> Iterato
             for i in np.flatnonzero(taken):
                 of_basis[member * P + i] += taken[i] * np.concatenate([own[i] for own in gaussians])
         frequencies, phases, of_waves = zip(*waves, strict=True)
-        joined = Waves(np.concatenate(frequencies), np.concatenate(phases), np.hstack(of_waves))
+        joined = Cosines(np.concatenate(frequencies), np.concatenate(phases), np.hstack(of_waves))
         yield replace(mean, **_terms(posterior, form, of_basis, lines), waves=joined)
 
 
@@ -330,11 +329,11 @@ def _leaves(bundle: Any) -> Iterator[Any]:
         yield bundle
 
 
-def _prior_waves(leaf: WavePaths, k: int, factors: Vector, order: list[int]) -> Waves:
+def _prior_waves(leaf: Waves, k: int, factors: Vector, order: list[int]) -> Cosines:
     """Return the waves of path k, with the weights of the coefficients."""
     own: Array = leaf.own[k, 0][:, :, None] * leaf.fed[:, None]
     weights = np.concatenate([leaf.shared[k], own.reshape(-1, len(order))])
-    return Waves(leaf.omega[k].T, leaf.phase[k, 0], factors[:, None] * weights[:, order].T)
+    return Cosines(leaf.omega[k].T, leaf.phase[k, 0], factors[:, None] * weights[:, order].T)
 
 
 # -- the aircraft --------------------------------------------------------------------------------------------------

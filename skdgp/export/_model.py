@@ -151,14 +151,12 @@ class LearnedRange:
     ----------
     low, high : ndarray (d,)
         Smallest and largest value.
-    levels, quantiles, samples : ndarray (q,), (q, d), (n, d)
-        Probabilities, and the quantile of each regressor; some rows of the training data. Empty of a compact model.
+    samples : ndarray (n, d)
+        Some rows of the training data; none of a compact model.
     """
 
     low: Vector
     high: Vector
-    levels: Vector
-    quantiles: Matrix
     samples: Matrix
 
     def inside(self, X: Matrix) -> Any:
@@ -196,13 +194,14 @@ class PortableModel:
     regressors : tuple of Regressor
     outputs : tuple of str
     aircraft : Aircraft
-    shift, scale, trend_center : ndarray (d,)
+    shift, scale : ndarray (d,)
     center, output_scale, deviation_scale : ndarray (P,)
     centres : ndarray (m, d)
         Of Gaussian functions, in scaled regressors.
     blocks, readouts : tuples of Block and of Readout
     readout_of : ndarray (K P,) of int
         The readout of each part; parts may share one.
+    trend_center : ndarray (d,)
     trend_scale, trend_weights : ndarray (K P, d + 1)
     trend_roots : tuple of ndarray (d + 1, r)
         One for each part, with k <= r <= k + d + 1.

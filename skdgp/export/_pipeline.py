@@ -23,7 +23,6 @@ from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 from skdgp.kernels._features import TrendFeatures
 
-LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
@@ -130,18 +129,12 @@ def _regressor(name, rates, controls, units) -> Regressor:
 
 def _envelope(posterior, shift, scale, limits) -> LearnedRange:
     if posterior.samples() is None:
-        X, quantiles = np.empty((0, len(shift))), np.empty((0, len(shift)))
-    else:
-        X = training_inputs(posterior) * scale + shift
-        quantiles = np.quantile(X, LEVELS, axis=0)
-        extremes = quantiles[[0, -1]]
-        limits = extremes if limits is None else limits
-        limits = np.minimum(limits[0], extremes[0]), np.maximum(limits[1], extremes[1])
-    if limits is None:
-        limits = np.tile([[-np.inf], [np.inf]], len(shift))
-    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int)) if len(X) else np.empty(0, dtype=int)
-    levels = np.array(LEVELS if len(X) else ())
-    return LearnedRange(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
+        low, high = np.tile([[-np.inf], [np.inf]], len(shift)) if limits is None else limits
+        return LearnedRange(np.array(low), np.array(high), np.empty((0, len(shift))))
+    X = training_inputs(posterior) * scale + shift
+    seen = X if limits is None else np.vstack([X, *limits])
+    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int))
+    return LearnedRange(seen.min(axis=0), seen.max(axis=0), X[rows])
 
 
 # -- posteriors --------------------------------------------------------------------------------------------------

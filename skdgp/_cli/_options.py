@@ -32,17 +32,11 @@ class FileName(str):
     """The name of a file or folder, which a configuration keeps as a whole path."""
 
     def __new__(cls, text: str):
-        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration holds, or no name for the system."""
+        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration holds."""
         try:
             text.encode()
-            os.stat(text)
         except UnicodeEncodeError:
             raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
-        except (FileNotFoundError, NotADirectoryError, PermissionError):
-            pass  # may be made yet, or the command says what it is
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a file or folder ({reason})") from None
         return super().__new__(cls, text)
 
 

@@ -293,15 +293,12 @@ class TestBadInput:
             identify("--test", os.fsdecode(b"t\xff.csv"))
         assert r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
 
-    @pytest.mark.parametrize("words", [["--test", "{}"], ["--aircraft", "{}"], ["-o", "{}"], ["--config", "{}"]])
-    @pytest.mark.parametrize(
-        ("name", "reason"), [("loop.csv", "symbolic links"), ("a" * 300, "too long"), ("\0.csv", "null byte")]
-    )
-    def test_a_name_that_the_system_cannot_follow(self, words, name, reason, tmp_path, capsys):
-        (tmp_path / "loop.csv").symlink_to("loop.csv")
-        with pytest.raises(SystemExit, match="2"):
-            identify(*(word.format(tmp_path / name) for word in words))
-        assert re.search(rf"got .*, but expected a file or folder \(.*{reason}", capsys.readouterr().err)
+    @pytest.mark.parametrize("option", ["--test", "--aircraft", "-o", "--config"])
+    @pytest.mark.parametrize("name", ["loop", "a" * 300])
+    def test_a_name_that_the_system_cannot_follow(self, option, name, tmp_path, capsys):
+        (tmp_path / "loop").symlink_to("loop")
+        assert identify(option, str(tmp_path / name)) == 1
+        assert name in capsys.readouterr().err.splitlines()[-1]
 
     def test_a_missing_aircraft(self, refused):
         refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")

@@ -278,11 +278,7 @@ def _edges(model, precision) -> Array:
 
 def _points(model) -> Matrix:
     """Return points of the envelope and around it, the same at every call."""
-    rng = np.random.default_rng(0)
-    samples = model.envelope.samples
-    if not len(samples):
-        low, high = (np.where(np.isfinite(e), e, model.shift) for e in (model.envelope.low, model.envelope.high))
-        samples = rng.uniform(low, high, (N_VECTORS, len(low)))
+    rng, samples = np.random.default_rng(0), model.points()
     X = samples[np.linspace(0, len(samples) - 1, N_VECTORS).astype(int)].copy()
     X[1::2] += 0.5 * model.scale * rng.standard_normal(X[1::2].shape)
     return X

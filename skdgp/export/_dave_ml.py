@@ -106,7 +106,7 @@ def write_dave_ml(
         facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
         content = _functions(shown, of_std, _correlation(model, portable, facts.samples))
-        values = shown.predict(facts.samples)[:, _order(portable)]
+        values = shown.predict(facts.samples)[:, portable.order]
     checks = _checks(facts, values, internal=build is None)
     root = element("DAVEfunc", _header(facts, names), *_inputs(facts), *content, checks, xmlns=NAMESPACE)
     check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
@@ -122,9 +122,7 @@ def write_dave_ml(
 
 def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
     """Return what the file says of a model, of which it shows another form."""
-    samples, order = model.envelope.samples, _order(model)
-    if not len(samples):  # of a compact model: its inducing inputs lie among them
-        samples = model.centres[:MAX_FUNCTIONS] * model.scale + model.shift
+    samples, order = model.points(), model.order
     mean, std = (values[:, order] for values in model.predict(samples, True, False))
     off = shown.predict(samples)[:, order] - mean
     loss, deviation = (np.sqrt(np.mean(values**2, axis=0)) for values in (off, std))
@@ -145,19 +143,11 @@ def _check_loss(loss: pd.DataFrame, of_std: PortableModel) -> None:
         )
 
 
-def _order(model: PortableModel) -> list[int]:
-    """Return the places of CX CY CZ Cl Cm Cn among the outputs."""
-    lacking = [name for name in COEFFICIENTS if name not in model.outputs]
-    if lacking:
-        raise ValueError(f"Got a model without {lacking}, but expected one of all six coefficients.")
-    return [model.outputs.index(name) for name in COEFFICIENTS]
-
-
 def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix:
     """Return the correlation of the six coefficients at a point, by the mean covariance over samples, (6, 6)."""
     X = (samples[:: -(-len(samples) // MAX_CORRELATED)] - portable.shift) / portable.scale
     joint = split_model(model)[0].posterior_.covariance(X).reshape(len(portable.outputs), len(X), -1, len(X))
-    mean = np.einsum("ikjk->ij", joint)[np.ix_(_order(portable), _order(portable))]
+    mean = np.einsum("ikjk->ij", joint)[np.ix_(portable.order, portable.order)]
     size = np.sqrt(np.diag(mean))
     return mean / np.multiply.outer(size, size)
 
@@ -193,7 +183,7 @@ def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix)
     origin = model.shift + model.scale * model.trend_center
     for name, short, zero, scale in zip(model.regressor_names, scaled, origin, model.scale, strict=True):
         yield _computed(short, _apply("times", _apply("minus", name, float(zero)), float(1.0 / scale)))
-    for n, (i, name) in enumerate(zip(_order(model), COEFFICIENTS, strict=True)):
+    for n, (i, name) in enumerate(zip(model.order, COEFFICIENTS, strict=True)):
         shares, mixed = model.mixture[:, i].tolist(), f"{name}_m"
         for k in range(len(shares)):
             yield from _mean(model, k * P + i, f"{name}_m{k}", scaled)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._text import identifiers
 
@@ -257,6 +258,20 @@ class PortableModel:
     def columns(self) -> tuple[str, ...]:
         """Every column of a flight that the regressors are computed from, each once."""
         return tuple(dict.fromkeys(name for regressor in self.regressors for name in regressor.columns))
+
+    @property
+    def order(self) -> list[int]:
+        """Places of CX CY CZ Cl Cm Cn among the outputs; raises ValueError if one is missing."""
+        if lacking := [name for name in COEFFICIENTS if name not in self.outputs]:
+            raise ValueError(f"Got a model without {lacking}, but expected all six coefficients: learn them all.")
+        return [self.outputs.index(name) for name in COEFFICIENTS]
+
+    def points(self) -> Matrix:
+        """Return regressors (n, d) that were flown: samples, or inducing inputs of a compact model, among them."""
+        if len(self.envelope.samples) > 1:
+            return self.envelope.samples
+        Z = self.centres if len(self.centres) > 1 else np.random.default_rng(0).standard_normal((200, len(self.scale)))
+        return Z * self.scale + self.shift
 
     @cached_property
     def mixer(self) -> Matrix:

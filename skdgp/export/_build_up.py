@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.sparse import csr_array
 from sklearn.utils import check_random_state
 
-from skdgp._compute.files import text_writer, write_atomically
+from skdgp._compute.files import plain, text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._effects import in_units, samples_of, split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
@@ -291,11 +291,7 @@ def build_up(
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     """Write a build-up as JSON, SI units and radians; docs/export.md describes its keys."""
     regressors = {
-        name: {
-            "unit": CHANNELS[name].unit if name in CHANNELS else "-",
-            "reference": float(reference),
-            "limits": limits.tolist(),
-        }
+        name: {"unit": CHANNELS[name].unit if name in CHANNELS else "-", "reference": reference, "limits": limits}
         for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
     }
     coefficients = {
@@ -304,22 +300,14 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
             "constant_std": build.constants_std[name],
             "derivatives": build.derivatives.loc[name].to_dict(),
             "derivatives_std": build.derivatives_std.loc[name].to_dict(),
-            "tables": [
-                {
-                    "regressors": list(table.regressors),
-                    "breakpoints": [points.tolist() for points in table.breakpoints],
-                    "values": table.values.tolist(),
-                    "std": table.std.tolist(),
-                }
-                for table in build.tables[name]
-            ],
+            "tables": [table._asdict() for table in build.tables[name]],
             **build.loss.loc[name].to_dict(),
         }
         for name in COEFFICIENTS
     }
     aircraft = {"name": build.aircraft.name, "span": build.lengths[0], "chord": build.lengths[1]}
     values = {"aircraft": aircraft, "regressors": regressors, "coefficients": coefficients}
-    write_atomically(path, text_writer(json.dumps(values) + "\n"))
+    write_atomically(path, text_writer(json.dumps(plain(values)) + "\n"))
 
 
 def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:

@@ -182,7 +182,7 @@ def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix)
     scaled, P = [f"s_{name}" for name in model.regressor_names], len(model.outputs)
     origin = model.shift + model.scale * model.trend_center
     for name, short, zero, scale in zip(model.regressor_names, scaled, origin, model.scale, strict=True):
-        yield _computed(short, _apply("times", _apply("minus", name, float(zero)), float(1.0 / scale)))
+        yield _computed(short, _apply("times", _apply("minus", name, zero), 1.0 / scale))
     for n, (i, name) in enumerate(zip(model.order, COEFFICIENTS, strict=True)):
         shares, mixed = model.mixture[:, i].tolist(), f"{name}_m"
         for k in range(len(shares)):
@@ -191,9 +191,9 @@ def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix)
         yield _computed(mixed, _apply("plus", *(_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares))))
         scatter = [_apply("power", _apply("minus", f"{name}_m{k}", mixed), 2.0) for k in range(len(shares))]
         spread = [_apply("times", q, _apply("plus", f"{name}_v{k}", scatter[k])) for k, q in enumerate(shares)]
-        deviation = _apply("times", float(model.deviation_scale[i]), _apply("power", _apply("plus", *spread), 0.5))
+        deviation = _apply("times", model.deviation_scale[i], _apply("power", _apply("plus", *spread), 0.5))
         yield _computed(f"{name}_std", deviation)
-        mean = _apply("plus", float(model.center[i]), _apply("times", float(model.output_scale[i]), mixed))
+        mean = _apply("plus", model.center[i], _apply("times", model.output_scale[i], mixed))
         normal = _normal(element("variableRef", varID=f"{name}_std"), *_correlations(COEFFICIENTS, n, correlation))
         yield _computed(name, mean, element("isOutput"), normal)
 
@@ -204,12 +204,12 @@ def _mean(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> 
     for k, (block, weights, _) in enumerate(model.terms(part)):
         functions.append(f"{name}_g{k}")
         shared, exponentials = _exponentials(model, block, functions[-1], scaled)
-        terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponentials, strict=True)]
+        terms = [_apply("times", w, e) for w, e in zip(block.gain * weights, exponentials, strict=True)]
         yield shared
         yield _computed(functions[-1], _apply("plus", *terms))
     constant, *slopes = model.trend_weights[part]
-    trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
-    yield _computed(name, _apply("plus", float(constant), *trend, *functions))
+    trend = [_apply("times", v, s) for v, s in zip(slopes, scaled, strict=True) if v]
+    yield _computed(name, _apply("plus", constant, *trend, *functions))
 
 
 def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> Iterator[Element]:
@@ -224,14 +224,13 @@ def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str])
             yield _computed(functions[-1], exponential)
     squares = []
     for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
-        terms = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
+        terms = [_apply("times", v, f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
-        yield _computed(squares[-1], _apply("plus", float(column[0]), *terms))
+        yield _computed(squares[-1], _apply("plus", column[0], *terms))
     tau = model.trend_scale[part] ** 2
-    prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
+    prior = [_apply("times", t, s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]
-    constant = float(model.prior_variance[part] + tau[0])
-    yield _computed(name, _apply("plus", constant, *prior, *explained))
+    yield _computed(name, _apply("plus", model.prior_variance[part] + tau[0], *prior, *explained))
 
 
 def _exponentials(
@@ -241,12 +240,12 @@ def _exponentials(
     A = block.root @ block.root.T if block.root.ndim == 2 else np.diag(block.root**2)
     centres, used = model.centres[block.rows] + block.shift - model.trend_center, block.regressors
     pairs = [(j, k, (0.5 if j == k else 1.0) * A[j, k]) for j in used for k in used if j <= k and A[j, k]]
-    terms = [_apply("times", float(-a), scaled[j], scaled[k]) for j, k, a in pairs]
+    terms = [_apply("times", -a, scaled[j], scaled[k]) for j, k, a in pairs]
     slopes, constants = centres @ A, -0.5 * np.einsum("kj,jl,kl->k", centres, A, centres)
     found = []
     for constant, slope in zip(constants, slopes, strict=True):
-        lines = [_apply("times", float(slope[k]), scaled[k]) for k in used]
-        found.append(_apply("power", BASE, _apply("plus", f"{name}_q", float(constant), *lines)))
+        lines = [_apply("times", slope[k], scaled[k]) for k in used]
+        found.append(_apply("power", BASE, _apply("plus", f"{name}_q", constant, *lines)))
     return _computed(f"{name}_q", _apply("plus", 0.0, *terms)), found
 
 
@@ -267,7 +266,7 @@ def _build_up(build: BuildUp) -> Iterator[Element]:
         yield _variable(name)
     for name in COEFFICIENTS:
         lines = [
-            _apply("times", f"{name}_{regressor}", _apply("minus", regressor, float(reference)))
+            _apply("times", f"{name}_{regressor}", _apply("minus", regressor, reference))
             for regressor, reference in zip(build.regressors, build.reference, strict=True)
         ]
         added = [f"{name}_t{k}" for k in range(len(build.tables[name]))]

@@ -460,9 +460,9 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
     std = ", ".join(f"{r} {v:.2g}" for r, v in found.derivatives_std.loc[coefficient].items())
     text = f" standard deviations: constant {found.constants_std[coefficient]:.2g}, {std} "
     slopes = found.derivatives.loc[coefficient].to_numpy()
-    terms: list[Any] = [float(found.constants[coefficient] - slopes @ found.reference)]
+    terms: list[Any] = [found.constants[coefficient] - slopes @ found.reference]
     for regressor, slope in zip(found.regressors, slopes, strict=True):
-        terms.append(_apply("product", float(slope), f"aero/regressor/{regressor}"))
+        terms.append(_apply("product", slope, f"aero/regressor/{regressor}"))
     for table in found.tables[coefficient]:
         axes = zip(("row", "column"), table.regressors, strict=False)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
@@ -483,11 +483,11 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
 def _waves(found: GaussianSum, outputs: Sequence[int]) -> Iterator[Element]:
     """Yield scaled regressors, and the waves of some coefficients."""
     for regressor, shift, scale in zip(found.regressors, found.shift, found.scale, strict=True):
-        away = _apply("difference", f"aero/regressor/{regressor}", float(shift))
+        away = _apply("difference", f"aero/regressor/{regressor}", shift)
         yield _function(f"aero/scaled/{regressor}", _apply("product", 1.0 / scale, away))
     frequencies, phases, weights = found.waves
     for k in np.flatnonzero(weights[outputs].any(axis=0)):
-        phase = _apply("sum", *_plane(float(phases[k]), frequencies[k], found.regressors))
+        phase = _apply("sum", *_plane(phases[k], frequencies[k], found.regressors))
         yield _function(f"aero/wave-{k}", _apply("cos", phase))
 
 
@@ -499,21 +499,21 @@ def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
         square, used = f"aero/square/{coefficient}-{k}", list(block.regressors)
         centres, curvature = found.centres[block.rows] + block.shift, np.zeros(len(names))
         curvature[used] = block.root[used] ** 2
-        squares = (_apply("product", float(-0.5 * curvature[n]), names[n], names[n]) for n in used)
+        squares = (_apply("product", -0.5 * curvature[n], names[n], names[n]) for n in used)
         yield _function(square, _apply("sum", *squares))
         terms = []
         for weight, constant, slopes in zip(
             block.gain * weights, -0.5 * centres**2 @ curvature, centres * curvature, strict=True
         ):
-            exponent = _apply("sum", square, *_plane(float(constant), slopes, found.regressors))
-            terms.append(_apply("product", float(weight), _apply("exp", exponent)))
+            exponent = _apply("sum", square, *_plane(constant, slopes, found.regressors))
+            terms.append(_apply("product", weight, _apply("exp", exponent)))
         yield _function(f"aero/part/{coefficient}-{k}", _apply("sum", *terms))
     own = found.waves.weights[i]
     total = _apply(
         "sum",
         *(f"aero/part/{coefficient}-{k}" for k in range(len(found.blocks[i]))),
-        *_plane(float(found.constants[i]), found.slopes[i], found.regressors),
-        *(_apply("product", float(own[wave]), f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
+        *_plane(found.constants[i], found.slopes[i], found.regressors),
+        *(_apply("product", own[wave], f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
     )
     yield _function(f"aero/coefficient/{coefficient}", total)
 
@@ -523,7 +523,7 @@ def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[f
     named = zip(slopes, regressors, strict=True)
     return [
         constant,
-        *(_apply("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0),
+        *(_apply("product", slope, f"aero/scaled/{name}") for slope, name in named if slope != 0.0),
     ]
 
 
@@ -538,5 +538,4 @@ def _function(name: str, *content: Content) -> Element:
 
 
 def _vector(tag: str, values: Sequence[float], **attributes: str) -> Element:
-    parts = (element(axis, float(value)) for axis, value in zip("xyz", values, strict=True))
-    return element(tag, *parts, **attributes)
+    return element(tag, *map(element, "xyz", values), **attributes)

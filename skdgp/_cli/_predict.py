@@ -102,8 +102,8 @@ def predict(run: Run) -> None:
     numbers |= {"include_noise": options.include_noise, "coefficients": coefficients}
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
-    for name, row in coefficients.items():
-        lines.append(f"{name:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
+    for coefficient, row in coefficients.items():
+        lines.append(f"{coefficient:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
     run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
 
 

@@ -20,7 +20,7 @@ class Model:
     def __init__(self, path):
         with np.load(path, allow_pickle=False) as file:
             self.head, self.arrays = json.loads(file["model.json"]), {name: file[name] for name in file.files[1:]}
-        if self.head["format"] != "skdgp portable model" or self.head["version"] != 2:
+        if self.head["format"] != "skdgp portable model" or self.head["version"] != 3:
             raise ValueError(f"{path} is of the format {self.head['format']} {self.head['version']}")
 
     def regressors(self, table):

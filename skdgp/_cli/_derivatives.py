@@ -11,7 +11,6 @@ import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, picture_writers, table_writer
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
@@ -127,7 +126,7 @@ def _mode_rows(modes: pd.DataFrame) -> list[str]:
     return lines
 
 
-DERIVATIVES = Command(
+DERIVATIVES = opt.Command(
     derivatives,
     {
         "": [

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model
 from skdgp.export import FORMATS, export_model, load_portable
 from skdgp.export._c import TOLERANCE
@@ -41,30 +40,26 @@ def export(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    model = _read(options)
+    if Path(options.model).suffix != ".npz":
+        model = read_model(options)
+    elif options.aircraft is not None:
+        raise ValueError(
+            "Got --aircraft with a portable model, but expected model.joblib: a portable model has its own."
+        )
+    else:
+        model = load_portable(options.model)
     run.console.stage(f"exporting to {options.to}")
-    given = {name: getattr(options, name) for name in ("max_kb", "precision", "form", "fmi", "draws")}
-    given = {name: value for name, value in given.items() if value is not None}
+    names = ("max_kb", "precision", "form", "fmi", "draws")
+    given = {name: value for name in names if (value := getattr(options, name)) is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
         facts = export_model(temporary, model, options.to, **given)
         files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         for name in files:
-            (Path(options.output) / name).parent.mkdir(parents=True, exist_ok=True)
+            Path(options.output, name).parent.mkdir(parents=True, exist_ok=True)
         run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
     numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
     run.print(_text(options.output, numbers), numbers)
-
-
-def _read(options):
-    """Return the model file, or the portable model, that the options name."""
-    if Path(options.model).suffix != ".npz":
-        return read_model(options)
-    if options.aircraft is not None:
-        raise ValueError(
-            "Got --aircraft with a portable model, but expected model.joblib: a portable model has its own."
-        )
-    return load_portable(options.model)
 
 
 def _text(folder, numbers) -> str:
@@ -78,7 +73,7 @@ def _text(folder, numbers) -> str:
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
-EXPORT = Command(
+EXPORT = opt.Command(
     export,
     {
         "": [
@@ -87,9 +82,7 @@ EXPORT = Command(
             opt.option("--to", "the format", choices=list(FORMATS), required=True),
             opt.FOLDER,
             opt.option(
-                "--max-kb KB",
-                "largest size [kB] of code or portable form (default: the whole model)",
-                opt.positive("kB"),
+                "--max-kb KB", "largest size of code or portable form (default: whole model)", opt.positive("kB")
             ),
             opt.option("--precision", "of arguments and results, of c (default: double)", choices=list(TOLERANCE)),
             opt.option(
@@ -98,11 +91,7 @@ EXPORT = Command(
                 choices=["functions", "tables", *FMU_FILES],
             ),
             opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=list(ROOTS)),
-            opt.option(
-                "--draws K",
-                "aircraft drawn from the posterior besides the mean, of jsbsim (default: none)",
-                opt.at_least(1),
-            ),
+            opt.option("--draws K", "aircraft drawn from the posterior, of jsbsim (default: none)", opt.at_least(1)),
         ]
     },
 )

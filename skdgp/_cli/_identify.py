@@ -9,7 +9,6 @@ import numpy as np
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
-from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
@@ -197,7 +196,7 @@ LEARNING = [
     opt.SEED,
     opt.option("--n-jobs N", "processes for the members of the average; -1: all cores", opt.jobs),
 ]
-IDENTIFY = Command(
+IDENTIFY = opt.Command(
     identify,
     {
         "": [
@@ -221,7 +220,7 @@ IDENTIFY = Command(
         "model": LEARNING,
     },
 )
-DEMO = Command(
+DEMO = opt.Command(
     demo,
     {
         "": [opt.HORIZONS, opt.option("-o --output DIR", "folder (default: skdgp-demo)", default="skdgp-demo")],

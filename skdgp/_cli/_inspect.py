@@ -9,7 +9,6 @@ import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
-from skdgp._cli._parser import Command
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp.io import inspect_log, read_flight, servo_template
 from skdgp.preprocessing import LagCorrector
@@ -35,7 +34,7 @@ def inspect(run: Run) -> None:
         path, text = Path(options.servo_template), servo_template(options.log)
         if path.exists():
             raise FileExistsError(
-                f"Got {str(path)!r} for the servo template, but it is there already: name another file."
+                f"Got {str(path)!r} for the servo template, but it is there already: name another one."
             )
         write_atomically(path, text_writer(text))
     run.console.stage("estimating lags")
@@ -60,7 +59,7 @@ def _lags(options) -> tuple[pd.DataFrame | None, str]:
             return None, str(error)
 
 
-INSPECT = Command(
+INSPECT = opt.Command(
     inspect,
     {
         "": [

@@ -1,32 +1,42 @@
-"""Values of options, and the options that several commands have."""
+"""Commands: their options, from words and from a configuration, and the configuration that repeats a run."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from inspect import getdoc
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from skdgp._compute.files import read_toml
+from skdgp._compute.versions import software_versions
 from skdgp._flight.channels import REGRESSOR_SETS
+
+PROGRAM = "python -m skdgp"
+HEAD = f"# {PROGRAM} "
+NOT_KEPT = ("config", "output", "traceback")  # in a configuration
+COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers depend on
+PARSED = ("type", "choices", "nargs")  # keywords of an option that a value of a configuration needs
+
+
+# -- one option ----------------------------------------------------------------------------------------------------
 
 
 class FileName(str):
     """The name of a file or folder, which a configuration keeps as a whole path."""
 
     def __new__(cls, text: str):
-        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration holds, or no name for the system."""
+        """Raise ArgumentTypeError if the name is not UTF-8, which no configuration holds."""
         try:
             text.encode()
-            os.stat(text)
         except UnicodeEncodeError:
             raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
-        except (FileNotFoundError, NotADirectoryError, PermissionError):
-            pass  # may be made yet, or the command says what it is
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a file or folder ({reason})") from None
         return super().__new__(cls, text)
 
 
@@ -110,6 +120,13 @@ def regressor_names(text: str) -> str | list[str]:
     return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
 
 
+# -- options that several commands have ----------------------------------------------------------------------------
+
+COMMON = [
+    flag("--json", "print JSON instead of text"),
+    option("--config FILE", "TOML with options by name; the command line wins over it"),
+    flag("--traceback", "on an error also show where it arose"),
+]
 MODEL = option("model MODEL", "the model.joblib that identify wrote")
 FLIGHTS = option("flight FLIGHT", "flights, as of identify", nargs="+")
 AIRCRAFT = option("--aircraft FILE", "the aircraft, JSON or TOML, as with another mass (default: that of the model)")
@@ -195,7 +212,7 @@ def axis_values(name: str, help: str) -> Option:
 
 
 def none_of(words: Any) -> Any:
-    """Return None for "none", which the command line says for it."""
+    """Return None for "none"."""
     return None if words == "none" else words
 
 
@@ -204,3 +221,149 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     learned = {} if model is None else model.get("options", {})
     return {"servos": options.servos or learned.get("servos"), "airborne": airborne}
+
+
+# -- a command -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of ``python -m skdgp``."""
+
+    run: Callable
+    """Its docstring is the help."""
+    options: dict[str, list[Option]]
+    """By the title of their group."""
+    outputs: str = ""
+    """Pattern of the names of files that not every run writes: those of an earlier run are removed."""
+    writes_table: bool = False
+    """Whether its output is the file of a single table, not a folder."""
+
+    @property
+    def name(self) -> str:
+        """Its name on the command line."""
+        return self.run.__name__
+
+    @property
+    def all_options(self) -> list[Option]:
+        """Its options, and those of every command."""
+        return [*(each for group in self.options.values() for each in group), *COMMON]
+
+    def parse(self, words: list[str]) -> argparse.Namespace:
+        """Return the options of a command line; those that it lacks are the ones of ``--config``.
+
+        SystemExit, as of argparse, ends wrong usage; a wrong configuration raises ValueError or OSError.
+        """
+        self._refuse_unknown(words)
+        finder = argparse.ArgumentParser(prog=f"{PROGRAM} {self.name}", add_help=False, allow_abbrev=False)
+        finder.add_argument("--config", type=FileName)
+        config = finder.parse_known_args(words)[0].config
+        return self.parser({} if config is None else self._read_config(config)).parse_intermixed_args(words)
+
+    def parser(self, values: dict) -> argparse.ArgumentParser:
+        """Return the argument parser; ``values`` are the defaults from a configuration."""
+        parser = argparse.ArgumentParser(
+            prog=f"{PROGRAM} {self.name}",
+            description=getdoc(self.run),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        for title, options in (self.options | {"every command": COMMON}).items():
+            group = parser.add_argument_group(title) if title else parser
+            for each in options:
+                keywords = dict(each.keywords)
+                if each.key in values:
+                    keywords["default"] = values[each.key]
+                    keywords.pop("required", None)
+                    if not each.names[0].startswith("-"):
+                        keywords["nargs"] = "*" if "nargs" in keywords else "?"
+                group.add_argument(*each.names, **keywords)
+        return parser
+
+    def _refuse_unknown(self, words) -> None:
+        """End with a message that names the nearest option, before a missing operand is complained of."""
+        known = ["help", *(each.key for each in self.all_options if each.names[-1].startswith("--"))]
+        words = words[: words.index("--")] if "--" in words else words
+        for key in (word[2:].split("=")[0] for word in words if word.startswith("--")):
+            if key not in known:
+                near = get_close_matches(key, known, n=1)
+                hint = f"did you mean --{near[0]}?" if near else "--help lists the options"
+                self.parser({}).error(f"unknown option --{key}: {hint}")
+
+    def _read_config(self, path: FileName) -> dict:
+        if not Path(path).exists():
+            raise FileNotFoundError(f"Got {path} as the configuration, but there is no such file.")
+        values = read_toml(path)
+        command = values.pop("command", self.name)
+        if command != self.name:
+            raise ValueError(f"Got {path} of the command {command}, but the command is {self.name}: say {command}.")
+        _warn_of_versions(path, values.pop("versions", {}))
+        known = {each.key: each for each in self.all_options if each.key != "config"}
+        options = {}
+        for name, value in values.items():
+            key = name.replace("_", "-")
+            if key not in known:
+                near = get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"known options are {', '.join(known)}."
+                raise ValueError(f"Got unknown option {name!r} in {path}: {hint}")
+            try:
+                options[key] = _converted(known[key], value)
+            except ValueError as error:
+                shown = json.dumps(value, default=str)
+                raise ValueError(f"Got {name} = {shown} in {path}: {error}.") from None
+        return options
+
+    def config_text(self, options: argparse.Namespace) -> str:
+        """Return all options of a run as TOML, files by their whole paths, and the versions that it ran on."""
+        kept = {name: value for name, value in vars(options).items() if name not in NOT_KEPT and value is not None}
+        lines = [
+            f"{HEAD}{self.name} --config THIS_FILE -o ELSEWHERE runs the same again.",
+            f"command = {_toml(self.name)}",
+            *(f"{name.replace('_', '-')} = {_toml(value)}" for name, value in kept.items()),
+            "",
+            "[versions]",
+            *(f"{name} = {_toml(value)}" for name, value in software_versions().items()),
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _warn_of_versions(path, made_by) -> None:
+    if not isinstance(made_by, dict):
+        raise ValueError(f"Got versions = {made_by!r} in {path}, but expected a table of names and versions.")
+    here = software_versions()
+    others = [f"{name} {made_by[name]}" for name in COMPARED if made_by.get(name, here.get(name)) != here.get(name)]
+    if others:
+        now = ", ".join(f"{name} {here.get(name)}" for name in COMPARED)
+        warnings.warn(
+            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.", stacklevel=2
+        )
+
+
+def _toml(value) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, str):
+        text = os.path.abspath(value) if isinstance(value, FileName) else value
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _converted(each: Option, value):
+    """Return a value of a configuration as the same words on the command line would give it."""
+    if each.keywords.get("action") == "store_true":
+        if not isinstance(value, bool):
+            raise ValueError("expected true or false")
+        return value
+    if isinstance(value, list) and "nargs" not in each.keywords:
+        value = ",".join(map(str, value))
+    words = value if isinstance(value, list) else [value]
+    if any(isinstance(word, bool | dict | list) for word in words):
+        raise ValueError("expected text or numbers")
+    if not words and each.keywords.get("default") == []:
+        return []
+    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
+    parser.add_argument("--value", **{key: each.keywords[key] for key in PARSED if key in each.keywords})
+    try:
+        return parser.parse_args(["--value", *map(str, words)]).value
+    except argparse.ArgumentError as error:
+        raise ValueError(error.message) from None

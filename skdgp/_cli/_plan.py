@@ -10,7 +10,6 @@ import numpy as np
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
@@ -145,23 +144,16 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     lines += [f"{name:<18}" + "".join(f"{one:>10.2g}" for one in row) for name, row in errors.iterrows()]
     if planned.merged:
         lines += ["before: std_unmerged of derivatives; std now: its std, with what alpha_dot and beta_dot may hold"]
-    pairs = planned.confounded
-    if len(pairs):
-        shown = [
-            f"{one.first} and {one.second} in {one.coefficient} ({one.correlation:.2f})" for one in pairs.itertuples()
-        ]
-        lines += ["", f"errors that are still correlated: {', '.join(shown[:5])}"]
+    if len(planned.confounded):
+        pairs = planned.confounded.head(5).itertuples()
+        shown = [f"{one.first} and {one.second} in {one.coefficient} ({one.correlation:.2f})" for one in pairs]
+        lines += ["", f"errors that are still correlated: {', '.join(shown)}"]
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])
 
 
-def _ends(name: str, help: str) -> opt.Option:
-    """Return the option of a lowest and a highest value."""
-    return opt.option(f"{name} LOW HIGH", help, opt.number(), nargs=2)
-
-
-PLAN = Command(
+PLAN = opt.Command(
     plan,
     {
         "": [
@@ -193,10 +185,10 @@ PLAN = Command(
             opt.axis_values("--limits", "largest deviations from trim [rad] (default: what was flown)"),
             opt.axis_values("--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"),
             opt.axis_values("--servo-lags", "time constants [s] of servos of axes with --limits (default: none)"),
-            _ends("--alpha", "[rad]"),
-            _ends("--beta", "[rad]"),
-            _ends("--load-factor", "of -az / g"),
-            _ends("--speeds", "[m/s]"),
+            opt.option("--alpha LOW HIGH", "[rad]", opt.number(), nargs=2),
+            opt.option("--beta LOW HIGH", "[rad]", opt.number(), nargs=2),
+            opt.option("--load-factor LOW HIGH", "of -az / g", opt.number(), nargs=2),
+            opt.option("--speeds LOW HIGH", "[m/s]", opt.number(), nargs=2),
             opt.option("--max-bank RAD", "to either side", opt.positive("rad")),
             opt.option("--floor M", "lowest altitude [m] (default: the lowest that was flown)", opt.number()),
             opt.option(

@@ -13,7 +13,6 @@ from sklearn.utils import Bunch
 from skdgp._cli import _options as opt
 from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
-from skdgp._cli._parser import Command
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
@@ -93,19 +92,7 @@ def predict(run: Run) -> None:
         tables.append(predictions(model.pipeline, table, include_noise=options.include_noise))
     whole = pd.concat(tables, ignore_index=True)
     run.write({output.name: table_writer(whole, output.suffix)})
-    _print(run, whole, flights)
-
-
-def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.DataFrame:
-    """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
-    names = pipeline[-1].output_names_
-    columns = [*names, *(f"{name}_std" for name in names)]
-    values = np.hstack(predict_flight(pipeline, table, include_noise=include_noise))
-    return table[["flight", "time"]].reset_index(drop=True).join(pd.DataFrame(values, columns=columns))
-
-
-def _print(run, whole, flights):
-    options, rows = run.options, {name: len(table) for name, table in flights.items()}
+    rows = {name: len(table) for name, table in flights.items()}
     coefficients = {
         name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
         for name in whole
@@ -115,9 +102,17 @@ def _print(run, whole, flights):
     numbers |= {"include_noise": options.include_noise, "coefficients": coefficients}
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
-    for name, row in coefficients.items():
-        lines.append(f"{name:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
+    for coefficient, row in coefficients.items():
+        lines.append(f"{coefficient:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
     run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
+
+
+def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.DataFrame:
+    """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
+    names = pipeline[-1].output_names_
+    columns = [*names, *(f"{name}_std" for name in names)]
+    values = np.hstack(predict_flight(pipeline, table, include_noise=include_noise))
+    return table[["flight", "time"]].reset_index(drop=True).join(pd.DataFrame(values, columns=columns))
 
 
 def validate(run: Run) -> None:
@@ -134,8 +129,8 @@ def validate(run: Run) -> None:
       python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    known = {name: getattr(options, name) for name in ("thrust", "external_forces")}
-    known = {name: opt.none_of(value) for name, value in known.items() if value is not None}
+    names = ("thrust", "external_forces")
+    known = {name: opt.none_of(value) for name in names if (value := getattr(options, name)) is not None}
     with listening(run.console.progress):
         model = read_model(options)
         result = judge(model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known)
@@ -145,7 +140,7 @@ def validate(run: Run) -> None:
         finish(run, replace(result, command=run.command_line))
 
 
-PREDICT = Command(
+PREDICT = opt.Command(
     predict,
     {
         "": [
@@ -156,7 +151,7 @@ PREDICT = Command(
     },
     writes_table=True,
 )
-VALIDATE = Command(
+VALIDATE = opt.Command(
     validate,
     {
         "": [

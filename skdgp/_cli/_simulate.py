@@ -11,7 +11,6 @@ import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
-from skdgp._cli._parser import Command
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import json_text, text_writer
 from skdgp._display.style import display_unit
@@ -261,7 +260,7 @@ def _text(numbers, files) -> str:
     return "\n".join([*lines, "", *(f"{path.name:<{width}}{path}" for path in files)])
 
 
-SIMULATE = Command(
+SIMULATE = opt.Command(
     simulate,
     {
         "": [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise
@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.sparse import csr_array
 from sklearn.utils import check_random_state
 
-from skdgp._compute.files import text_writer, write_atomically
+from skdgp._compute.files import plain, text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._effects import in_units, samples_of, split_model
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
@@ -35,16 +35,20 @@ RIDGE, PAIR_RIDGE = 1e-7, 1e-6  # of squared values; a table of two holds only w
 
 
 class Table(NamedTuple):
-    """A part of a coefficient: linear between breakpoints, constant beyond the edges."""
+    """A part of a coefficient: linear between breakpoints, constant beyond the edges.
+
+    Parameters
+    ----------
+    regressors, breakpoints : tuples
+        One or two names, and the increasing breakpoints of each.
+    values, std : ndarray (n,) or (n, m)
+        At the breakpoints, and their standard deviations.
+    """
 
     regressors: tuple[str, ...]
-    """One or two."""
     breakpoints: tuple[Vector, ...]
-    """Of each regressor, increasing."""
     values: Array
-    """At the breakpoints, (n,) or (n, m)."""
     std: Array
-    """Standard deviations of the values."""
 
     def __call__(self, X: Matrix) -> Vector:
         """Return the values at X (n, 1) or (n, 2), the regressors of the table."""
@@ -69,13 +73,10 @@ class BuildUp:
         Smallest and largest value of each regressor in the samples; breakpoints lie between them.
     lengths : tuple of float
         Span and chord of the non-dimensional rates [m].
-    samples : ndarray (n, d)
-        Samples of the flown envelope.
-    predicted, predicted_std : ndarray (n, 6)
-        Coefficients of the model at the samples, and their standard deviations.
+    samples, predicted, predicted_std : ndarray (n, d), (n, 6), (n, 6)
+        Samples of the flown envelope, the coefficients of the model at them, and their standard deviations.
     loss : DataFrame (6, 2)
-        Over the samples, root mean square: "loss", the difference between build-up and model, and "deviation", the
-        posterior standard deviation of the model.
+        Root mean squares over the samples: "loss", the difference to the model, and "deviation", of its posterior.
     """
 
     aircraft: Aircraft
@@ -142,10 +143,6 @@ class BuildUp:
                 variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
         return (mean, np.sqrt(variance)) if return_std else mean
 
-    def renamed(self, names: Mapping[str, str]) -> BuildUp:
-        """Return the build-up with other names of its regressors."""
-        return replace(self, regressors=tuple(names[name] for name in self.regressors))
-
     def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
         """Return a function that evaluates parts of a coefficient.
 
@@ -202,22 +199,18 @@ def build_up(
     tolerance: float = 0.1,
     pairs: str = "all",
     max_loss: float = 1.0,
-    return_std: bool = True,
 ) -> BuildUp:
     r"""Return the coefficients of a model as constants, derivatives and tables of one and of two regressors.
 
     The posterior mean f is projected on such sums: with the basis :math:`\Phi` of the terms at the samples, weights W,
     and a small penalty R of curvature, the values of all cells are :math:`\theta = L f`,
     :math:`L = (\Phi^T W \Phi + R)^{-1} \Phi^T W` (the functional ANOVA of Hooker 2007, by least squares). They are
-    linear in f, so they are jointly normal with the covariance :math:`L K L^T` of the posterior covariance K: each cell
-    has a standard deviation, and functions drawn from the posterior become aircraft (:meth:`BuildUp.sample`). Mixtures
-    of samples with a small weight determine cells that were not flown.
+    jointly normal with the covariance :math:`L K L^T` of the posterior covariance K. Mixtures of samples with a small
+    weight determine cells that were not flown. Of joint processes terms of three and more regressors are lost.
 
-    A model with ``structure="trend"`` is its derivatives alone, and exact everywhere. Main effects of
-    ``structure="additive"`` are tables of one regressor, exact to the tolerance. Of the joint processes terms of three
-    and more regressors are lost. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that
-    ends in one; ValueError if a coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and
-    X is not given, or a parameter is invalid.
+    Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one; ValueError if a
+    coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and X is not given, or a
+    parameter is invalid.
 
     Parameters
     ----------
@@ -225,8 +218,7 @@ def build_up(
         Fitted to all six coefficients; a pipeline ends in a ``DependentGPRegressor``.
     aircraft : Aircraft
     X : array or DataFrame (n, ...), optional
-        Input of the model: samples of the flown envelope. Default: the training samples. A compact model does not hold
-        them and needs X.
+        Input of the model: samples of the flown envelope. Default: the training samples, which a compact model lacks.
     tolerance : float, default=0.1
         Largest effect on a coefficient of the terms left out, root mean square over the samples, and of the breakpoints
         left out of a table, as fractions of the root mean square posterior deviation.
@@ -235,8 +227,6 @@ def build_up(
     max_loss : float, default=1.0
         Largest loss, root mean square over the samples, as a fraction of the root mean square posterior deviation;
         ``np.inf`` accepts any.
-    return_std : bool, default=True
-        Also compute standard deviations, which takes most of the time; without, they are NaN.
 
     Returns
     -------
@@ -268,15 +258,14 @@ def build_up(
     truth, std = posterior.mean(tested), posterior.deviation(tested)
     deviation = np.sqrt(np.mean(std**2, axis=0))
     kept = _important(few, mean_of_few, tolerance * deviation, _candidates(posterior.names, pairs))
-    bases, weights, roots, losses = {}, {}, {}, {}
+    bases, weights, losses = {}, {}, {}
     for i, name in enumerate(COEFFICIENTS):
         basis = bases[name] = _chosen(few, mean_of_few[:, i], tolerance * deviation[i], kept[i])
         weights[name] = _Projection(basis, points)(mean[:, [i]])[:, 0]
         losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
-        unknown = np.full((basis.size, 1), np.nan)
-        roots[name] = _Projection(basis, few)(posterior.root(i, few.X)) if return_std else unknown
     loss = pd.DataFrame({"loss": pd.Series(losses), "deviation": deviation})
     _check_loss(loss, max_loss, pairs)
+    roots = {name: _Projection(bases[name], few)(posterior.root(i, few.X)) for i, name in enumerate(COEFFICIENTS)}
 
     def draw(n_draws, random_state):
         values = posterior.paths(n_draws, random_state, points.X)
@@ -300,20 +289,9 @@ def build_up(
 
 
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
-    """Write a build-up as JSON: constants, derivatives and tables with standard deviations, units, limits and losses.
-
-    Values are SI units and radians. Its keys are described in docs/export.md.
-
-    Examples
-    --------
-    ``write_build_up("build_up.json", build_up(model, aircraft))`` writes the model of a pipeline.
-    """
+    """Write a build-up as JSON, SI units and radians; docs/export.md describes its keys."""
     regressors = {
-        name: {
-            "unit": CHANNELS[name].unit if name in CHANNELS else "-",
-            "reference": float(reference),
-            "limits": limits.tolist(),
-        }
+        name: {"unit": CHANNELS[name].unit if name in CHANNELS else "-", "reference": reference, "limits": limits}
         for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
     }
     coefficients = {
@@ -322,28 +300,19 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
             "constant_std": build.constants_std[name],
             "derivatives": build.derivatives.loc[name].to_dict(),
             "derivatives_std": build.derivatives_std.loc[name].to_dict(),
-            "tables": [
-                {
-                    "regressors": list(table.regressors),
-                    "breakpoints": [points.tolist() for points in table.breakpoints],
-                    "values": table.values.tolist(),
-                    "std": table.std.tolist(),
-                }
-                for table in build.tables[name]
-            ],
+            "tables": [table._asdict() for table in build.tables[name]],
             **build.loss.loc[name].to_dict(),
         }
         for name in COEFFICIENTS
     }
     aircraft = {"name": build.aircraft.name, "span": build.lengths[0], "chord": build.lengths[1]}
     values = {"aircraft": aircraft, "regressors": regressors, "coefficients": coefficients}
-    write_atomically(path, text_writer(json.dumps(values) + "\n"))
+    write_atomically(path, text_writer(json.dumps(plain(values)) + "\n"))
 
 
 def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
     ratio = loss["loss"] / loss["deviation"]
-    large = {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}
-    if large:
+    if large := {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}:
         hint = "" if pairs == "all" else " pairs='all',"
         raise ValueError(
             f"Got a model that tables of at most two regressors change by {large} posterior deviations (root mean "
@@ -356,16 +325,13 @@ def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
 
 
 class Points(NamedTuple):
-    """Points at which functions are projected."""
+    """Points X (n, d) at which functions are projected: samples, then mixtures; mean and deviation of all samples."""
 
     X: Matrix
-    """Samples, then mixtures of samples, (n, d)."""
     weight: Vector
     n_samples: int
     reference: Vector
-    """Means of the regressors over all samples."""
     scale: Vector
-    """Standard deviations of the same."""
 
 
 def _points(samples: Matrix, most: int) -> Points:
@@ -535,7 +501,7 @@ class Posterior:
 
     def __init__(self, model: Any, X: Any):
         self.regressor, before, self.scalers, self.names = split_model(model)
-        self.aerodynamics = as_aerodynamics(model)
+        self.mean = as_aerodynamics(model)
         self.last = model[-1] if before is not None else model
         self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor.scale_
         outputs = self.regressor.output_names_
@@ -547,26 +513,13 @@ class Posterior:
 
     def lengths(self, aircraft: Aircraft) -> tuple[float, float]:
         """Return span and chord of the non-dimensional rates."""
-        return (self.aerodynamics.span or aircraft.span, self.aerodynamics.chord or aircraft.chord)
+        return (self.mean.span or aircraft.span, self.mean.chord or aircraft.chord)
 
     def _scaled(self, X):
         for step in reversed(self.scalers):
             names = getattr(step, "feature_names_in_", None)
             X = np.asarray(step.transform(X if names is None else pd.DataFrame(X, columns=list(names))))
         return np.ascontiguousarray(X, dtype=float)
-
-    def affine(self) -> tuple[Vector, Vector]:
-        """Return shift and scale of what the regressor sees, (x - shift) / scale."""
-        d = len(self.names)
-        points = self._scaled(np.concatenate([np.zeros((1, d)), np.eye(d), -np.eye(d)]))
-        slopes = points[1 : d + 1] - points[0]
-        if not np.allclose(slopes, points[0] - points[d + 1 :]) or not np.allclose(slopes, np.diag(np.diag(slopes))):
-            raise ValueError("Got a pipeline that transforms regressors other than by scaling each: use form='tables'.")
-        scale = 1.0 / np.diag(slopes)
-        return -points[0] * scale, scale
-
-    def mean(self, X: Matrix) -> Matrix:
-        return self.aerodynamics(X)
 
     def deviation(self, X: Matrix) -> Vector:
         """Return the standard deviations of the coefficients at X, (n, 6)."""

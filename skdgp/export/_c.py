@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,6 @@ from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.checks import check_choice
 from skdgp.export._model import PortableModel, Readout
-from skdgp.export._reduce import reduced_to_kb
 from skdgp.export._text import changes_text
 
 TOLERANCE = {"double": 1e-9, "float": 1e-4}
@@ -32,47 +32,27 @@ BLOCK_BYTES = 56
 PART_BYTES = 192  # pointers and numbers of a part, and alignment of its arrays
 CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
-_TEMPLATES = Path(__file__).with_name("c")
-_TENSOR = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
 
 
-def write_c(
-    folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double", max_kb: float | None = None
-) -> PortableModel:
-    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile; return the model as written.
+def write_c(folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double") -> None:
+    """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile, all or none.
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
     regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model, to 1e-9 (double) or 1e-4 (float) of the largest value, deviations to
-    :meth:`PortableModel.rounding` where that is more. Raises ValueError if ``precision`` or ``max_kb`` is none of
-    these, no form of the model is so small, it exceeds 64 MB, or there are more than 32 regressors.
+    with the model. :func:`export_model` writes a smaller form, too. Raises ValueError if ``precision`` is none of
+    these, the model exceeds 64 MB, or there are more than 32 regressors.
 
     Parameters
     ----------
     folder : path-like
-        It must exist. All files are written or none.
+        It must exist.
     model : PortableModel
     precision : {"double", "float"}
         "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
         changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
-    max_kb : float, optional
-        Largest size in flash, tables and code [kB of 1024 bytes]. A larger model gets fewer basis functions; the loss
-        is in ``provenance["reduction"]`` of the model that is returned. None: the whole model.
-
-    Returns
-    -------
-    PortableModel
     """
-    model = sized_for_c(model, precision, max_kb)
     texts = c_files(model, precision)
     write_together(Path(folder), {name: text_writer(text) for name, text in texts.items()})
-    return model
-
-
-def sized_for_c(model: PortableModel, precision: str = "double", max_kb: float | None = None) -> PortableModel:
-    """Return the model in at most ``max_kb``; errors as of :func:`write_c`."""
-    check_choice("precision", precision, TOLERANCE)
-    return reduced_to_kb(model, lambda smaller: c_bytes(smaller, precision), max_kb)
 
 
 def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
@@ -93,7 +73,7 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
 
 
 def _template(name: str) -> str:
-    return (_TEMPLATES / name).read_text(encoding="utf-8")
+    return Path(__file__).with_name("c").joinpath(name).read_text(encoding="utf-8")
 
 
 # -- tables --------------------------------------------------------------------------------------------------------
@@ -134,7 +114,7 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
 
 
 class _Table(NamedTuple):
-    """The constants of a model: blocks with their used regressors, and centres, shifts and roots, each set once."""
+    """The blocks of a model with their used regressors, and centres, shifts and roots, each set once."""
 
     rows: list[tuple]
     used: list[int]
@@ -172,6 +152,7 @@ def _blocks(model: PortableModel) -> _Table:
 
 def c_bytes(model: PortableModel, precision: str = "double") -> int:
     """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
+    check_choice("precision", precision, TOLERANCE)
     table, triangles = _blocks(model), [len(readout.packed_root) for readout in model.readouts]
     numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
     numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
@@ -197,10 +178,11 @@ _VECTORS = (
 def _header(model, precision, size) -> dict[str, Any]:
     aircraft = model.aircraft
     constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
-    constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in _TENSOR}
+    tensor = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in tensor}
     functions = max(readout.size for readout in model.readouts)
     return {
-        "aircraft": _comment(aircraft.name),
+        "aircraft": re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name).replace("??", "? ?"),  # which can stand in a comment
         "size": size,
         "stack": 8 * (functions + 4 * len(model.regressors) + 1 + 2 * len(model.mixture)),
         "real": precision,
@@ -256,14 +238,12 @@ def _source(model, precision) -> dict[str, Any]:
     }
 
 
-def _triangle(k: int, root: _Rounded | None, readout: Readout) -> Iterator[str]:
-    """Yield the arrays of one root."""
+def _triangle(k: int, root: _Rounded | None, readout: Readout) -> list[str]:
+    """Return the arrays of one root."""
     if root is None:
-        yield _array(f"root_{k}", readout.packed_root)
-        return
-    yield _array(f"root_{k}", root.values, "static const int32_t")
-    yield _array(f"row_{k}", root.row)
-    yield _array(f"column_{k}", root.column)
+        return [_array(f"root_{k}", readout.packed_root)]
+    integers = _array(f"root_{k}", root.values, "static const int32_t")
+    return [integers, _array(f"row_{k}", root.row), _array(f"column_{k}", root.column)]
 
 
 def _test(model, precision) -> dict[str, Any]:
@@ -298,11 +278,7 @@ def _edges(model, precision) -> Array:
 
 def _points(model) -> Matrix:
     """Return points of the envelope and around it, the same at every call."""
-    rng = np.random.default_rng(0)
-    samples = model.envelope.samples
-    if not len(samples):
-        low, high = (np.where(np.isfinite(e), e, model.shift) for e in (model.envelope.low, model.envelope.high))
-        samples = rng.uniform(low, high, (N_VECTORS, len(low)))
+    rng, samples = np.random.default_rng(0), model.points()
     X = samples[np.linspace(0, len(samples) - 1, N_VECTORS).astype(int)].copy()
     X[1::2] += 0.5 * model.scale * rng.standard_normal(X[1::2].shape)
     return X
@@ -351,9 +327,3 @@ def _names(name: str, values: Iterable[str]) -> str:
 
 def _list(declaration: str, words: list[str], separator: str = ", ") -> str:
     return f"{declaration}[{len(words)}] = {{{separator.join(words)}}};"
-
-
-def _comment(text: str) -> str:
-    """Return a text that can stand in a comment of C."""
-    words = "".join(c if c.isascii() and c.isprintable() and c not in "*\\$" else "?" for c in text)
-    return words.replace("??", "? ?")

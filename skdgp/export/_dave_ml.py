@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -29,7 +30,6 @@ DOCTYPE = (
     '  "http://www.daveml.org/DTDs/2p0/DAVEfunc.dtd">\n'
 )
 NAMESPACE, MATHML = "http://daveml.org/2010/DAVEML", "http://www.w3.org/1998/Math/MathML"
-N_CHECKS = 16
 STANDARD_NAMES = {
     "alpha": "angleOfAttack", "beta": "angleOfSideslip", "elevator": "elevatorDeflection",
     "aileron": "aileronDeflection", "rudder": "rudderDeflection", "airspeed": "trueAirspeed",
@@ -59,21 +59,19 @@ class _Facts(NamedTuple):
 
 
 def write_dave_ml(
-    path: str | os.PathLike, model: Any, aircraft: Aircraft | None = None, *, form: str = "functions", **options: Any
+    path: str | os.PathLike, model: Any, aircraft: Aircraft, *, form: str = "functions", **options: Any
 ) -> pd.DataFrame:
     r"""Write a model as a DAVE-ML 2.0 file with its uncertainty and check cases, and return its loss.
 
-    Inputs are the regressors of the model, SI units and radians; outputs are CX CY CZ Cl Cm Cn. Check cases are
-    predictions of the model at flown points; their tolerance is the largest difference of the file at them.
+    Inputs are the regressors, SI units and radians; outputs CX CY CZ Cl Cm Cn. Check cases are predictions at flown
+    points; their tolerance is the largest difference of the file at them.
 
-    With ``form="functions"`` outputs are the posterior mean in MathML. Each has an ``uncertainty``: additive, normal,
-    one standard deviation, which is the variable ``CX_std`` of the same inputs, and the correlation with the other
-    outputs, the average over samples. Deviations have fewer functions than the model; a change by more than
-    10 %, root mean square, is refused. ``internalValues`` of the check cases state those of the model.
-
-    With ``form="tables"`` outputs are those of :func:`build_up`. Constants, derivatives and cells have uncertainties,
-    constants and derivatives of a coefficient their correlation. Raises ValueError if a parameter is invalid, the
-    pipeline has no portable form or too many functions (functions), or the build-up is refused (tables).
+    ``form="functions"``: outputs are the posterior mean in MathML, each with an additive normal ``uncertainty``: its
+    standard deviation, the variable ``CX_std`` of the same inputs, and the correlation with the others, average over
+    samples. Deviations have fewer functions than the model; a change by more than 10 %, root mean square, is refused.
+    ``form="tables"``: outputs are those of :func:`build_up`; constants, derivatives and cells have uncertainties.
+    Raises ValueError if a parameter is invalid, the pipeline has no portable form or too many functions (functions), or
+    the build-up is refused (tables).
 
     Parameters
     ----------
@@ -81,8 +79,7 @@ def write_dave_ml(
         Such as ``uav.dml``; ``xmllint --dtdvalid DAVEfunc.dtd uav.dml`` validates it.
     model : Pipeline or BuildUp
         Fitted; a build-up is written as tables.
-    aircraft : Aircraft, optional
-        Of a pipeline.
+    aircraft : Aircraft
     form : {"functions", "tables"}, default="functions"
     **options
         Of :func:`build_up`, for tables.
@@ -90,53 +87,42 @@ def write_dave_ml(
     Returns
     -------
     DataFrame (6, 2)
-        "loss", the root mean square difference of the outputs to the model at samples, and "deviation", that of the
-        posterior.
+        Root mean squares over samples: "loss", the difference to the model, and "deviation", of the posterior.
     """
     check_choice("form", form, ("functions", "tables"))
     build = model if isinstance(model, BuildUp) else None
-    if build is None and aircraft is None:
-        raise ValueError(f"Got {type(model).__name__} without an aircraft, but expected both: give the aircraft, too.")
     if build is None and form == "tables":
-        build = build_up(model, cast("Aircraft", aircraft), **options)
+        build = build_up(model, aircraft, **options)
     facts: _Facts | BuildUp
     if build is not None:
         names = identifiers(build.regressors)
-        facts = build = build.renamed(names)
+        facts = build = replace(build, regressors=tuple(names[name] for name in build.regressors))
         content = _build_up(build)
         values = build.evaluate(build.samples)
     else:
-        portable, names = portable_model(model, cast("Aircraft", aircraft)).with_identifiers()
+        portable, names = portable_model(model, aircraft).with_identifiers()
         shown = reduced(portable, lambda m: sum(block.size for block in m.blocks), MAX_FUNCTIONS)
         of_std = reduced(portable, lambda m: sum(len(m.readouts[k].packed_root) for k in m.readout_of), MAX_ENTRIES)
         facts = _facts(portable, shown)
         _check_loss(facts.loss, of_std)
         content = _functions(shown, of_std, _correlation(model, portable, facts.samples))
-        values = shown.predict(facts.samples)[:, _order(portable)]
+        values = shown.predict(facts.samples)[:, portable.order]
     checks = _checks(facts, values, internal=build is None)
     root = element("DAVEfunc", _header(facts, names), *_inputs(facts), *content, checks, xmlns=NAMESPACE)
     check_distinct((place.attrib["varID"] for place in root.findall("variableDef")), "the file")
-    _indent(root)
+    ElementTree.indent(root)
+    for formula in root.iter("math"):  # which are long, and stay on one line
+        tail = formula.tail
+        for part in formula.iter():
+            part.tail, part.text = None, (part.text or "").strip() or None
+        formula.tail = tail
     write_xml(path, root, DOCTYPE)
     return facts.loss
 
 
-def _indent(root: Element) -> None:
-    """Break lines between elements, but not within formulas, which are long."""
-    ElementTree.indent(root)
-    for formula in root.iter("math"):
-        tail = formula.tail
-        for part in formula.iter():
-            part.tail = None
-            part.text = (part.text or "").strip() or None
-        formula.tail = tail
-
-
 def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
     """Return what the file says of a model, of which it shows another form."""
-    samples, order = model.envelope.samples, _order(model)
-    if not len(samples):  # of a compact model: its inducing inputs lie among them
-        samples = model.centres[:MAX_FUNCTIONS] * model.scale + model.shift
+    samples, order = model.points(), model.order
     mean, std = (values[:, order] for values in model.predict(samples, True, False))
     off = shown.predict(samples)[:, order] - mean
     loss, deviation = (np.sqrt(np.mean(values**2, axis=0)) for values in (off, std))
@@ -157,19 +143,11 @@ def _check_loss(loss: pd.DataFrame, of_std: PortableModel) -> None:
         )
 
 
-def _order(model: PortableModel) -> list[int]:
-    """Return the places of CX CY CZ Cl Cm Cn among the outputs."""
-    lacking = [name for name in COEFFICIENTS if name not in model.outputs]
-    if lacking:
-        raise ValueError(f"Got a model without {lacking}, but expected one of all six coefficients.")
-    return [model.outputs.index(name) for name in COEFFICIENTS]
-
-
 def _correlation(model: Any, portable: PortableModel, samples: Matrix) -> Matrix:
     """Return the correlation of the six coefficients at a point, by the mean covariance over samples, (6, 6)."""
     X = (samples[:: -(-len(samples) // MAX_CORRELATED)] - portable.shift) / portable.scale
     joint = split_model(model)[0].posterior_.covariance(X).reshape(len(portable.outputs), len(X), -1, len(X))
-    mean = np.einsum("ikjk->ij", joint)[np.ix_(_order(portable), _order(portable))]
+    mean = np.einsum("ikjk->ij", joint)[np.ix_(portable.order, portable.order)]
     size = np.sqrt(np.diag(mean))
     return mean / np.multiply.outer(size, size)
 
@@ -204,20 +182,20 @@ def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix)
     scaled, P = [f"s_{name}" for name in model.regressor_names], len(model.outputs)
     origin = model.shift + model.scale * model.trend_center
     for name, short, zero, scale in zip(model.regressor_names, scaled, origin, model.scale, strict=True):
-        yield _variable(short, _formula(_apply("times", _apply("minus", name, float(zero)), float(1.0 / scale))))
-    for n, (i, name) in enumerate(zip(_order(model), COEFFICIENTS, strict=True)):
+        yield _computed(short, _apply("times", _apply("minus", name, zero), 1.0 / scale))
+    for n, (i, name) in enumerate(zip(model.order, COEFFICIENTS, strict=True)):
         shares, mixed = model.mixture[:, i].tolist(), f"{name}_m"
         for k in range(len(shares)):
             yield from _mean(model, k * P + i, f"{name}_m{k}", scaled)
             yield from _variance(of_std, k * P + i, f"{name}_v{k}", scaled)
-        yield _variable(mixed, _formula(_sum([_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares)])))
+        yield _computed(mixed, _apply("plus", *(_apply("times", q, f"{name}_m{k}") for k, q in enumerate(shares))))
         scatter = [_apply("power", _apply("minus", f"{name}_m{k}", mixed), 2.0) for k in range(len(shares))]
         spread = [_apply("times", q, _apply("plus", f"{name}_v{k}", scatter[k])) for k, q in enumerate(shares)]
-        deviation = _apply("times", float(model.deviation_scale[i]), _apply("power", _sum(spread), 0.5))
-        yield _variable(f"{name}_std", _formula(deviation))
-        mean = _apply("plus", float(model.center[i]), _apply("times", float(model.output_scale[i]), mixed))
+        deviation = _apply("times", model.deviation_scale[i], _apply("power", _apply("plus", *spread), 0.5))
+        yield _computed(f"{name}_std", deviation)
+        mean = _apply("plus", model.center[i], _apply("times", model.output_scale[i], mixed))
         normal = _normal(element("variableRef", varID=f"{name}_std"), *_correlations(COEFFICIENTS, n, correlation))
-        yield _variable(name, _formula(mean), element("isOutput"), normal)
+        yield _computed(name, mean, element("isOutput"), normal)
 
 
 def _mean(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> Iterator[Element]:
@@ -226,12 +204,12 @@ def _mean(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> 
     for k, (block, weights, _) in enumerate(model.terms(part)):
         functions.append(f"{name}_g{k}")
         shared, exponentials = _exponentials(model, block, functions[-1], scaled)
-        terms = [_apply("times", float(w), e) for w, e in zip(block.gain * weights, exponentials, strict=True)]
+        terms = [_apply("times", w, e) for w, e in zip(block.gain * weights, exponentials, strict=True)]
         yield shared
-        yield _variable(functions[-1], _formula(_sum(terms)))
+        yield _computed(functions[-1], _apply("plus", *terms))
     constant, *slopes = model.trend_weights[part]
-    trend = [_apply("times", float(v), s) for v, s in zip(slopes, scaled, strict=True) if v]
-    yield _variable(name, _formula(_apply("plus", float(constant), *trend, *functions)))
+    trend = [_apply("times", v, s) for v, s in zip(slopes, scaled, strict=True) if v]
+    yield _computed(name, _apply("plus", constant, *trend, *functions))
 
 
 def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str]) -> Iterator[Element]:
@@ -243,17 +221,16 @@ def _variance(model: PortableModel, part: int, name: str, scaled: Sequence[str])
         for j, (exponential, row) in enumerate(zip(exponentials, block.gain * U, strict=True)):
             functions.append(f"{name}_e{k}_{j}")
             rows.append(row)
-            yield _variable(functions[-1], _formula(exponential))
+            yield _computed(functions[-1], exponential)
     squares = []
     for j, column in enumerate(np.vstack([model.trend_roots[part], *rows]).T):
-        terms = [_apply("times", float(v), f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
+        terms = [_apply("times", v, f) for v, f in zip(column[1:], [*scaled, *functions], strict=True) if v]
         squares.append(f"{name}_r{j}")
-        yield _variable(squares[-1], _formula(_apply("plus", float(column[0]), *terms)))
+        yield _computed(squares[-1], _apply("plus", column[0], *terms))
     tau = model.trend_scale[part] ** 2
-    prior = [_apply("times", float(t), s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
+    prior = [_apply("times", t, s, s) for t, s in zip(tau[1:], scaled, strict=True) if t]
     explained = [_apply("times", -1.0, square, square) for square in squares]
-    constant = float(model.prior_variance[part] + tau[0])
-    yield _variable(name, _formula(_apply("plus", constant, *prior, *explained)))
+    yield _computed(name, _apply("plus", model.prior_variance[part] + tau[0], *prior, *explained))
 
 
 def _exponentials(
@@ -263,23 +240,19 @@ def _exponentials(
     A = block.root @ block.root.T if block.root.ndim == 2 else np.diag(block.root**2)
     centres, used = model.centres[block.rows] + block.shift - model.trend_center, block.regressors
     pairs = [(j, k, (0.5 if j == k else 1.0) * A[j, k]) for j in used for k in used if j <= k and A[j, k]]
-    terms = [_apply("times", float(-a), scaled[j], scaled[k]) for j, k, a in pairs]
+    terms = [_apply("times", -a, scaled[j], scaled[k]) for j, k, a in pairs]
     slopes, constants = centres @ A, -0.5 * np.einsum("kj,jl,kl->k", centres, A, centres)
     found = []
     for constant, slope in zip(constants, slopes, strict=True):
-        lines = [_apply("times", float(slope[k]), scaled[k]) for k in used]
-        found.append(_apply("power", BASE, _apply("plus", f"{name}_q", float(constant), *lines)))
-    return _variable(f"{name}_q", _formula(_apply("plus", 0.0, *terms))), found
+        lines = [_apply("times", slope[k], scaled[k]) for k in used]
+        found.append(_apply("power", BASE, _apply("plus", f"{name}_q", constant, *lines)))
+    return _computed(f"{name}_q", _apply("plus", 0.0, *terms)), found
 
 
 def _apply(operator: str, *operands: Element | str | float) -> Element:
     """Return an operator of numbers, variables and other operators."""
-    parts = (o if isinstance(o, Element) else element("ci" if isinstance(o, str) else "cn", o) for o in operands)
-    return element("apply", Element(operator), *parts)
-
-
-def _sum(terms: list[Element]) -> Element:
-    return _apply("plus", *terms) if len(terms) > 1 else terms[0]
+    parts = [o if isinstance(o, Element) else element("ci" if isinstance(o, str) else "cn", o) for o in operands]
+    return element("apply", Element(operator), *parts) if len(parts) > 1 else parts[0]
 
 
 # -- tables ----------------------------------------------------------------------------------------------------
@@ -293,11 +266,11 @@ def _build_up(build: BuildUp) -> Iterator[Element]:
         yield _variable(name)
     for name in COEFFICIENTS:
         lines = [
-            _apply("times", f"{name}_{regressor}", _apply("minus", regressor, float(reference)))
+            _apply("times", f"{name}_{regressor}", _apply("minus", regressor, reference))
             for regressor, reference in zip(build.regressors, build.reference, strict=True)
         ]
         added = [f"{name}_t{k}" for k in range(len(build.tables[name]))]
-        yield _variable(name, _formula(_apply("plus", f"{name}_0", *lines, *added)), element("isOutput"))
+        yield _computed(name, _apply("plus", f"{name}_0", *lines, *added), element("isOutput"))
     for name, table in tables:
         for axis, (regressor, points) in enumerate(zip(table.regressors, table.breakpoints, strict=True)):
             parts = [element("description", regressor), element("bpVals", _numbers(points))]
@@ -343,8 +316,9 @@ def _variable(name: str, *content: Element, units: str = "nd", **attributes: str
     return element("variableDef", *content, name=_name(name), varID=name, units=units, **attributes)
 
 
-def _formula(value: Element) -> Element:
-    return element("calculation", element("math", value, xmlns=MATHML))
+def _computed(name: str, value: Element, *content: Element) -> Element:
+    """Return a variable that a formula gives."""
+    return _variable(name, element("calculation", element("math", value, xmlns=MATHML)), *content)
 
 
 def _normal(bounds: Element | float, *correlations: Element) -> Element:

@@ -16,30 +16,26 @@ from skdgp._compute.files import LARGEST, parse_json, sha256_of, write_atomicall
 from skdgp.dynamics import Aircraft
 from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 
-FORMAT, VERSION = "skdgp portable model", 2
+FORMAT, VERSION = "skdgp portable model", 3
 HEAD = "model.json"
 DIGITS = 64  # of the SHA-256 at the end of the file
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
 MAX_NAMES = 1000  # regressors or outputs
 SHAPES = {
-    **dict.fromkeys(("shift", "scale", "trend_center", "envelope_low", "envelope_high"), "d"),
-    **dict.fromkeys(("center", "output_scale", "deviation_scale", "noise_variance"), "P"),
-    **dict.fromkeys(("drift_variance", "drift_memory"), "P"),
-    "mixture": "K P",
-    **dict.fromkeys(("prior_variance", "readout_of"), "J"),
-    **dict.fromkeys(("trend_scale", "trend_weights"), "J e"),
-    "centres": "m d",
-    "input_covariance": "d d",
-    "block_place": "B 4",
-    "block_gain": "B",
-    "block_shift": "B d",
-    "block_regressors": "B d",
-    "envelope_levels": "q",
-    "envelope_quantiles": "q d",
-    "envelope_samples": "s d",
+    "d": "shift scale trend_center envelope_low envelope_high",
+    "P": "center output_scale deviation_scale noise_variance drift_variance drift_memory",
+    "K P": "mixture",
+    "J": "prior_variance readout_of",
+    "J e": "trend_scale trend_weights",
+    "m d": "centres",
+    "d d": "input_covariance",
+    "B": "block_gain",
+    "B 4": "block_place",
+    "B d": "block_shift block_regressors",
+    "s d": "envelope_samples",
 }
-"""Shapes by sizes: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, q quantiles, s
-samples."""
+"""Arrays by shape: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, s samples."""
+SHAPE_OF = {name: letters for letters, names in SHAPES.items() for name in names.split()}
 TYPES = {"block_place": "<i8", "readout_of": "<i8", "block_regressors": "|u1"}  # else "<f8"
 
 
@@ -51,8 +47,7 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
     """Write a portable model into one file, which appears whole or not at all, and return its path.
 
     The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one ``.npy`` for each array.
-    Its comment is the SHA-256 of all bytes before it. It holds no code. Raises TypeError if ``model`` is no
-    `PortableModel`, OSError if the file cannot be written.
+    Its comment is the SHA-256 of all bytes before it. Raises TypeError if ``model`` is no `PortableModel`.
     """
     if not isinstance(model, PortableModel):
         raise TypeError(
@@ -63,11 +58,10 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 
 
 def load_portable(path: str | os.PathLike[str]) -> PortableModel:
-    """Return a portable model that :func:`save_portable` or ``python -m skdgp export`` wrote.
+    """Return a portable model that :func:`save_portable` or ``python -m skdgp export`` wrote, the same to the bit.
 
-    It predicts the same bits as the model that was saved. The file holds no code, and none is run. Memory grows with
-    the size of the file only. Raises FileNotFoundError if there is no such file, PortableFileError if it is not a
-    portable model, differs from what was written in a single bit, or is of another format version.
+    No code is run. Raises FileNotFoundError if there is no such file, PortableFileError if it is not a portable model,
+    differs from what was written in a single bit, or is of another format version.
     """
     path = Path(path)
     if not path.is_file():
@@ -154,11 +148,11 @@ def _assembled(head, arrays) -> PortableModel:
     regressors, outputs = tuple(_regressor(r) for r in head["regressors"]), tuple(map(str, head["outputs"]))
     d, P, n = len(regressors), len(outputs), int(head["n_readouts"])
     sizes = {"d": d, "e": d + 1, "P": P, "4": 4}
-    _check_shape("mixture", arrays, SHAPES["mixture"], sizes)
+    _check_shape("mixture", arrays, SHAPE_OF["mixture"], sizes)
     J = sizes["J"] = sizes["K"] * P
     if not (0 < d <= MAX_NAMES and 0 < P <= MAX_NAMES and 0 < n <= J):
         raise ValueError(f"it has {d} regressors, {P} outputs and {n} readouts")
-    for name, letters in SHAPES.items():
+    for name, letters in SHAPE_OF.items():
         _check_shape(name, arrays, letters, sizes)
     _check_shape("block_root", arrays, "B d d" if np.ndim(arrays["block_root"]) == 3 else "B d", sizes)
     for k in range(n):
@@ -176,7 +170,7 @@ def _assembled(head, arrays) -> PortableModel:
         regressors=regressors,
         outputs=outputs,
         aircraft=Aircraft.from_dict(head["aircraft"]),
-        **{name: arrays[name] for name in SHAPES if not name.startswith(("block_", "envelope_"))},
+        **{name: arrays[name] for name in SHAPE_OF if not name.startswith(("block_", "envelope_"))},
         blocks=_blocks(arrays, sizes),
         readouts=tuple(Readout(arrays[f"weights_{k}"], arrays[f"root_{k}"]) for k in range(n)),
         trend_roots=tuple(arrays[f"trend_root_{j}"] for j in range(J)),

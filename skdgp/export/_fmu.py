@@ -105,21 +105,18 @@ def write_fmu(
     r"""Write a model as an FMU for co-simulation; return the platform that it has a binary for.
 
     It holds C source, and a binary for this platform if there is a C compiler (``CC``, cc, gcc or clang); it needs no
-    Python. ``write_fmu("aircraft.fmu", portable_model(**load_model("model.joblib")))`` writes one.
-
-    Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see :func:`write_c`) or has
-    a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a regressor that a
-    simulation cannot rebuild.
+    Python. Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see
+    :func:`write_c`) or has a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a
+    regressor that a simulation cannot rebuild.
 
     Parameters
     ----------
     path : path-like
     model : PortableModel
     form : {"aircraft", "coefficients"}, default="aircraft"
-        "aircraft": six degrees of freedom, :math:`\dot x = f(x, u)` of :func:`skdgp.dynamics.simulate`, by the same
-        method of Runge and Kutta with at most ``dt`` a step. Inputs are the controls [rad], the thrust [N], further
-        forces and moments of the propulsion [N, N m] and the wind [m/s]. Outputs are the state, air data,
-        accelerations, the coefficients and their standard deviations.
+        "aircraft": six degrees of freedom, as :func:`skdgp.dynamics.simulate` with at most ``dt`` a step. Inputs are
+        the controls [rad], the thrust [N], further loads of the propulsion [N, N m] and the wind [m/s]; outputs the
+        state, air data, accelerations, the coefficients and their standard deviations.
         "coefficients": the coefficients and their standard deviations, of columns of a flight.
     fmi : {"2.0", "3.0"}, default="2.0"
         Version of the standard.
@@ -127,11 +124,11 @@ def write_fmu(
     Returns
     -------
     str or None
-        Such as "linux64", or "x86_64-linux" of FMI 3.0; None: the FMU has source code alone, with a warning why: there
-        is no compiler, it fails, or FMI has no name for this platform.
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None, with a warning why: the FMU has source code alone.
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, ROOTS)
+    order = model.order if form == "aircraft" else None
     written, renamed = model.with_identifiers()
     variables = list(_aircraft(written) if form == "aircraft" else _coefficients(written))
     check_distinct((variable.name for variable in variables), "the FMU")
@@ -139,7 +136,7 @@ def write_fmu(
     token = "{" + hashlib.sha256(content.encode()).hexdigest()[:32] + "}"
     sources = {name: text for name, text in c_files(model).items() if name in ("aero.h", "aero.c")}
     sources |= {name: _template(name) for name in ("fmu.c", ROOTS[fmi])}
-    values = _model_values(written, variables, form) | {"token": token}
+    values = _model_values(written, variables, order) | {"token": token}
     sources["model.c"] = Template(_template(f"fmu_{form}.c")).substitute(values)
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
     members["modelDescription.xml"] = _xml(_description(model, renamed, variables, form, fmi, token))
@@ -179,12 +176,6 @@ def _coefficients(model: PortableModel) -> Iterator[_Variable]:
 
 def _aircraft(model: PortableModel) -> Iterator[_Variable]:
     """Yield the variables of the aircraft, in the order of their value references."""
-    lacking = [name for name in COEFFICIENTS if name not in model.outputs]
-    if lacking:
-        raise ValueError(
-            f"Got a model without {lacking}, but an aircraft needs all of {', '.join(COEFFICIENTS)}: "
-            "export form='coefficients', or learn them all."
-        )
     channels = [name.removesuffix(TRUTH_SUFFIX) for name in model.columns]
     controls = [name for name in channels if name not in (*STATES, *IMPLICIT)]
     unknown = [name for name in controls if name in CHANNELS and name not in CONTROLS]
@@ -231,8 +222,8 @@ def _starts(model: PortableModel) -> dict[str, float]:
 # -- C -------------------------------------------------------------------------------------------------------------
 
 
-def _model_values(model: PortableModel, variables: list[_Variable], form: str) -> dict[str, Any]:
-    """Return what the template of model.c is filled with."""
+def _model_values(model: PortableModel, variables: list[_Variable], order: list[int] | None) -> dict[str, Any]:
+    """Return what the template of model.c is filled with; ``order`` is that of an aircraft's coefficients."""
     places = {variable.name: k for k, variable in enumerate(variables)}
     channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in model.columns]
     names = {f"V_{name}": k for name, k in places.items()}
@@ -245,10 +236,10 @@ def _model_values(model: PortableModel, variables: list[_Variable], form: str) -
         _array("start", [v.start for v in variables]),
         _array("place", [places[name] for name in channels], "static const int"),
     ]
-    if form == "coefficients":
+    if order is None:
         return {"tables": "\n".join(tables)}
     implicit = [k for k, name in enumerate(IMPLICIT) if name in channels]
-    tables.append(_array("coefficient", [model.outputs.index(name) for name in COEFFICIENTS], "static const int"))
+    tables.append(_array("coefficient", order, "static const int"))
     if implicit:
         tables.append(_array("implicit", implicit, "static const int"))
     line = model.aircraft.thrust_line or CENTRED

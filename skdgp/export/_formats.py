@@ -16,7 +16,7 @@ from sklearn.utils import Bunch
 from skdgp.dynamics import Aircraft
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import build_up, write_build_up
-from skdgp.export._c import C_FILES, sized_for_c, write_c
+from skdgp.export._c import C_FILES, c_bytes, write_c
 from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._file import save_portable
 from skdgp.export._fmu import FMU_FILES, write_fmu
@@ -48,8 +48,8 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     Returns
     -------
     dict
-        ``files`` is the list of paths, ``loss`` says what each coefficient loses, by name: by a smaller size "mean" and
-        "std" in posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
+        ``files``, paths, and ``loss`` of each coefficient: by a smaller size "mean" and "std" in posterior deviations;
+        by tables and derivatives "loss" and "deviation", root mean squares.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
@@ -68,9 +68,6 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     return SAMPLE_FORMATS[to](Path(folder), model.pipeline, model.aircraft, **options)
 
 
-# -- of arrays -----------------------------------------------------------------------------------------------------
-
-
 def _one_file(name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None) -> Facts:
     """Write the portable model, in at most ``max_kb`` of a portable file, in one file of another format."""
     model = reduced_to_kb(model, _file_bytes, max_kb)
@@ -78,14 +75,15 @@ def _one_file(name: str, write: Callable, folder: Path, model: PortableModel, *,
 
 
 def _c(folder: Path, model: PortableModel, *, precision: str = "double", max_kb: float | None = None) -> Facts:
-    written = write_c(folder, model, precision=precision, max_kb=max_kb)
-    return {"files": [folder / name for name in C_FILES], "loss": loss_of(written)}
+    model = reduced_to_kb(model, partial(c_bytes, precision=precision), max_kb)
+    write_c(folder, model, precision=precision)
+    return {"files": [folder / name for name in C_FILES], "loss": loss_of(model)}
 
 
 def _fmu(
     folder: Path, model: PortableModel, *, form: str = "aircraft", fmi: str = "2.0", max_kb: float | None = None
 ) -> Facts:
-    model, path = sized_for_c(model, max_kb=max_kb), folder / FMU_FILES.get(form, "")
+    model, path = reduced_to_kb(model, c_bytes, max_kb), folder / FMU_FILES.get(form, "")
     return {"binary": write_fmu(path, model, form=form, fmi=fmi), "files": [path], "loss": loss_of(model)}
 
 
@@ -95,11 +93,8 @@ def _file_bytes(model: PortableModel) -> int:
     return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
 
 
-# -- of samples ----------------------------------------------------------------------------------------------------
-
-
 def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    """Write build_up.json, and its picture if matplotlib is installed."""
+    """Write the build-up, and its picture if matplotlib is installed."""
     build, files = build_up(model, aircraft), [folder / "build_up.json"]
     write_build_up(files[0], build)
     if importlib.util.find_spec("matplotlib"):
@@ -119,7 +114,7 @@ def _jsbsim(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functi
 
 
 def _derivatives(name: str, write: Callable, folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    loss = write(folder / name, build_up(model, aircraft, return_std=False))
+    loss = write(folder / name, model, aircraft)
     return {"files": [folder / name], "loss": loss.to_dict("index")}
 
 

@@ -40,12 +40,11 @@ def gymnasium_env(
 
     An observation is (airspeed [m/s], alpha, beta, phi, theta, psi [rad], p, q, r [rad/s], altitude [m]). An action
     holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad], and thrust [N], throttle
-    or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for ``dt`` and integrates as
-    :func:`skdgp.dynamics.simulate` does. An episode terminates when an observation leaves ``observation_space``, or the
-    flight diverges, and is truncated after ``duration``. The last observation is clipped to the space. ``step`` raises
-    ``gymnasium.error.ResetNeeded`` before the first reset, ValueError for an action of another shape or NaN. Raises
-    ImportError if Gymnasium is not installed; ValueError if the trim is not within the limits, such as above the
-    ground, a name is unknown, or ``duration`` is too short.
+    or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for ``dt``. An episode terminates when
+    an observation leaves ``observation_space``, to which the last one is clipped, or the flight diverges; it is
+    truncated after ``duration``. ``step`` raises ``gymnasium.error.ResetNeeded`` before the first reset, ValueError for
+    an action of another shape or NaN. Raises ImportError if Gymnasium is not installed; ValueError if the trim is not
+    within the limits, a name is unknown, or ``duration`` is too short.
 
     Parameters
     ----------
@@ -55,8 +54,7 @@ def gymnasium_env(
     start : Trim
         From :func:`skdgp.dynamics.trim`; every episode begins there, and the default reward asks to stay.
     posterior : bool, default=True
-        Whether each reset draws another aircraft: a function of the posterior, as ``simulate(n_paths=1,
-        air=Air(gusts=None, drift=False))`` does. False: the mean of the model.
+        Whether each reset draws another aircraft, a function of the posterior. False: the mean of the model.
     duration, dt : float
         Of an episode and of a step [s].
     wind_at_6m : float, default=0.0
@@ -64,9 +62,9 @@ def gymnasium_env(
     initial_std : mapping of str to float, optional
         Standard deviations of the start, of observations by name.
     limits : mapping of str to pair of float, optional
-        Of observations and controls by name. By default alpha, beta and surfaces have the range that the model was
-        learned from, airspeed half to twice the dynamic pressure of the trim, altitude 0 to twice that of the trim,
-        p, q, r one turn a second, throttle 0 to 1, and thrust at most twice that of the trim.
+        Of observations and controls by name. Default: alpha, beta and surfaces as the model was learned from, airspeed
+        half to twice the dynamic pressure of the trim, altitude 0 to twice that of the trim, p, q, r one turn a second,
+        throttle 0 to 1, and thrust at most twice that of the trim.
     reward : callable, optional
         (seen, controls) to float after each step. ``seen`` holds every channel of the state by name, and ``ended``,
         why the episode terminated, or "". By default, with the trim :math:`x_0`,
@@ -80,9 +78,8 @@ def gymnasium_env(
     Returns
     -------
     gymnasium.Env
-        Its ``info`` is ``seen``, with ``beyond``: the regressor that is farthest outside of what the model was learned
-        from, or "". That of a reset has ``random_state``, with which `simulate` draws the same aircraft. Equal seeds
-        give equal episodes.
+        Its ``info`` is ``seen``, with ``beyond``: the regressor farthest outside of what the model was learned from, or
+        "". That of a reset has ``random_state``, with which `simulate` draws the same aircraft.
 
     Examples
     --------

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -14,14 +15,17 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
+from skdgp.dynamics._equations.aerodynamics import standard_scaling
 from skdgp.dynamics._vehicle.loads import CENTRED
-from skdgp.export._build_up import BuildUp, build_up
-from skdgp.export._gaussians import GaussianSum, gaussian_sums
+from skdgp.export._build_up import BuildUp, Posterior, build_up
+from skdgp.export._model import Block
+from skdgp.export._pipeline import posterior_form
 from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
+from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths, Waves
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -80,18 +84,17 @@ def write_jsbsim(
 ) -> list[Path]:
     """Write an aircraft that JSBSim loads, metrics, mass, inertia, thrust and aerodynamics; return the files.
 
-    With ``form="functions"`` the coefficients are the posterior mean, as sums of exponentials, and further aircraft are
-    functions drawn from the posterior, as sums of exponentials and cosines: those that ``sample_paths`` and
-    ``simulate(n_paths=n_draws, air=Air(gusts=None, drift=False))`` draw with the same ``random_state``. A model with
-    exact inference is compacted first (``DependentGPRegressor.compact``), and its draws are those of the compact model.
-    With ``form="tables"`` the coefficients are those of :func:`build_up`, faster to evaluate and easier to read, where
-    they lose at most ``max_loss``, and so are the draws.
+    With ``form="functions"`` the coefficients are the posterior mean, and further aircraft are functions drawn from the
+    posterior, sums of exponentials and cosines: those that ``sample_paths`` and ``simulate`` draw with the same
+    ``random_state``. A model with exact inference is compacted first (``DependentGPRegressor.compact``). With
+    ``form="tables"`` they are those of :func:`build_up`, faster and easier to read, where they lose at most
+    ``max_loss``.
 
-    The aircraft is ``folder/aircraft/NAME/NAME.xml``, so ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads it.
-    The thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
-    ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude``
-    [lbf]. Raises ValueError if a parameter is invalid, a regressor is no property of JSBSim (accelerations), the kernel
-    is not a sum of Gaussian processes and a linear trend (functions, and tables that lose more than ``max_loss``).
+    ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``. The thrust is that of
+    ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at ``fcs/propeller_speed``
+    [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if
+    a parameter is invalid, a regressor is no property of JSBSim (accelerations), or functions are needed of a kernel
+    that is not a sum of Gaussian processes and a linear trend.
 
     Parameters
     ----------
@@ -109,8 +112,7 @@ def write_jsbsim(
     tolerance : float, default=0.1
         As of :func:`build_up`, or as of ``DependentGPRegressor.compact`` for functions.
     max_loss : float, default=0.25
-        Largest loss of tables, as a fraction of the posterior deviation, both root mean squares over the samples. A
-        coefficient that loses more is written as functions; ``np.inf`` accepts any loss.
+        Largest loss of tables, as of :func:`build_up`; a coefficient that loses more is written as functions.
     **options
         Of :func:`build_up`, for tables.
 
@@ -150,7 +152,7 @@ def write_jsbsim(
 def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
     """Return the file of an aircraft, with each coefficient of ``parts`` as tables or as functions."""
     names = identifiers(next(iter(parts.values())).regressors)
-    parts = {coefficient: part.renamed(names) for coefficient, part in parts.items()}
+    parts = {c: replace(part, regressors=tuple(names[r] for r in part.regressors)) for c, part in parts.items()}
     found = next(iter(parts.values()))
     loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
     lines = [*loss.to_string().splitlines(), f"Names: {text}" if (text := changes_text(names)) else ""]
@@ -180,6 +182,158 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
         version="2.0",
         release="BETA",
     )
+
+
+# -- functions -----------------------------------------------------------------------------------------------------
+
+
+class Cosines(NamedTuple):
+    """Functions of a draw of the prior: sum_k w_ik cos(phase_k + omega_k . z); omega (k, d), phase (k,), w (6, k)."""
+
+    frequencies: Matrix
+    phases: Vector
+    weights: Matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianSum:
+    """The coefficients at z = (x - shift) / scale: constant + slopes . z + Gaussian functions + waves."""
+
+    regressors: tuple[str, ...]
+    lengths: tuple[float, float]
+    limits: Matrix
+    shift: Vector
+    scale: Vector
+    constants: Vector
+    slopes: Matrix
+    centres: Matrix
+    blocks: list[list[tuple[Block, Vector]]]
+    """Gaussian functions of each coefficient, and their weights."""
+    waves: Cosines
+    loss: pd.DataFrame
+
+    def evaluate(self, X: Matrix) -> Matrix:
+        """Return the coefficients (n, 6) at X (n, d)."""
+        z = (np.asarray(X, dtype=float) - self.shift) / self.scale
+        values = self.constants + z @ self.slopes.T
+        values += np.cos(z @ self.waves.frequencies.T + self.waves.phases) @ self.waves.weights.T
+        for i, blocks in enumerate(self.blocks):
+            for block, weights in blocks:
+                values[:, i] += block.functions(z, self.centres[block.rows]) @ weights
+        return values
+
+
+def gaussian_sums(
+    model: Any, aircraft: Aircraft, *, X: Any = None, tolerance: float = 0.1, n_draws: int = 0, random_state: Seed = 0
+) -> list[GaussianSum]:
+    """Return the posterior mean of a model, then functions drawn from its posterior, those of ``sample_paths``.
+
+    A model with exact inference is compacted with the tolerance first; its draws are those of the compact model.
+    """
+    posterior = Posterior(model, X)
+    original = posterior.mean(posterior.tested)
+    deviation = np.sqrt(np.mean(posterior.deviation(posterior.tested) ** 2, axis=0))
+    if posterior.regressor.inference_ == "exact":
+        posterior.regressor = posterior.regressor.compact(tolerance=tolerance)
+    try:
+        form = posterior_form(posterior.regressor.posterior_)
+    except ValueError as error:
+        raise ValueError(f"{error} Or use form='tables' with max_loss=np.inf.") from error
+    if any(block.root.ndim == 2 for block in form["blocks"]):
+        raise ValueError(
+            "Got filters of covariance_type='full', but expected 'diag': use form='tables' with max_loss=np.inf."
+        )
+    shift, scale, others = standard_scaling(posterior.scalers[::-1], len(posterior.names))
+    if others:
+        raise ValueError(f"Got {type(others[0]).__name__}, but expected StandardScaler: use form='tables'.")
+    shares, d = form["mixture"].ravel(), len(posterior.names)
+    weights = [share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)]
+    trend = shares[:, None] * form["trend_weights"]
+    mean = GaussianSum(
+        regressors=tuple(posterior.names),
+        lengths=posterior.lengths(aircraft),
+        limits=posterior.limits,
+        shift=shift,
+        scale=scale,
+        **_terms(posterior, form, weights, trend),
+        waves=Cosines(np.empty((0, d)), np.empty(0), np.empty((len(COEFFICIENTS), 0))),
+        loss=pd.DataFrame(),
+    )
+    off = np.sqrt(np.mean((mean.evaluate(posterior.tested) - original) ** 2, axis=0))
+    mean = replace(mean, loss=pd.DataFrame({"loss": off, "deviation": deviation}, index=list(COEFFICIENTS)))
+    if not n_draws:
+        return [mean]
+    bundle = posterior.regressor.sample_paths(n_draws, random_state).bundle
+    if not isinstance(bundle, MixedPaths):
+        bundle = MixedPaths.of_all([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))
+    return [mean, *_drawn(mean, posterior, form, weights, trend, bundle)]
+
+
+def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], trend: Matrix) -> dict[str, Any]:
+    """Return what the parts add up to, for weights of their basis and trend."""
+    order, scale, P = posterior.order, posterior.scale, form["mixture"].shape[1]
+    blocks: list[list[tuple[Block, Vector]]] = [[] for _ in range(P)]
+    for block in form["blocks"]:
+        i, own = block.output % P, weights[block.output][block.columns]
+        if own.any():
+            blocks[i].append((replace(block, gain=posterior.regressor.scale_[i] * block.gain), own))
+    trend = trend.reshape(-1, P, trend.shape[1]).sum(axis=0)
+    constants = trend[:, 0] - trend[:, 1:] @ form["trend_center"]
+    return {
+        "constants": posterior.regressor.center_[order] + constants[order] * scale,
+        "slopes": trend[order, 1:] * scale[:, None],
+        "centres": form["centres"],
+        "blocks": [blocks[i] for i in order],
+    }
+
+
+def _drawn(mean, posterior, form, weights, trend, bundle: MixedPaths) -> Iterator[GaussianSum]:
+    """Yield draws: waves of the prior, and the functions of the mean with weights of their own (Matheron's rule).
+
+    Each output of a draw is that of one member of an average. A draw f of a calibrated model with the mean m is
+    m + s (f - m), with s its factor of the deviation.
+    """
+    regressor, order, (K, P) = posterior.regressor, posterior.order, form["mixture"].shape
+    s = posterior.factors / regressor.scale_
+    kept = 1.0 - np.tile(s, K)
+    for k, member_of in enumerate(bundle.member):
+        lines = kept[:, None] * trend
+        of_basis = [share * own for share, own in zip(kept, weights, strict=True)]
+        waves = [mean.waves]
+        for member, (paths, rows) in enumerate(zip(bundle.bundles, bundle.rows, strict=True)):
+            taken, row = s * (member_of == member), int(np.searchsorted(rows, k))
+            if not taken.any():
+                continue
+            gaussians: list[Any] = [np.empty((P, 0))]
+            for leaf in _leaves(paths):
+                if isinstance(leaf, TrendPaths):
+                    drawn = np.hstack([leaf._intercept[row].T, leaf._slope[row].T])
+                    lines[member * P : (member + 1) * P] += taken[:, None] * drawn
+                elif isinstance(leaf, FeaturePaths):
+                    gaussians.append([own[row] for own in leaf._weights])
+                else:
+                    waves.append(_prior_waves(leaf, row, (taken * regressor.scale_)[order], order))
+            for i in np.flatnonzero(taken):
+                of_basis[member * P + i] += taken[i] * np.concatenate([own[i] for own in gaussians])
+        frequencies, phases, of_waves = zip(*waves, strict=True)
+        joined = Cosines(np.concatenate(frequencies), np.concatenate(phases), np.hstack(of_waves))
+        yield replace(mean, **_terms(posterior, form, of_basis, lines), waves=joined)
+
+
+def _leaves(bundle: Any) -> Iterator[Any]:
+    """Yield the terms of a sum of paths."""
+    if isinstance(bundle, SumPaths):
+        yield from _leaves(bundle.first)
+        yield from _leaves(bundle.second)
+    else:
+        yield bundle
+
+
+def _prior_waves(leaf: Waves, k: int, factors: Vector, order: list[int]) -> Cosines:
+    """Return the waves of path k, with the weights of the coefficients."""
+    own: Array = leaf.own[k, 0][:, :, None] * leaf.fed[:, None]
+    weights = np.concatenate([leaf.shared[k], own.reshape(-1, len(order))])
+    return Cosines(leaf.omega[k].T, leaf.phase[k, 0], factors[:, None] * weights[:, order].T)
 
 
 # -- the aircraft --------------------------------------------------------------------------------------------------
@@ -306,9 +460,9 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
     std = ", ".join(f"{r} {v:.2g}" for r, v in found.derivatives_std.loc[coefficient].items())
     text = f" standard deviations: constant {found.constants_std[coefficient]:.2g}, {std} "
     slopes = found.derivatives.loc[coefficient].to_numpy()
-    terms: list[Any] = [float(found.constants[coefficient] - slopes @ found.reference)]
+    terms: list[Any] = [found.constants[coefficient] - slopes @ found.reference]
     for regressor, slope in zip(found.regressors, slopes, strict=True):
-        terms.append(_apply("product", float(slope), f"aero/regressor/{regressor}"))
+        terms.append(_apply("product", slope, f"aero/regressor/{regressor}"))
     for table in found.tables[coefficient]:
         axes = zip(("row", "column"), table.regressors, strict=False)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
@@ -329,11 +483,11 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
 def _waves(found: GaussianSum, outputs: Sequence[int]) -> Iterator[Element]:
     """Yield scaled regressors, and the waves of some coefficients."""
     for regressor, shift, scale in zip(found.regressors, found.shift, found.scale, strict=True):
-        away = _apply("difference", f"aero/regressor/{regressor}", float(shift))
+        away = _apply("difference", f"aero/regressor/{regressor}", shift)
         yield _function(f"aero/scaled/{regressor}", _apply("product", 1.0 / scale, away))
     frequencies, phases, weights = found.waves
     for k in np.flatnonzero(weights[outputs].any(axis=0)):
-        phase = _apply("sum", *_plane(float(phases[k]), frequencies[k], found.regressors))
+        phase = _apply("sum", *_plane(phases[k], frequencies[k], found.regressors))
         yield _function(f"aero/wave-{k}", _apply("cos", phase))
 
 
@@ -345,21 +499,21 @@ def _gaussians(found: GaussianSum, coefficient: str) -> Iterator[Element]:
         square, used = f"aero/square/{coefficient}-{k}", list(block.regressors)
         centres, curvature = found.centres[block.rows] + block.shift, np.zeros(len(names))
         curvature[used] = block.root[used] ** 2
-        squares = (_apply("product", float(-0.5 * curvature[n]), names[n], names[n]) for n in used)
+        squares = (_apply("product", -0.5 * curvature[n], names[n], names[n]) for n in used)
         yield _function(square, _apply("sum", *squares))
         terms = []
         for weight, constant, slopes in zip(
             block.gain * weights, -0.5 * centres**2 @ curvature, centres * curvature, strict=True
         ):
-            exponent = _apply("sum", square, *_plane(float(constant), slopes, found.regressors))
-            terms.append(_apply("product", float(weight), _apply("exp", exponent)))
+            exponent = _apply("sum", square, *_plane(constant, slopes, found.regressors))
+            terms.append(_apply("product", weight, _apply("exp", exponent)))
         yield _function(f"aero/part/{coefficient}-{k}", _apply("sum", *terms))
     own = found.waves.weights[i]
     total = _apply(
         "sum",
         *(f"aero/part/{coefficient}-{k}" for k in range(len(found.blocks[i]))),
-        *_plane(float(found.constants[i]), found.slopes[i], found.regressors),
-        *(_apply("product", float(own[wave]), f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
+        *_plane(found.constants[i], found.slopes[i], found.regressors),
+        *(_apply("product", own[wave], f"aero/wave-{wave}") for wave in np.flatnonzero(own)),
     )
     yield _function(f"aero/coefficient/{coefficient}", total)
 
@@ -369,7 +523,7 @@ def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[f
     named = zip(slopes, regressors, strict=True)
     return [
         constant,
-        *(_apply("product", float(slope), f"aero/scaled/{name}") for slope, name in named if slope != 0.0),
+        *(_apply("product", slope, f"aero/scaled/{name}") for slope, name in named if slope != 0.0),
     ]
 
 
@@ -384,5 +538,4 @@ def _function(name: str, *content: Content) -> Element:
 
 
 def _vector(tag: str, values: Sequence[float], **attributes: str) -> Element:
-    parts = (element(axis, float(value)) for axis, value in zip("xyz", values, strict=True))
-    return element(tag, *parts, **attributes)
+    return element(tag, *map(element, "xyz", values), **attributes)

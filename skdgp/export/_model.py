@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.export._text import identifiers
 
@@ -30,10 +31,8 @@ class Regressor:
     ----------
     name, unit : str
         Such as ``q_hat`` and "".
-    sources : tuple of str
-        Columns u of a flight table.
-    factors : tuple of float
-        Their factors c: those of the mixing for a control, else 1.
+    sources, factors : tuples of str and of float
+        Columns u of a flight table, and their factors c: those of the mixing for a control, else 1.
     length : float
         Reference length L [m] of a non-dimensional rate.
     power : {0, 1, 2}
@@ -84,12 +83,10 @@ class Block:
         The part j, see :class:`PortableModel`.
     first_centre, first_column, size : int
         Rows of ``PortableModel.centres``, and columns of the basis of the part's readout.
-    gain : float
-    shift : ndarray (d,)
-    root : ndarray (d,) or (d, d)
-        F, or its diagonal.
+    gain, shift, root : float, ndarray (d,), ndarray (d,) or (d, d)
+        ``root`` is F, or its diagonal.
     regressors : tuple of int
-        Regressors that the functions depend on; the others have no visible effect.
+        Regressors that the functions depend on.
     """
 
     output: int
@@ -155,16 +152,12 @@ class LearnedRange:
     ----------
     low, high : ndarray (d,)
         Smallest and largest value.
-    levels, quantiles : ndarray (q,), ndarray (q, d)
-        Probabilities, and the quantile of each regressor; empty where no samples are known.
     samples : ndarray (n, d)
-        Some of the rows themselves, spread over the training data; none of a compact model.
+        Some rows of the training data; none of a compact model.
     """
 
     low: Vector
     high: Vector
-    levels: Vector
-    quantiles: Matrix
     samples: Matrix
 
     def inside(self, X: Matrix) -> Any:
@@ -203,12 +196,10 @@ class PortableModel:
     outputs : tuple of str
     aircraft : Aircraft
     shift, scale : ndarray (d,)
-        Of the regressors.
     center, output_scale, deviation_scale : ndarray (P,)
     centres : ndarray (m, d)
-        Centres of Gaussian functions, in scaled regressors.
-    blocks : tuple of Block
-    readouts : tuple of Readout
+        Of Gaussian functions, in scaled regressors.
+    blocks, readouts : tuples of Block and of Readout
     readout_of : ndarray (K P,) of int
         The readout of each part; parts may share one.
     trend_center : ndarray (d,)
@@ -228,10 +219,6 @@ class PortableModel:
     envelope : LearnedRange
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
-
-    Examples
-    --------
-    ``portable_model(**load_model("model.joblib"))`` makes one.
     """
 
     regressors: tuple[Regressor, ...]
@@ -271,6 +258,20 @@ class PortableModel:
     def columns(self) -> tuple[str, ...]:
         """Every column of a flight that the regressors are computed from, each once."""
         return tuple(dict.fromkeys(name for regressor in self.regressors for name in regressor.columns))
+
+    @property
+    def order(self) -> list[int]:
+        """Places of CX CY CZ Cl Cm Cn among the outputs; raises ValueError if one is missing."""
+        if lacking := [name for name in COEFFICIENTS if name not in self.outputs]:
+            raise ValueError(f"Got a model without {lacking}, but expected all six coefficients: learn them all.")
+        return [self.outputs.index(name) for name in COEFFICIENTS]
+
+    def points(self) -> Matrix:
+        """Return regressors (n, d) that were flown: samples, or inducing inputs of a compact model, among them."""
+        if len(self.envelope.samples) > 1:
+            return self.envelope.samples
+        Z = self.centres if len(self.centres) > 1 else np.random.default_rng(0).standard_normal((200, len(self.scale)))
+        return Z * self.scale + self.shift
 
     @cached_property
     def mixer(self) -> Matrix:
@@ -353,10 +354,9 @@ class PortableModel:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
-        sources; its noise is not removed. The deviation is that of the coefficient, without the noise of its
-        measurements. ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy
-        as those of the fit, a number or an array (n,) to multiply their noise's variance, False for exact ones (a
-        simulation). Errors are those of ``regressor_values``.
+        sources. The deviation is that of the coefficient, without the noise of its measurements.
+        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
+        fit, False for exact ones (a simulation), or a factor of their noise's variance, also (n,).
         """
         chunks = self._chunks(X)
         ends = np.cumsum([len(Z) for Z in chunks])
@@ -375,8 +375,7 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
-        the scatter of the members. The factor 2 is five times the largest found, in C, ONNX and CasADi over 40 exact
-        models of 8 to 60 samples on three kinds of processor. X and errors are those of :meth:`predict`.
+        the scatter of the members. The factor 2 is five times the largest found in C, ONNX and CasADi.
         """
         return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 

@@ -23,7 +23,6 @@ from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 from skdgp.kernels._features import TrendFeatures
 
-LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
@@ -130,18 +129,12 @@ def _regressor(name, rates, controls, units) -> Regressor:
 
 def _envelope(posterior, shift, scale, limits) -> LearnedRange:
     if posterior.samples() is None:
-        X, quantiles = np.empty((0, len(shift))), np.empty((0, len(shift)))
-    else:
-        X = training_inputs(posterior) * scale + shift
-        quantiles = np.quantile(X, LEVELS, axis=0)
-        extremes = quantiles[[0, -1]]
-        limits = extremes if limits is None else limits
-        limits = np.minimum(limits[0], extremes[0]), np.maximum(limits[1], extremes[1])
-    if limits is None:
-        limits = np.tile([[-np.inf], [np.inf]], len(shift))
-    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int)) if len(X) else np.empty(0, dtype=int)
-    levels = np.array(LEVELS if len(X) else ())
-    return LearnedRange(np.array(limits[0]), np.array(limits[1]), levels, quantiles, X[rows])
+        low, high = np.tile([[-np.inf], [np.inf]], len(shift)) if limits is None else limits
+        return LearnedRange(np.array(low), np.array(high), np.empty((0, len(shift))))
+    X = training_inputs(posterior) * scale + shift
+    seen = X if limits is None else np.vstack([X, *limits])
+    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int))
+    return LearnedRange(seen.min(axis=0), seen.max(axis=0), X[rows])
 
 
 # -- posteriors --------------------------------------------------------------------------------------------------
@@ -183,24 +176,17 @@ def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
     for trend in trends:
         center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
         tau = np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
-    if isinstance(posterior, ExactPosterior):
-        centres, blocks, readouts, weights, roots = _exact(posterior, gaussians, center, tau)
-    else:
-        centres, blocks, readouts, weights, roots = _sparse(posterior, tau)
-    return {
-        "centres": centres,
-        "blocks": blocks,
-        "readouts": readouts,
-        "readout_of": np.arange(P) % len(readouts),
+    exact = isinstance(posterior, ExactPosterior)
+    form = _exact(posterior, gaussians, center, tau) if exact else _sparse(posterior, tau)
+    return form | {
+        "readout_of": np.arange(P) % len(form["readouts"]),
         "trend_center": center,
         "trend_scale": tau,
-        "trend_weights": weights,
-        "trend_roots": roots,
         "prior_variance": np.zeros(P) + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians),
     }
 
 
-def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> tuple:
+def _exact(posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> dict[str, Any]:
     """Return the samples as centres, blocks, one readout with the inverse factor, weights and roots of the trends."""
     X, (P, e) = posterior.data.X, tau.shape
     if not isinstance(posterior._rows, slice):  # rows were appended: factor again in the order of the outputs
@@ -226,10 +212,11 @@ def _exact(posterior: ExactPosterior, gaussians: list[ConvolvedGaussian], center
     else:
         centres, readout = np.empty((0, e - 1)), Readout(np.empty(0), np.empty(0))
         roots = [np.array(rq(root, mode="r"))[:, -e:] for root in roots]
-    return centres, blocks, [readout], weights, roots
+    readouts = [readout]
+    return {"centres": centres, "blocks": blocks, "readouts": readouts, "trend_weights": weights, "trend_roots": roots}
 
 
-def _sparse(posterior: SparsePosterior, tau: Matrix) -> tuple:
+def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
     """Return the same of a sparse or compact posterior: inducing inputs are the centres, each output has a readout."""
     P, e = tau.shape
     summands, centres, m = [], [np.empty((0, e - 1))], 0
@@ -262,7 +249,8 @@ def _sparse(posterior: SparsePosterior, tau: Matrix) -> tuple:
             root[:n] *= tau[i][:, None]
         roots.append(root[:n] if n else np.zeros((e, len(order))))
         readouts.append(Readout(w[n:], root[n:, n:].T[np.tril_indices(len(of_gaussians))]))
-    return np.concatenate(centres), blocks, readouts, weights, roots
+    points = np.concatenate(centres)
+    return {"centres": points, "blocks": blocks, "readouts": readouts, "trend_weights": weights, "trend_roots": roots}
 
 
 def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:

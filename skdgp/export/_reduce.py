@@ -103,9 +103,7 @@ def check_terms(model: PortableModel) -> None:
 def _points(model) -> tuple[Matrix, Matrix]:
     """Return scaled regressors to fit and to check at: flown ones, and around them."""
     rng = np.random.default_rng(0)
-    samples = (model.envelope.samples - model.shift) / model.scale
-    if len(samples) < 2:  # a compact model has none, but its inducing inputs lie among them
-        samples = model.centres if len(model.centres) > 1 else rng.standard_normal((200, len(model.scale)))
+    samples = (model.points() - model.shift) / model.scale
     if max(readout.size for readout in model.readouts) > MANY:
         samples = samples[np.linspace(0, len(samples) - 1, min(len(samples), FEWER)).astype(int)]
 

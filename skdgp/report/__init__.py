@@ -12,7 +12,7 @@ from skdgp.report._content import (
     Use,
     Verdict,
 )
-from skdgp.report._write import render_report, write_report
+from skdgp.report._page import render_report, write_report
 
 __all__ = [
     "THRESHOLDS",

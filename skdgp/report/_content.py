@@ -55,14 +55,13 @@ class Verdict:
     learned : str
         What was learned, from how much, and tested on how much.
     error, coverage : float
-        Normalised root mean square error and coverage of the 95 % band, means of the six coefficients, of all test
-        flights together.
+        NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights together.
     uses, warnings : tuples of Use and of str
-        Of the warnings that which costs most first.
+        The warning that costs most comes first.
     flights : DataFrame
         Per test flight ``duration`` [s] and the means of its scores.
     least_squares_error : float, optional
-        The error of a linear model fitted to the same rows.
+        Error of a linear model fitted to the same rows.
     better, worse : tuples of str
         Coefficients whose error is smaller, or larger, than that of least squares.
     """
@@ -102,12 +101,11 @@ class FlightMechanics:
     trim : Trim, optional
         None where there is no steady flight.
     derivatives, least_squares : DataFrame
-        What `skdgp.dynamics.stability_derivatives` returned for the model, and for a linear one by least squares.
+        Of `skdgp.dynamics.stability_derivatives`, for the model and for a linear one by least squares.
     modes : DataFrame, optional
-        What `skdgp.dynamics.LinearModel.modes` returned.
+        Of `skdgp.dynamics.LinearModel.modes`.
     simulation : DataFrame, optional
-        How long a simulation follows the test flights: by state ``spread``, ``limit``, ``error`` at the end, ``lasts``
-        and ``horizon`` [s].
+        By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its ``horizon`` [s].
     note, simulation_note : str
         Why derivatives, or the simulation, are missing.
     """
@@ -137,32 +135,27 @@ class FlightMechanics:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightResult:
-    """A test flight and its predictions.
-
-    Raises ValueError if the shapes do not belong together.
+    """A test flight and its predictions; raises ValueError if the shapes do not belong together.
 
     Parameters
     ----------
     name, time : str, (n,)
         What to call it, and the time of the samples [s].
     measured, mean, std : (n, 6)
-        Measured coefficients in the order CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and the standard
-        deviations of these without noise.
+        Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without noise.
     measured_std : (n, 6), optional
         Standard deviations of new measurements (``include_noise=True``); default ``std``.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
     table : DataFrame, optional
         The flight table, for the inputs and the path.
-    replay : DataFrame, optional
-        What `skdgp.dynamics.replay` returned for ``table``, of one or several horizons.
-    replay_errors : DataFrame, optional
-        What `skdgp.dynamics.replay_errors` returned: columns state, horizon, median, at_end, coverage.
+    replay, replay_errors : DataFrame, optional
+        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons, and `skdgp.dynamics.replay_errors`.
     baseline : (n, 6), optional
-        Coefficients that a linear model predicts, fitted by least squares to the same rows as the model.
+        Coefficients that least squares on the same rows predict.
     metrics : mapping, optional
-        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics; the numbers are a
-        sequence, or a mapping by coefficient. Default: computed with skdgp.metrics.
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics, by which they are
+        computed by default.
     """
 
     name: str
@@ -257,18 +250,16 @@ class ModelSummary:
         Samples the regressor learned from, and those the flights hold.
     n_latent, n_private : int
         Shared latent processes, and private ones.
-    regressors, kernel, trend, inference
-        As chosen.
-    log_marginal_likelihood : float
-        As attained.
+    regressors, kernel, trend, inference, log_marginal_likelihood
+        As chosen and attained.
     n_iter, max_iter, converged : int, int, bool
         Iterations of the optimiser, the most it was allowed, and whether it came to its end.
     fit_seconds : float
         Time of the fit [s].
     noise_std : (6,)
-        Standard deviation of the measurement noise that was learned, per coefficient.
+        Standard deviation of the measurement noise that was learned.
     correlation : (6, 6) or Bunch
-        Coupling between the outputs: what ``output_correlation()`` returned, or its matrix.
+        Coupling of the outputs, as of ``output_correlation()``.
     versions, extra : mappings of str to str
         Software and its version; further lines for the table of what was done.
     """
@@ -301,8 +292,7 @@ class ReportContent:
     title : str
         Heading of the report.
     train : mapping of str to DataFrame
-        Tables of the flights learned from, SI units: at least ``time``; inputs and positions or velocities where they
-        are known.
+        Tables of the flights learned from, SI units: at least ``time``.
     test : sequence of FlightResult
         Flights tested on.
     model : ModelSummary
@@ -312,8 +302,7 @@ class ReportContent:
     verdict, mechanics : Verdict, FlightMechanics, optional
         What the model is good enough for; trim, derivatives and modes.
     envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
-        As from ``compute``: where the data are, and where the model knows nothing; how each regressor changes each
-        coefficient.
+        As from ``compute``.
     sections : sequence of str
         Further sections, HTML.
     assumed, messages : sequences of str

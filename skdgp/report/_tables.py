@@ -94,12 +94,6 @@ def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_band
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
 
 
-_REPLAY_CAPTION = (
-    "Absolute errors of the replayed states: the median over all samples, and the median over the windows of the "
-    "error at the end of each; the standard deviation of the state in the flight; ▼ where the error is larger than "
-    "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement corrects "
-    "it, so small errors of the coefficients add up; compare models by the shortest window."
-)
 _REPLAY_COLUMNS = {
     "median": "median<br>error",
     "at_end": "error at the<br>window's end",
@@ -130,7 +124,13 @@ def replay_table(errors: pd.DataFrame) -> str:
         for _, row in errors[errors["horizon"] == horizon].iterrows():
             factor, unit = display_unit(row["state"])
             rows.append([state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)])
-    return table(["", "unit", *columns.values()], rows, caption=_REPLAY_CAPTION, classes="numbers narrow")
+    caption = (
+        "Absolute errors of the replayed states: the median over all samples, and the median over the windows of the "
+        "error at the end of each; the standard deviation of the state in the flight; ▼ where the error is larger than "
+        "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement "
+        "corrects it, so small errors of the coefficients add up; compare models by the shortest window."
+    )
+    return table(["", "unit", *columns.values()], rows, caption=caption, classes="numbers narrow")
 
 
 def state(name: str) -> str:
@@ -143,6 +143,5 @@ def state(name: str) -> str:
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a list of what was done; pairs without a value are left out."""
-    shown = (f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value)
-    lines = "".join(shown)
+    lines = "".join(f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value)
     return f'<dl class="facts">{lines}</dl>' if lines else ""

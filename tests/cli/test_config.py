@@ -4,15 +4,13 @@ import json
 import re
 import shlex
 import tomllib
-import warnings
 from argparse import Namespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import main
-from skdgp._cli._main import COMMANDS
+from skdgp._cli import COMMANDS, main
 from skdgp._cli._options import FileName
 from skdgp._cli._output import table_writer
 
@@ -134,16 +132,6 @@ class TestReading:
         (line,) = capsys.readouterr().err.splitlines()
         assert re.search(f"^error: .*({message})", line)
         assert not (tmp_path / "out").exists()
-
-    def test_a_changed_bit_is_remarked_on(self, config):
-        """One of every character; unless the last line is gone with it."""
-        path = config(kept := COMMANDS["demo"].config_text(Namespace(**parse("demo", "--seed", "7"))))
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            parse("demo", "--config", path)
-            parse("demo", "--config", config("".join(kept.replace("seed = 7", "seed = 5").splitlines(True)[:-1])))
-        with pytest.warns(UserWarning, match="is not as the run wrote it, .* If you changed it, remove its last line"):
-            assert parse("demo", "--config", config(kept.replace("seed = 7", "seed = 5")))["seed"] == 5
 
     def test_other_versions_are_remarked_on(self, config, capsys):
         path = config('model = "none.joblib"\nflight = ["a.csv"]\n\n[versions]\nnumpy = "1.0"\n')

@@ -20,10 +20,8 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._cli import _console, main
-from skdgp._cli._console import CLEAR, Console
-from skdgp._cli._main import COMMANDS
-from skdgp._cli._output import OutputFolder
+from skdgp._cli import COMMANDS, _output, main
+from skdgp._cli._output import CLEAR, Console, OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.design import coefficient_noise
@@ -275,15 +273,12 @@ class TestBadInput:
             identify("--test", os.fsdecode(b"t\xff.csv"))
         assert r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
 
-    @pytest.mark.parametrize("words", [["--test", "{}"], ["--aircraft", "{}"], ["-o", "{}"], ["--config", "{}"]])
-    @pytest.mark.parametrize(
-        ("name", "reason"), [("loop.csv", "symbolic links"), ("a" * 300, "too long"), ("\0.csv", "null byte")]
-    )
-    def test_a_name_that_the_system_cannot_follow(self, words, name, reason, tmp_path, capsys):
-        (tmp_path / "loop.csv").symlink_to("loop.csv")
-        with pytest.raises(SystemExit, match="2"):
-            identify(*(word.format(tmp_path / name) for word in words))
-        assert re.search(rf"got .*, but expected a file or folder \(.*{reason}", capsys.readouterr().err)
+    @pytest.mark.parametrize("option", ["--test", "--aircraft", "-o", "--config"])
+    @pytest.mark.parametrize("name", ["loop", "a" * 300])
+    def test_a_name_that_the_system_cannot_follow(self, option, name, tmp_path, capsys):
+        (tmp_path / "loop").symlink_to("loop")
+        assert identify(option, str(tmp_path / name)) == 1
+        assert name in capsys.readouterr().err.splitlines()[-1]
 
     def test_a_missing_aircraft(self, refused):
         refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")
@@ -539,7 +534,7 @@ class Terminal(io.StringIO):
 class TestConsole:
     @pytest.fixture(autouse=True)
     def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_console, "PERIOD", 0.0)
+        monkeypatch.setattr(_output, "PERIOD", 0.0)
 
     def test_one_line_rewritten(self):
         stream = Terminal()
@@ -561,7 +556,7 @@ class TestConsole:
         assert max(len(line) for line in stream.getvalue().split(CLEAR)) == 29
 
     def test_written_now_and_then(self, monkeypatch):
-        monkeypatch.setattr(_console, "PERIOD", 1000.0)
+        monkeypatch.setattr(_output, "PERIOD", 1000.0)
         stream = Terminal()
         with Console(stream) as console:
             for k in range(100):

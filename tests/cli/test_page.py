@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from skdgp._cli import main
-from skdgp._cli._main import COMMANDS
+from skdgp._cli import COMMANDS, main
 
 PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
 QUICK = {

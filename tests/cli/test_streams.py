@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from skdgp._cli import _main, _predict, main
+from skdgp._cli import COMMANDS, _predict, main
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 FULL = "/dev/full"
@@ -101,7 +101,7 @@ def test_an_error_that_nobody_expected_is_one_line_too(monkeypatch, tmp_path, ca
     def demo(run):
         raise KeyError("wing")
 
-    monkeypatch.setitem(_main.COMMANDS, "demo", replace(_main.COMMANDS["demo"], run=demo))
+    monkeypatch.setitem(COMMANDS, "demo", replace(COMMANDS["demo"], run=demo))
     assert main(["demo", "-o", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err == (
         "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what it says.\n"

@@ -10,8 +10,8 @@ from skdgp.export import write_ardupilot, write_gazebo
 
 
 @pytest.fixture(scope="module")
-def build(built):
-    return built("trend")
+def model(fitted):
+    return fitted("trend")
 
 
 def plane(c, X):
@@ -35,30 +35,30 @@ def plane(c, X):
     ], axis=-1)  # fmt: skip
 
 
-def test_stated_loss_of_the_plane_is_that_of_the_file(build, tmp_path):
-    loss = write_ardupilot(tmp_path / "uav.json", build)
+def test_stated_loss_of_the_plane_is_that_of_the_file(model, uav, regressors, tmp_path):
+    loss = write_ardupilot(tmp_path / "uav.json", model, uav)
     values = json.loads((tmp_path / "uav.json").read_text())
-    off = plane(values, build.samples) - build.evaluate(build.samples)
+    off = plane(values, regressors) - model.predict(regressors)
     np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12)
     assert values["loss"]["Cm"]["loss"] == pytest.approx(loss.loc["Cm", "loss"])
     assert (loss.loc[["CY", "Cl", "Cm", "Cn"], "loss"] < 0.1 * loss.loc[["CY", "Cl", "Cm", "Cn"], "spread"]).all()
 
 
-def test_controls_of_the_plane_have_ardupilots_signs(build, tmp_path):
+def test_controls_of_the_plane_have_ardupilots_signs(model, uav, tmp_path):
     """Elevator raises the nose, aileron rolls right, rudder yaws right; and the aircraft is stable."""
-    write_ardupilot(tmp_path / "uav.json", build)
+    write_ardupilot(tmp_path / "uav.json", model, uav)
     values = json.loads((tmp_path / "uav.json").read_text())
     assert all(values[name] > 0 for name in ("c_m_deltae", "c_l_deltaa", "c_n_deltar", "c_lift_a", "c_n_b"))
     assert all(values[name] < 0 for name in ("c_m_a", "c_m_q", "c_l_p", "c_n_r", "c_y_b"))
 
 
-def test_gazebo_has_the_stated_loss_and_the_inertia(build, uav, tmp_path):
-    loss = write_gazebo(tmp_path / "uav.sdf", build)
+def test_gazebo_has_the_stated_loss_and_the_inertia(model, uav, regressors, tmp_path):
+    loss = write_gazebo(tmp_path / "uav.sdf", model, uav)
     root = ET.parse(tmp_path / "uav.sdf").getroot()
     plugin = root.find("model/plugin")
     c = {element.tag: float(element.text) for element in plugin if element.text.strip() and element[:] == []
          and element.tag not in ("forward", "upward", "cp", "link_name")}  # fmt: skip
-    X = build.samples
+    X = regressors.to_numpy()
     alpha, beta, p, q, r = X[:, :5].T
     deflection = dict(zip(("elevator", "aileron", "rudder"), X[:, 5:].T, strict=True))
     assert [place.find("name").text for place in plugin.iter("control_surface")] == list(deflection)
@@ -74,7 +74,7 @@ def test_gazebo_has_the_stated_loss_and_the_inertia(build, uav, tmp_path):
     sine, cosine = np.sin(alpha), np.cos(alpha)
     found = np.stack([lift * sine - drag * cosine, total("CY"), -lift * cosine - drag * sine,
                       total("Cell"), total("Cem"), total("Cen")], axis=-1)  # fmt: skip
-    off = found - build.evaluate(X)
+    off = found - model.predict(regressors)
     np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12)
     inertia = {e.tag: float(e.text) for e in root.find("model/link/inertial/inertia")}
     assert inertia["ixz"] == pytest.approx(-uav.inertia[0, 2])  # the axes are x forward, y left, z up

@@ -75,7 +75,7 @@ def model_of(regressors, **parts):
         trend_roots=(np.zeros((d + 1, 3)),) * 6, prior_variance=np.ones(6), mixture=np.ones((1, 6)),
         noise_variance=np.zeros(6), drift_variance=np.zeros(6), drift_memory=np.zeros(6),
         input_covariance=np.zeros((d, d)),
-        envelope=LearnedRange(np.full(d, -0.3), np.full(d, 0.3), np.empty(0), np.empty((0, d)), np.empty((0, d))),
+        envelope=LearnedRange(np.full(d, -0.3), np.full(d, 0.3), np.empty((0, d))),
     )  # fmt: skip
 
 

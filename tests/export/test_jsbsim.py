@@ -11,8 +11,7 @@ from sklearn.pipeline import make_pipeline
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
-from skdgp.export._gaussians import gaussian_sums
-from skdgp.export._jsbsim import SOURCES
+from skdgp.export._jsbsim import SOURCES, gaussian_sums
 
 pytestmark = [pytest.mark.filterwarnings("ignore:Compacting to")]
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605

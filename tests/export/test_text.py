@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from zipfile import ZipFile
 
 import numpy as np
@@ -122,10 +123,10 @@ def test_jsbsim_flies_the_columns(learned, form, tmp_path):
 def test_other_xml_and_json(learned, tmp_path):
     pipeline, aircraft, _ = learned
     build = build_up(pipeline, aircraft, pairs="none", max_loss=np.inf)
-    write_gazebo(tmp_path / "a.sdf", build)
+    write_gazebo(tmp_path / "a.sdf", pipeline, aircraft)
     assert ET.parse(tmp_path / "a.sdf").getroot()[0].get("name") == file_name(NAME)
-    for k, (model, words) in enumerate([(pipeline, (aircraft,)), (build, ())]):
-        write_dave_ml(tmp_path / f"{k}.dml", model, *words)
+    for k, model in enumerate([pipeline, build]):
+        write_dave_ml(tmp_path / f"{k}.dml", model, aircraft)
         root = ET.parse(tmp_path / f"{k}.dml").getroot()
         tags = [element for element in root if element.tag.endswith("variableDef")]
         assert "flap_left_2" in {element.get("varID") for element in tags}
@@ -138,6 +139,6 @@ def test_other_xml_and_json(learned, tmp_path):
 
 def test_a_name_of_the_file_is_refused(learned, uav, regressors, fitted, tmp_path):
     model = build_up(fitted("trend"), uav, pairs="none", max_loss=np.inf)
-    renamed = model.renamed({name: name for name in model.regressors} | {"rudder": "CX_0"})
+    renamed = replace(model, regressors=(*model.regressors[:-1], "CX_0"))
     with pytest.raises(ValueError, match=r"a model of \['CX_0'\], but the file has other variables"):
-        write_dave_ml(tmp_path / "a.dml", renamed)
+        write_dave_ml(tmp_path / "a.dml", renamed, uav)

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from skdgp.report._charts import LEVELS, Panel, Series, chart, pack, thinned
+from skdgp.report._figures import LEVELS, Panel, Series, chart, pack, thinned
 
 
 def unpacked(scale, data):

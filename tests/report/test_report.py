@@ -28,8 +28,8 @@ from skdgp.report import (
     render_report,
     write_report,
 )
-from skdgp.report._charts import thinning
-from skdgp.report._sections import flights, flown_tables
+from skdgp.report._figures import thinning
+from skdgp.report._page import flights, flown_tables
 from skdgp.report._tables import SCORES, Score
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}

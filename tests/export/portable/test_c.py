@@ -3,12 +3,14 @@
 import ctypes
 import shutil
 import subprocess
+from functools import partial
 
 import numpy as np
 import pytest
 
-from skdgp.export import write_c
+from skdgp.export import export_model, write_c
 from skdgp.export._c import c_bytes
+from skdgp.export._reduce import loss_of, reduced
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -59,7 +61,7 @@ class Library:
 )
 def test_says_what_the_model_says(portable_of, kind, precision, tolerance, flight, tmp_path):
     model = portable_of(kind)
-    assert write_c(tmp_path, model, precision=precision) is model
+    write_c(tmp_path, model, precision=precision)
     test = compiled(tmp_path, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
     done = subprocess.run([test], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
@@ -103,11 +105,13 @@ def test_make_test_passes(portable_of, tmp_path):
 def test_a_size_is_kept(portable_of, precision, tmp_path):
     model = portable_of("sparse-constant")
     most = 0.6 * c_bytes(model, precision) / 1024
-    small = write_c(tmp_path, model, precision=precision, max_kb=most)
+    small = reduced(model, partial(c_bytes, precision=precision), int(1024 * most))
+    facts = export_model(tmp_path, model, "c", precision=precision, max_kb=most)
+    assert facts["loss"] == loss_of(small) != {}
     compiled(tmp_path, "-Os", "-c", "aero.c", "-o", "aero.o")
     size = subprocess.run(["size", "aero.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert sum(map(int, size.splitlines()[1].split()[:3])) < c_bytes(small, precision) <= 1024 * most
-    assert write_c(tmp_path, model, precision=precision, max_kb=1e4) is model
+    assert export_model(tmp_path, model, "c", precision=precision, max_kb=1e4)["loss"] == {}
 
 
 @pytest.mark.parametrize(
@@ -120,7 +124,7 @@ def test_a_size_is_kept(portable_of, precision, tmp_path):
 )
 def test_what_is_no_option_is_refused(portable_of, tmp_path, words, message):
     with pytest.raises(ValueError, match=message):
-        write_c(tmp_path, portable_of("sparse"), **words)
+        export_model(tmp_path, portable_of("sparse"), "c", **words)
     assert not list(tmp_path.iterdir())
 
 

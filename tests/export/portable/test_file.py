@@ -141,7 +141,7 @@ def test_the_schema_of_the_page(path):
             head = json.loads(archive.read("model.json"))
         assert agrees(head, schema)
         assert set(head) == set(schema["required"]) == set(schema["properties"])
-    assert not agrees(head | {"version": 3}, schema)
+    assert not agrees(head | {"version": 4}, schema)
     assert not agrees(head | {"outputs": [1]}, schema)
 
 
@@ -173,7 +173,7 @@ HOSTILE = {
     "a list": {"head": b"[]"},
     "a deep list": {"head": b"[" * 100_000},
     "another format": {"head": {"format": "another"}},
-    "a later version": {"head": {"version": 3}},
+    "a later version": {"head": {"version": 4}},
     "no version": {"head": b'{"format": "skdgp portable model"}'},
     "no regressors": {"head": {"regressors": []}},
     "a regressor of no formula": {"head": {"regressors": [{"name": "alpha", "unit": "", "sources": []}] * 5}},

@@ -1,29 +1,39 @@
-"""Sections of the report, as HTML."""
+"""The report as one HTML file: its sections in their order."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from skdgp._display import html as figures
-from skdgp._display.html import DASH, THIN, number, percent, symbol, table, text
-from skdgp._display.style import CYCLE, PALETTE, display_unit
+from skdgp._compute.files import text_writer, write_atomically
+from skdgp._display.html import (
+    DASH,
+    THIN,
+    can_draw,
+    figure,
+    key_of,
+    number,
+    percent,
+    render_page,
+    symbol,
+    table,
+    text,
+)
+from skdgp._display.style import CYCLE, PALETTE, display_unit, units_shown
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.report import _charts as charts
-from skdgp.report import _pictures as pictures
-from skdgp.report._content import (
-    THRESHOLDS,
-    FlightMechanics,
-    FlightResult,
-    ReportContent,
-    Verdict,
-)
+from skdgp.report import _figures as figures
+from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
 from skdgp.report._tables import SCORES, derivative, error_table, facts, regressor, replay_table, state
 
+SCRIPT = files("skdgp.report").joinpath("chart.js").read_text(encoding="utf-8")
 _FIT = {
     "yes": '<b class="yes">✓ yes</b>',
     "partly": '<b class="partly">◐ partly</b>',
@@ -46,6 +56,58 @@ MOST_OPEN = 3
 """Flights that a page shows in full; of more each is opened by hand, but for the one that is predicted worst."""
 N_EFFECTS = 4
 """Regressors shown for each coefficient: those whose effects vary most over the samples."""
+
+
+def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
+    """Write a report as one HTML file that needs nothing else, no network, no other file; return its path.
+
+    The file appears whole or not at all. It holds pictures as they are printed; on a screen its script makes charts of
+    them, to zoom and to read values. Without matplotlib the report has no pictures and says so. Raises
+    FileNotFoundError if the folder does not exist.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.report import ReportContent, write_report
+    >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
+    >>> path.read_text(encoding="utf-8").splitlines()[0]
+    '<!DOCTYPE html>'
+    """
+    return write_atomically(path, text_writer(render_report(content)))
+
+
+def render_report(content: ReportContent) -> str:
+    """Return the report as one HTML document."""
+    aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
+    created = datetime.now().astimezone() if content.created is None else content.created
+    count = f"flights: {len(content.train)} training, {len(content.test)} test"
+    meta = " · ".join(text(part) for part in (aircraft, count, f"{created:%d %B %Y, %H:%M}") if part)
+    made = text(f"Made by skdgp {content.model.versions.get('skdgp', '')}".rstrip())
+    colophon = f"{made}. SI units; degrees in pictures and in the table of states."
+    kind = "Aerodynamic identification report"
+    with units_shown(content.units):
+        return render_page(kind, content.title, meta, _body(content), colophon, script=SCRIPT)
+
+
+def _body(content: ReportContent) -> str:
+    draw, every = can_draw(), figures.thinning(content)
+    parts = [verdict(content), assumed(content), messages(content)]
+    if content.mechanics is not None:
+        parts.append(mechanics(content.mechanics))
+    parts.append(what_was_done(content))
+    if not draw:
+        parts.append(_note('No pictures: they need matplotlib, pip install "skdgp[plot]".'))
+    parts += [*content.sections, *flights(content, every, draw)]
+    if draw and content.test:
+        parts.append(calibration(content))
+    if draw and content.effects is not None:
+        parts.append(effects(content.effects))
+    if draw and content.envelope is not None:
+        parts.append(envelope(content.envelope))
+    if flown_tables(content):
+        parts.append(flown(content, every, draw))
+    return "\n".join([*parts, how_to_read()])
 
 
 def _section(title: str, *parts: str, classes: str = "") -> str:
@@ -300,43 +362,17 @@ def _flight(result: FlightResult, noise_std, every: int, draw: bool) -> str:
             " Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such "
             "as gusts, which no band promises to hold."
         )
-    span = pictures.busiest_span(result.time, result.mean)
-    parts = [f'<div class="pair">{tables}</div>', _note(words), _coefficients(result, span, every, draw)]
+    span = figures.busiest_span(result.time, result.mean)
+    coefficients = figures.coefficient_figure(result, span, every, draw)
+    parts = [f'<div class="pair">{tables}</div>', _note(words), "<h3>Coefficients</h3>", coefficients]
     errors, horizons = result.replay_errors, [] if result.replay is None else result.horizons()
     if result.replay is not None or errors is not None:
         parts.append("<h3>Replayed states</h3>")
     if errors is not None:
         parts.append(replay_table(errors[errors["horizon"].isin(horizons)] if horizons else errors))
-    parts += [_states(result, horizon, span, every, draw and horizon == horizons[0]) for horizon in horizons]
+    for horizon in horizons:
+        parts.append(figures.state_figure(result, horizon, span, every, draw and horizon == horizons[0]))
     return "".join(parts)
-
-
-def _coefficients(result: FlightResult, span, every: int, draw: bool) -> str:
-    band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
-    key = [("measured", "measured", ""), ("blue", "estimated", ""), ("sky", band, "area")]
-    key += [] if result.truth is None else [("vermillion", "truth", "")]
-    caption = f"Measured and estimated coefficients of {text(result.name)}."
-    if span is not None and draw:
-        seconds = number(span[1] - span[0], "g")  # of the pictures, where no chart is
-        caption += f'<span class="still"> The {seconds}{THIN}s in which the estimates move most.</span>'
-    chart = charts.coefficient_chart(result, band, span, every)
-    panels = pictures.coefficient_panels(result, span) if draw else []
-    return f"<h3>Coefficients</h3>{figures.figure(panels, caption, key, chart)}"
-
-
-def _states(result: FlightResult, horizon: float, span, every: int, draw: bool) -> str:
-    rows, names = result.replay_over(horizon), list(result.measured_states)
-    if not names:
-        return ""
-    key = [("measured", "measured", ""), ("blue", "replayed", "")]
-    key += [("sky", "95 % band", "area")] if f"{names[0]}_std" in rows else []
-    span = span if span is not None and rows["time"].between(*span).any() else None
-    caption = (
-        f"States of {text(result.name)}, integrated from the estimated coefficients, restarted from the measured state "
-        f"every {number(horizon, 'g')}{THIN}s; lines break there. Bands end where they are wider than the motion."
-    )
-    panels = pictures.state_panels(result, horizon, span) if draw else []
-    return figures.figure(panels, caption, key, charts.state_chart(result, horizon, span, every))
 
 
 def calibration(content: ReportContent) -> str:
@@ -346,7 +382,7 @@ def calibration(content: ReportContent) -> str:
         "Calibration: how often intervals, with the noise, hold the measured values of all test flights. On the dotted "
         "line they hold as often as they say."
     )
-    return _section("Calibration", figures.figure([pictures.calibration_panel(*whole)], caption))
+    return _section("Calibration", figure([figures.calibration_panel(*whole)], caption))
 
 
 def effects(display: EffectsDisplay) -> str:
@@ -359,7 +395,7 @@ def effects(display: EffectsDisplay) -> str:
         names = list(share.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
         cells = "".join(
             f"<div><p>{symbol(str(output))} by {regressor(name)}</p>{panel}</div>"
-            for name, panel in zip(names, pictures.effect_panels(display, output, names), strict=True)
+            for name, panel in zip(names, figures.effect_panels(display, output, names), strict=True)
         )
         parts.append(f'<div class="panels quartet">{cells}</div>')
     caption = (
@@ -371,8 +407,7 @@ def effects(display: EffectsDisplay) -> str:
         rest = share.loc[several].pow(2).sum() ** 0.5 / share.pow(2).sum() ** 0.5
         words = ", ".join(f"{symbol(str(name))} {percent(value, '.0f')}" for name, value in rest.items())
         caption += f" What no single regressor explains, in percent of the spread of the effects: {words}."
-    figure = f"<figure>{figures.key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>"
-    return _section("Effects", figure)
+    return _section("Effects", f"<figure>{key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>")
 
 
 def envelope(display: EnvelopeDisplay) -> str:
@@ -389,8 +424,7 @@ def envelope(display: EnvelopeDisplay) -> str:
         "flown is as likely. Where a test flight, or a simulation, leaves the grey area for the hatched, coefficients "
         "are extrapolated."
     )
-    figure = figures.figure(pictures.envelope_panels(display), caption, key, layout="trio")
-    return _section("Where the model knows", figure)
+    return _section("Where the model knows", figure(figures.envelope_panels(display), caption, key, layout="trio"))
 
 
 def flown(content: ReportContent, every: int, draw: bool) -> str:
@@ -402,16 +436,14 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
     positions = {"north", "east"}, {"v_north", "v_east"}
     tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
     if tracked and draw:
-        key = [(_color(k), name, pictures.start_sign(k)) for k, name in enumerate(tracked)]
+        key = [(_color(k), name, figures.start_sign(k)) for k, name in enumerate(tracked)]
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
-        figure = figures.figure([pictures.path_panel(tracked)], caption, key)
-        parts.append(f'<div class="map">{figure}{charts.flight_tracks(tracked, links)}</div>')
+        path = figure([figures.path_panel(tracked)], caption, key)
+        parts.append(f'<div class="map">{path}{figures.flight_tracks(tracked, links)}</div>')
     inputs = "".join(
-        figures.figure(
-            [], f"Inputs of {text(name)}.", chart=charts.input_chart(table, name, links[name], _color(k), every)
-        )
+        figures.input_figure(table, name, links[name], _color(k), every)
         for k, (name, table) in enumerate(flights.items())
     )
     if len(flights) > MOST_OPEN:

@@ -19,7 +19,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import standard_scaling
+from skdgp.dynamics._equations.aerodynamics import scaling_of
 from skdgp.dynamics._vehicle.loads import CENTRED
 from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
@@ -243,9 +243,11 @@ def gaussian_sums(
         raise ValueError(
             "Got filters of covariance_type='full', but expected 'diag': use form='tables' with max_loss=np.inf."
         )
-    shift, scale, others = standard_scaling(posterior.scalers[::-1], len(posterior.names))
+    shift, scale, others = scaling_of(posterior.scalers[::-1], len(posterior.names))
     if others:
-        raise ValueError(f"Got {type(others[0]).__name__}, but expected StandardScaler: use form='tables'.")
+        raise ValueError(
+            f"Got {type(others[0]).__name__}, but expected a scaler such as StandardScaler: use form='tables'."
+        )
     shares, d = form["mixture"].ravel(), len(posterior.names)
     weights = [share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)]
     trend = shares[:, None] * form["trend_weights"]

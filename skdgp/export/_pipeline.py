@@ -16,7 +16,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import SCALERS, standard_scaling
+from skdgp.dynamics._equations.aerodynamics import SCALERS, scaling_of
 from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
@@ -30,10 +30,10 @@ REMEDY = "Export a pipeline of make_identification_pipeline that ends in Depende
 def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> PortableModel:
     """Return the portable model of a fitted identification pipeline.
 
-    The pipeline has a ``RegressorSelector``, perhaps a ``StandardScaler`` behind it, and a ``DependentGPRegressor`` at
-    the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``. The ``facts`` of a model file become the
-    provenance: ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is no pipeline or ``aircraft``
-    no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
+    The pipeline has a ``RegressorSelector``, perhaps scalers such as ``StandardScaler`` behind it, and a
+    ``DependentGPRegressor`` at the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``. The ``facts``
+    of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is
+    no pipeline or ``aircraft`` no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def _inputs(pipeline):
     if scaled:
         raise ValueError(f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}")
     names = [str(name) for name in selector.regressors_]
-    shift, scale, others = standard_scaling(steps[place + 1 :], len(names))
+    shift, scale, others = scaling_of(steps[place + 1 :], len(names))
     if others:
         raise ValueError(f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}")
     units = getattr(pipeline, "control_units_", {})

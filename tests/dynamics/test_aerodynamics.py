@@ -8,7 +8,14 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import (
+    FunctionTransformer,
+    MaxAbsScaler,
+    MinMaxScaler,
+    PolynomialFeatures,
+    RobustScaler,
+    StandardScaler,
+)
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS
@@ -55,6 +62,7 @@ def X(fitted, flight):
 BEHIND = {
     "scaled": lambda: (StandardScaler(), LinearRegression()),
     "scaled twice": lambda: (StandardScaler(), StandardScaler(with_mean=False), LinearRegression()),
+    "scaled to ranges": lambda: (MinMaxScaler((-1, 2)), RobustScaler(), MaxAbsScaler(), LinearRegression()),
     "bare": lambda: (LinearRegression(),),
     "polynomial": lambda: (StandardScaler(), PolynomialFeatures(2), LinearRegression()),
     "tables": lambda: (

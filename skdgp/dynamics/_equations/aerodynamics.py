@@ -335,7 +335,7 @@ class _Chain:
 
     def __init__(self, transforms: list, regressor: Any, n_regressors: int):
         self.regressor = regressor
-        self.shift, self.scale, self.others = standard_scaling(transforms, n_regressors)
+        self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
         self.order = self._order()
         self.has_slopes = not self.others and hasattr(regressor, "predict_gradient")
         self.can_sample = not self.others and hasattr(regressor, "sample_paths")
@@ -414,13 +414,17 @@ class _Chain:
         return slice(None) if order == list(range(len(names))) else order
 
 
-def standard_scaling(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
-    """Return shift and scale of the StandardScalers that begin the steps, x = shift + scale z, and the other steps."""
+def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
+    """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
     shift, scale = np.zeros(n_regressors), np.ones(n_regressors)
-    scalers = list(takewhile(lambda step: type(step) is StandardScaler, steps))
+    scalers = list(takewhile(lambda step: type(step) in SCALERS and not getattr(step, "clip", False), steps))
     for step in scalers:
-        shift = shift + (0.0 if step.mean_ is None else step.mean_) * scale
-        scale = scale * (1.0 if step.scale_ is None else step.scale_)
+        if isinstance(step, MinMaxScaler):
+            own, factor = -step.min_ / step.scale_, 1.0 / step.scale_
+        else:
+            own, factor = getattr(step, "mean_", getattr(step, "center_", None)), step.scale_
+        shift = shift + (0.0 if own is None else own) * scale
+        scale = scale * (1.0 if factor is None else factor)
     return shift, scale, steps[len(scalers) :]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, PolynomialFeatures, RobustScaler, StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
@@ -95,7 +95,10 @@ def portable_model_of(model, **changes):
             ],
             "'MinMaxScaler'. before RegressorSelector",
         ),
-        ([RegressorSelector(["alpha"]), MinMaxScaler(), DependentGPRegressor(optimizer=None)], "MinMaxScaler behind"),
+        (
+            [RegressorSelector(["alpha"]), MinMaxScaler(clip=True), DependentGPRegressor(optimizer=None)],
+            "Scaler behind",
+        ),
         (
             [RegressorSelector(["alpha"]), DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))],
             "kernels .'BasisTrend'.",
@@ -106,6 +109,14 @@ def test_what_has_no_form_is_refused(steps, words, flight, exact):
     model = make_pipeline(*steps).fit(flight[["alpha", "time"]], np.sin(10 * flight[["alpha"]].to_numpy()))
     with pytest.raises(ValueError, match=words):
         portable_model(model, exact.aircraft)
+
+
+def test_any_scaling_is_exported(flight, exact):
+    scalers = MinMaxScaler((-1, 2)), RobustScaler(with_centering=False), StandardScaler(with_std=False), MaxAbsScaler()
+    model = make_pipeline(RegressorSelector(["alpha", "beta"]), *scalers, DependentGPRegressor(optimizer=None))
+    model.fit(flight, np.sin(np.outer(10 * flight["alpha"] - flight["beta"], np.arange(1, 7))))
+    portable = portable_model(model, exact.aircraft)
+    np.testing.assert_allclose(portable.predict(flight), model.predict(flight), rtol=1e-9, atol=1e-9)
 
 
 def test_no_pipeline_is_refused(exact):

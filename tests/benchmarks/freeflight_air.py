@@ -1,6 +1,6 @@
 """A model judged on aircraft of JSBSim: what its bands hold of coefficients, derivatives and free flight.
 
-    python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4 global5000] [--models FOLDER] [--paths 40]
+    python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4] [--models FOLDER] [--paths 40] [--constants]
 
 Each aircraft of JSBSim learns by the default pipeline from a flight of 200 s in light gusts with noisy sensors, and is
 asked about other flights along another path. Coverage is the share within 95 % bands; the worst is the lowest.
@@ -17,11 +17,17 @@ the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` 
 "gusts": their power by `Turbulence.from_flight` of the sensors over the true one, at frequencies that turn an aircraft.
 
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
+
+--constants scores values of what was chosen, on half of the starts, by the score of Dawid and Sebastiani: the mean of
+log s^2 + e^2 / s^2 over states, starts and both horizons, with the error e of the mean of the paths and their deviation
+s. It is a proper score (Gneiting & Raftery 2007, equation 25): the lower, the better. Each aircraft is judged with the
+value whose mean over the other aircraft is the lowest.
 """
 
 import warnings
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import joblib
 import numpy as np
@@ -29,9 +35,10 @@ import pandas as pd
 from _common import finish, parser_of
 from _study_flights import KNOTS, jsbsim_log, jsbsim_subject
 from _study_methods import EVERY, known_by, line
-from freeflight import coverage_of, truth_of, windows
+from freeflight import HORIZONS, SCORED, _off, coverage_of, truth_of, windows
 from scipy.signal import welch
 from scipy.stats import gmean
+from scipy.stats import t as student
 from study import LOGGED, Results, coverage_table
 
 from skdgp import make_identification_pipeline
@@ -48,6 +55,8 @@ from skdgp.dynamics import (
     simulate,
 )
 from skdgp.dynamics._air.turbulence import _spectrum
+from skdgp.dynamics._equations import aerodynamics
+from skdgp.dynamics._simulation import wind as simulated_wind
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
 
@@ -57,6 +66,11 @@ TRAINING = (1, "light", 1)
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
 UNKNOWN = ["airspeed", *AIR_DATA[1:], "u", "v", "w"]
 """Columns of a start that hold a gust."""
+CONSTANTS = [
+    ("calm", aerodynamics, "MISFIT_MEMORY", (1.0, 2.0, 5.0)),
+    ("moderate", simulated_wind, "ROUGHEST", (1.0, 2.0, np.inf)),
+]
+"""Air in which a constant counts, its module and name, and values that are scored."""
 
 
 def flight_of(name, number, air, seed):
@@ -112,6 +126,43 @@ def model_row(name, model, log, flown):
     return row | {"NRMSE": error, "over least squares": error / linear}
 
 
+def scores_of(model, aircraft, flown, n_paths):
+    """Return score and coverage by constant, air and value, flown in the true wind from every other start."""
+    found = {}
+    for air, module, constant, values in CONSTANTS:
+        stretches = windows(truth_of(flown[air].iloc[::2]), STEP)[::2]
+        starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=UNKNOWN, errors="ignore")
+        steps = [round(horizon / STEP) for horizon in HORIZONS]
+        for value in values:
+            with warnings.catch_warnings(), patch.object(module, constant, value):
+                warnings.simplefilter("ignore", SimulationWarning)
+                paths = simulate(model, aircraft, starts, stretches, STEP, n_paths=n_paths, air=stretches)
+            off = []
+            for name in SCORED:
+                flights = paths[name].to_numpy().reshape(n_paths, len(stretches), -1)[..., steps]
+                off.append(_off(flights, np.array([stretch[name].to_numpy()[steps] for stretch in stretches]), name))
+            error, std = np.nanmean(off, axis=1), np.nanstd(off, axis=1, ddof=1)
+            widest = student.ppf(0.975, n_paths - 1) * np.sqrt(1 + 1 / n_paths)
+            score = np.mean(2 * np.log(std) + (error / std) ** 2)
+            found[f"{constant}, {air}", value] = score, 100 * np.mean(np.abs(error) < widest * std)
+    return found
+
+
+def chosen_by_others(found):
+    """Return for each constant and aircraft the scores, less the lowest, and what the other aircraft choose."""
+    rows = []
+    for constant in dict.fromkeys(key[0] for each in found.values() for key in each):
+        scores = pd.DataFrame(
+            {n: {v: s for (c, v), (s, _) in each.items() if c == constant} for n, each in found.items()}
+        )
+        for name, own in scores.items():
+            value = scores.drop(columns=name).mean(axis=1).idxmin()
+            row = {"constant": constant, "aircraft": name} | {f"score, {v:g}": s - own.min() for v, s in own.items()}
+            row |= {f"coverage, {v:g}": found[name][constant, v][1] for v in scores.index}
+            rows.append(row | {"chosen by others": value, "coverage": found[name][constant, value][1]})
+    return rows
+
+
 def flown_row(name, model, aircraft, flown, n_paths):
     """Return coverage of free flight in each air, by what is said of the wind."""
     row = {"aircraft": name}
@@ -164,15 +215,23 @@ def main(words=None):
     parser.add_argument("--aircraft", nargs="+", default=["J3Cub", "DHC6", "A4", "global5000"], choices=[*KNOTS])
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
+    parser.add_argument("--constants", action="store_true", help="score values of constants, and nothing else")
     options = parser.parse_args(words)
-    models, flights, gusts = [], [], []
+    models, flights, gusts, scores = [], [], [], {}
     for name in options.aircraft:
         model, log, aircraft = learned(name, options.models)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
+        if options.constants:
+            scores[name] = scores_of(model, aircraft, flown, options.paths)
+            print(name, {key: np.round(value, 2) for key, value in scores[name].items()}, flush=True)
+            continue
         models.append(model_row(name, model, log, flown))
         flights.append(flown_row(name, model, aircraft, flown, options.paths))
         gusts.append(air_row(name, aircraft, flown))
         print(pd.DataFrame([models[-1] | flights[-1]]).round(2).to_string(index=False), flush=True)
+    if options.constants:
+        finish(options, "freeflight_air_constants", constants=chosen_by_others(scores))
+        return
     finish(options, "freeflight_air", models=summarized(models), free_flight=summarized(flights), gusts=gusts)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -65,11 +66,13 @@ class Air:
                 )
         elif not (self.gusts is None or (isinstance(self.gusts, str) and self.gusts == "auto")):
             raise ValueError(f"Got gusts={self.gusts!r}, but expected 'auto', a Turbulence, or None: calm air.")
-        density = self.density
-        if not (density is None or callable(density) or (np.isfinite(density) and density >= 0)):
+        if not isinstance(self.drift, bool | np.bool_):
+            raise ValueError(f"Got drift={self.drift!r}, but expected True or False.")
+        density, gravity = self.density, self.gravity
+        if not (density is None or callable(density) or (isinstance(density, Real) and 0 <= float(density) < np.inf)):
             raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
-        if not np.isfinite(self.gravity):
-            raise ValueError(f"Got gravity={self.gravity!r}, but expected a finite number [m/s^2].")
+        if not (isinstance(gravity, Real) and np.isfinite(float(gravity))):
+            raise ValueError(f"Got gravity={gravity!r}, but expected a finite number [m/s^2].")
 
 
 def as_air(air: Any) -> Air:

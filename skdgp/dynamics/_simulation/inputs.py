@@ -248,6 +248,7 @@ def _held(law: Callable, clock: Clock) -> Callable:
 
 
 def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
+    """Return a table, or a list of one for each start, as a list; raise TypeError or ValueError if it is neither."""
     tables = _as_list(source)
     if not all(isinstance(table, pd.DataFrame) for table in tables):
         raise TypeError(

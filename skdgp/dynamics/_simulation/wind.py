@@ -25,6 +25,9 @@ from skdgp.dynamics._simulation.inputs import Clock, as_tables, interpolated, ta
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
+ROUGHEST = 1.0
+"""Largest factor of a drift's variance, in rougher air than that of the training flights: 2 and none are as good on
+five aircraft (docs/simulation.md)."""
 HORIZON, POINTS = 1.0, 101
 """Time [s] over which the effects of rotation and drift are compared, and points of the integral."""
 
@@ -163,7 +166,7 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, draw
             slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(speed))
     besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
-    variance = drift.misfit + min(1.0, ratio) * np.maximum(besides - drift.misfit, 0.0)
+    variance = drift.misfit + min(ROUGHEST, ratio) * np.maximum(besides - drift.misfit, 0.0)
     return drift._replace(variance=variance if drawn else variance + ratio * (drift.variance - besides))
 
 

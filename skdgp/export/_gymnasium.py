@@ -39,13 +39,13 @@ def gymnasium_env(
     r"""Return a ``gymnasium.Env`` that flies a learned aircraft from a trim.
 
     An observation is (airspeed [m/s], alpha, beta, phi, theta, psi [rad], p, q, r [rad/s], altitude [m]). An action
-    holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad], and thrust [N], throttle
-    or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for ``dt`` and integrates as
-    :func:`skdgp.dynamics.simulate` does. An episode terminates when an observation leaves ``observation_space``, or the
-    flight diverges, and is truncated after ``duration``. The last observation is clipped to the space. ``step`` raises
-    ``gymnasium.error.ResetNeeded`` before the first reset, ValueError for an action of another shape or NaN. Raises
-    ImportError if Gymnasium is not installed; ValueError if the trim is not within the limits, such as above the
-    ground, a name is unknown, or ``duration`` is too short.
+    holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad, or parts of the full
+    throw as in the model], and thrust [N], throttle or propeller_speed [rad/s]; the others stay as in the trim. A step
+    holds them for ``dt`` and integrates as :func:`skdgp.dynamics.simulate` does. An episode terminates when an
+    observation leaves ``observation_space``, or the flight diverges, and is truncated after ``duration``. The last
+    observation is clipped to the space. ``step`` raises ``gymnasium.error.ResetNeeded`` before the first reset,
+    ValueError for an action of another shape or NaN. Raises ImportError if Gymnasium is not installed; ValueError if
+    the trim is not within the limits, such as above the ground, a name is unknown, or ``duration`` is too short.
 
     Parameters
     ----------

@@ -13,7 +13,15 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, tidy
+from skdgp._display.style import (
+    PALETTE,
+    axis_label,
+    check_matplotlib,
+    display_unit,
+    legend_of_figure,
+    tidy,
+    units_shown,
+)
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display, Names, choose
 
@@ -132,7 +140,8 @@ class EnvelopeDisplay(Display):
     ) -> Self:
         """Compute the uncertainty of an estimator around its data, and draw; see :meth:`compute` and :meth:`plot`."""
         check_matplotlib(cls.__name__)
-        return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
+        with units_shown(getattr(estimator, "control_units_", {})):
+            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
     def compute(cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16) -> Self:

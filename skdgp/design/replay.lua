@@ -90,6 +90,18 @@ end
 
 local began, before, ready = nil, 0.0, false
 
+local FLAPERONS, AILERON = {24, 25}, 4
+local left = 1.0 -- sign of the left flaperon: aileron + flap, of later versions -aileron - flap; right: aileron - flap
+
+local function sign_of_flaperon()
+  local l, r, a = SRV_Channels:get_output_scaled(FLAPERONS[1]), SRV_Channels:get_output_scaled(FLAPERONS[2]),
+    SRV_Channels:get_output_scaled(AILERON)
+  local as_before, turned = math.abs(l + r - 2 * a), math.abs(l - r + 2 * a)
+  if as_before ~= turned then
+    left = as_before < turned and 1.0 or -1.0
+  end
+end
+
 local function set(t)
   local values = {}
   for k, axis in ipairs(plan.axes) do
@@ -97,10 +109,12 @@ local function set(t)
     axis.value = limited(planned(axis, t), axis.value - most, axis.value + most)
     values[k] = axis.value
   end
+  sign_of_flaperon()
   for _, surface in ipairs(plan.surfaces) do
+    local sign = surface.servo == FLAPERONS[1] and left or 1.0
     local command = SRV_Channels:get_output_scaled(surface.servo) / surface.scale
     for k, part in ipairs(surface.parts) do
-      command = command + part * values[k] / surface.full
+      command = command + sign * part * values[k] / surface.full
     end
     command = limited(command, surface.range and 0.0 or -1.0, 1.0)
     for _, servo in ipairs(surface.servos) do

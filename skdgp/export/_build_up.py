@@ -19,9 +19,10 @@ from sklearn.utils import check_random_state
 from skdgp._compute.files import plain, text_writer, write_atomically
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._effects import in_units, samples_of, split_model
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft, as_aerodynamics
+from skdgp.export._text import units_of
 from skdgp.inference import ExactPosterior
 
 MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
@@ -67,6 +68,8 @@ class BuildUp:
     aircraft : Aircraft
     regressors : tuple of str
         Names of the d regressors.
+    units : tuple of str
+        Of the regressors; "-" without one.
     reference : ndarray (d,)
         The point of the constants: the mean of the samples.
     limits : ndarray (2, d)
@@ -81,6 +84,7 @@ class BuildUp:
 
     aircraft: Aircraft
     regressors: tuple[str, ...]
+    units: tuple[str, ...]
     reference: Vector
     limits: Matrix
     lengths: tuple[float, float]
@@ -274,6 +278,7 @@ def build_up(
     return BuildUp(
         aircraft=aircraft,
         regressors=tuple(posterior.names),
+        units=units_of(posterior.names, getattr(model, "control_units_", {})),
         reference=points.reference,
         limits=posterior.limits,
         lengths=posterior.lengths(aircraft),
@@ -289,10 +294,10 @@ def build_up(
 
 
 def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
-    """Write a build-up as JSON, SI units and radians; docs/export.md describes its keys."""
+    """Write a build-up as JSON, SI units and radians, or units of the controls; docs/export.md describes its keys."""
+    columns = zip(build.regressors, build.units, build.reference, build.limits.T, strict=True)
     regressors = {
-        name: {"unit": CHANNELS[name].unit if name in CHANNELS else "-", "reference": reference, "limits": limits}
-        for name, reference, limits in zip(build.regressors, build.reference, build.limits.T, strict=True)
+        name: {"unit": unit, "reference": reference, "limits": limits} for name, unit, reference, limits in columns
     }
     coefficients = {
         name: {

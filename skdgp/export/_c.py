@@ -190,7 +190,7 @@ def _header(model, precision, size) -> dict[str, Any]:
         "d": len(model.regressors),
         "P": len(model.outputs),
         "sources": ", ".join(model.columns),
-        "inputs": ", ".join(model.regressor_names),
+        "inputs": ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in model.regressors),
         "outputs": ", ".join(model.outputs),
         "constants": "\n".join(f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()),
     }

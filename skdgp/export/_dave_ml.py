@@ -16,14 +16,14 @@ import pandas as pd
 
 from skdgp._compute.typing import Array, Matrix
 from skdgp._effects import split_model
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, Table, build_up
 from skdgp.export._model import Block, PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced
-from skdgp.export._text import changes_text, check_distinct, element, identifiers, number_text, write_xml
+from skdgp.export._text import changes_text, check_distinct, element, identifiers, number_text, units_of, write_xml
 
 DOCTYPE = (
     '<!DOCTYPE DAVEfunc PUBLIC "-//AIAA//DTD for Flight Dynamic Models - Functions 2.0//EN"\n'
@@ -51,6 +51,7 @@ class _Facts(NamedTuple):
 
     aircraft: Aircraft
     regressors: tuple[str, ...]
+    units: tuple[str, ...]
     limits: Matrix
     samples: Matrix
     predicted: Matrix
@@ -128,7 +129,8 @@ def _facts(model: PortableModel, shown: PortableModel) -> _Facts:
     loss, deviation = (np.sqrt(np.mean(values**2, axis=0)) for values in (off, std))
     limits = np.stack([model.envelope.low, model.envelope.high])
     table = pd.DataFrame({"loss": loss, "deviation": deviation}, index=list(COEFFICIENTS))
-    return _Facts(model.aircraft, model.regressor_names, limits, samples, mean, std, table)
+    units = units_of(model.regressor_names, {each.name: each.unit for each in model.regressors})
+    return _Facts(model.aircraft, model.regressor_names, units, limits, samples, mean, std, table)
 
 
 def _check_loss(loss: pd.DataFrame, of_std: PortableModel) -> None:
@@ -169,9 +171,9 @@ def _header(facts: _Facts | BuildUp, names: dict[str, str]) -> Element:
 
 
 def _inputs(facts: _Facts | BuildUp) -> Iterator[Element]:
-    for name, limits in zip(facts.regressors, facts.limits.T, strict=True):
+    for name, unit, limits in zip(facts.regressors, facts.units, facts.limits.T, strict=True):
         flown = element("description", f"flown from {number_text(limits[0])} to {number_text(limits[1])}")
-        yield _variable(name, flown, element("isInput"), units=_unit(name))
+        yield _variable(name, flown, element("isInput"), units=_unit(unit))
 
 
 # -- functions -------------------------------------------------------------------------------------------------
@@ -271,10 +273,11 @@ def _build_up(build: BuildUp) -> Iterator[Element]:
         ]
         added = [f"{name}_t{k}" for k in range(len(build.tables[name]))]
         yield _computed(name, _apply("plus", f"{name}_0", *lines, *added), element("isOutput"))
+    units = dict(zip(build.regressors, build.units, strict=True))
     for name, table in tables:
         for axis, (regressor, points) in enumerate(zip(table.regressors, table.breakpoints, strict=True)):
             parts = [element("description", regressor), element("bpVals", _numbers(points))]
-            yield element("breakpointDef", *parts, bpID=f"{name}_b{axis}", units=_unit(regressor))
+            yield element("breakpointDef", *parts, bpID=f"{name}_b{axis}", units=_unit(units[regressor]))
     for name, table in tables:
         yield _table(name, table)
 
@@ -342,7 +345,7 @@ def _checks(facts: _Facts | BuildUp, values: Matrix, internal: bool) -> Element:
     tolerance = CHECK_TOLERANCE + np.abs(values - facts.predicted)[rows].max(axis=0)
     shots = []
     for k, row in enumerate(rows):
-        inputs = map(_signal, facts.regressors, facts.samples[row])
+        inputs = map(_signal, facts.regressors, facts.units, facts.samples[row])
         inside = [
             element("signal", element("varID", f"{name}_std"), element("signalValue", std))
             for name, std in zip(COEFFICIENTS, facts.predicted_std[row], strict=True)
@@ -352,15 +355,18 @@ def _checks(facts: _Facts | BuildUp, values: Matrix, internal: bool) -> Element:
                 "staticShot",
                 element("checkInputs", *inputs),
                 *([element("internalValues", *inside)] if internal else []),
-                element("checkOutputs", *map(_signal, COEFFICIENTS, facts.predicted[row], tolerance)),
+                element(
+                    "checkOutputs",
+                    *map(_signal, COEFFICIENTS, "-" * len(COEFFICIENTS), facts.predicted[row], tolerance),
+                ),
                 name=f"sample {k + 1}",
             )
         )
     return element("checkData", *shots)
 
 
-def _signal(name: str, value: float, *tolerance: float) -> Element:
-    parts = element("signalName", _name(name)), element("signalUnits", _unit(name)), element("signalValue", value)
+def _signal(name: str, unit: str, value: float, *tolerance: float) -> Element:
+    parts = element("signalName", _name(name)), element("signalUnits", _unit(unit)), element("signalValue", value)
     return element("signal", *parts, *(element("tol", most) for most in tolerance))
 
 
@@ -368,8 +374,7 @@ def _name(name: str) -> str:
     return STANDARD_NAMES.get(name, name)
 
 
-def _unit(name: str) -> str:
-    unit = CHANNELS[name].unit if name in CHANNELS else "-"
+def _unit(unit: str) -> str:
     return UNITS.get(unit, unit)
 
 

@@ -42,6 +42,7 @@ from skdgp.dynamics._vehicle.loads import CENTRED, thrust_control
 from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
 from skdgp.export._text import changes_text, check_distinct, element
+from skdgp.io import FULL_THROW
 
 FMU_FILES = {"aircraft": "aircraft.fmu", "coefficients": "aero.fmu"}
 """The file of each form; its stem is the model identifier."""
@@ -63,6 +64,7 @@ BASE_UNITS: dict[str, dict[str, str]] = {
     "kg/m^3": {"kg": "1", "m": "-3"},
     "N": {"kg": "1", "m": "1", "s": "-2"},
     "N m": {"kg": "1", "m": "2", "s": "-2"},
+    FULL_THROW: {},
 }
 FOLLOWING = (
     *(*EARTH_VELOCITY, "airspeed", "alpha", "beta", "altitude", "density"),
@@ -81,6 +83,7 @@ class _Variable(NamedTuple):
     name: str
     kind: str
     start: float = 0.0
+    own_unit: str = ""
 
     @property
     def channel(self) -> str:
@@ -90,6 +93,8 @@ class _Variable(NamedTuple):
     @property
     def unit(self) -> str:
         """Its unit, or ""."""
+        if self.own_unit:
+            return self.own_unit
         return "s" if self.name == "dt" else CHANNELS[self.channel].unit if self.channel in CHANNELS else ""
 
     @property
@@ -168,7 +173,8 @@ def _coefficients(model: PortableModel) -> Iterator[_Variable]:
     """Yield the variables of the coefficients alone, in the order of their value references."""
     start = _starts(model)
     yield _Variable("time", "t")
-    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in model.columns)
+    throws = _full_throws(model)
+    yield from (_Variable(name, "i", start.get(name, 0.0), throws.get(name, "")) for name in model.columns)
     yield from (_Variable(name, "o") for name in model.outputs)
     yield from (_Variable(f"{name}_std", "d") for name in model.outputs)
     yield _Variable("beyond", "o")
@@ -192,7 +198,14 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
     yield from (_Variable(name, "d" if name.endswith("_std") else "o") for name in FOLLOWING)
     propulsion = _propulsion_control(model)
     inputs = (*WIND, *THRUST_FORCES, *THRUST_MOMENTS, *([propulsion] if propulsion else []), *controls)
-    yield from (_Variable(name, "i", start.get(name, 0.0)) for name in dict.fromkeys(inputs))
+    throws = _full_throws(model)
+    yield from (_Variable(name, "i", start.get(name, 0.0), throws.get(name, "")) for name in dict.fromkeys(inputs))
+
+
+def _full_throws(model: PortableModel) -> dict[str, str]:
+    """Return the unit of controls that are in parts of their full throw, and of surfaces that make them."""
+    parts = [each for each in model.regressors if each.unit == FULL_THROW]
+    return {name.removesuffix(TRUTH_SUFFIX): FULL_THROW for each in parts for name in each.sources}
 
 
 def _propulsion_control(model: PortableModel) -> str | None:

@@ -63,10 +63,10 @@ IMPLICIT = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 NOTE = """
  Made by skdgp from flights. Forces act along body axes (x forward, y right, z down) at the centre of gravity, which is
  the origin. Properties of the aerodynamics:
-   aero/regressor/NAME    regressors, SI units and radians; NAME_hat: non-dimensional rate
+   aero/regressor/NAME    regressors, SI units and radians, or the unit of the control; NAME_hat: non-dimensional rate
    aero/coefficient/CX    coefficients CX CY CZ Cl Cm Cn
  Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. A command of 1 is the largest
- deflection of the flights.
+ deflection of the flights. Of a model with controls in parts of their full throw, -pos-rad holds these parts.
 """
 
 

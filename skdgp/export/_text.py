@@ -102,3 +102,8 @@ def extra(package: str) -> Any:
         return importlib.import_module(package)
     except ImportError as error:
         raise ImportError(f'This needs {package}, which is not installed: pip install "skdgp[export]".') from error
+
+
+def units_of(names: Iterable[str], own: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the units of columns, of those in ``own`` by it, such as "full throw"; "-" where there is none."""
+    return tuple(own.get(name) or (CHANNELS[name].unit if name in CHANNELS else "") or "-" for name in names)

@@ -169,6 +169,7 @@ def identify(
         X = model.fit_regressors(table, targets, **groups)
         model.noise_ = noise_of_motion(X, Y, table)
         seconds = time.monotonic() - began
+        aircraft = _assumed.with_vane_errors(aircraft, model)
         sources = _evaluation.thrust_sources(loads["thrust"], train.values())
         if "propeller" in sources:
             aircraft = _assumed.with_thrust_errors(aircraft, table, _evaluation.named(model, X), loads["thrust"])

@@ -75,8 +75,8 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass")``, which reconstructs the flights
-        where their air data become more accurate than by smoothing alone.
+        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass", vanes="forces")``, which reconstructs
+        the flights where their air data become more accurate than by smoothing alone.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
@@ -113,7 +113,7 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(incomplete="pass", inconsistent="pass")
+        reconstruction = FlightPathReconstruction(incomplete="pass", inconsistent="pass", vanes="forces")
     derivatives = list(DIFFERENTIATED)  # all for a named set, so that a search may choose; of a list its own
     if not isinstance(regressors, str):
         named = {str(name).removesuffix(HAT) for name in regressors}

@@ -22,8 +22,10 @@ from skdgp._display.style import (
     plain,
     scale_beside,
     symbol,
+    units_shown,
 )
 from skdgp._effects import Curve, effects
+from skdgp.io import FULL_THROW
 from skdgp.plotting._display import Display, Names, choose
 
 OTHERS = ""  # key of the column of terms of several regressors
@@ -124,7 +126,8 @@ class EffectsDisplay(_CurveDisplay):
     def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
         """Compute the :func:`skdgp.effects` of a model, and draw them with the options of :meth:`plot`."""
         check_matplotlib(cls.__name__)
-        return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
+        with units_shown(getattr(model, "control_units_", {})):
+            return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
     def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
@@ -248,4 +251,6 @@ class BuildUpDisplay(_CurveDisplay):
                 grid = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
                 mean, std = (values.reshape(n_grid, n_grid) for values in terms[name](pair, grid))
                 maps[name].append((pair, first, second, mean, std))
-        return cls(curves=curves, maps=maps, samples=samples).plot(**plot_options)
+        units = zip(build.regressors, build.units, strict=True)
+        with units_shown({name: unit for name, unit in units if unit == FULL_THROW}):
+            return cls(curves=curves, maps=maps, samples=samples).plot(**plot_options)

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure
+from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, units_shown
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display, Names, choose
 
@@ -129,7 +129,8 @@ class EnvelopeDisplay(Display):
     ) -> Self:
         """Compute the uncertainty of an estimator around its data, and draw; see :meth:`compute` and :meth:`plot`."""
         check_matplotlib(cls.__name__)
-        return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
+        with units_shown(getattr(estimator, "control_units_", {})):
+            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
 
     @classmethod
     def compute(cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16) -> Self:

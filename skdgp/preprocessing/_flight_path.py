@@ -19,6 +19,7 @@ from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
+from skdgp.preprocessing._force_vanes import force_vanes, with_force_vanes
 from skdgp.preprocessing._path_equations import (
     CONSTANTS,
     INERTIAL,
@@ -92,6 +93,11 @@ class FlightPathReconstruction(TableTransformer):
         first removes clear lags of attitude and velocity against the inertial sensors. Then all tables pass unchanged
         (``used_`` is False) if the expected errors of airspeed, alpha and beta are larger than those of
         `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
+    vanes : {"measured", "forces"}, default="measured"
+        For flights without alpha or beta. "measured": from attitude, velocity and steady wind, so without the gusts.
+        "forces": az and ay show the angle, gusts included, by slopes that ``fit`` learns from manoeuvres faster than
+        the aircraft follows gusts, where the flights tell these to 20 %. Coefficients CZ and CY of such flights agree
+        with these angles by construction: their errors on test flights say nothing.
 
     Attributes
     ----------
@@ -106,6 +112,9 @@ class FlightPathReconstruction(TableTransformer):
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down, tilt, heading.
     error_std_ : dict of str to float
         Expected error of reconstructed airspeed, alpha and beta.
+    vanes_ : dict of str to ForceVane
+        Of ``vanes="forces"``: the force that shows alpha, beta, its ``slope`` by the angle over rho V^2 [m^2/kg], and
+        its relative ``std``. Empty where the flights have vanes, or do not tell.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``; the column
         ``gust`` of the transformed table holds that of each flight.
@@ -139,6 +148,7 @@ class FlightPathReconstruction(TableTransformer):
         "gust_time": [Interval(Real, 0, None, closed="neither")],
         "incomplete": [StrOptions({"raise", "pass"})],
         "inconsistent": [StrOptions({"use", "pass"})],
+        "vanes": [StrOptions({"measured", "forces"})],
     }
 
     def __init__(
@@ -148,11 +158,13 @@ class FlightPathReconstruction(TableTransformer):
         gust_time: float = 10.0,
         incomplete: str = "raise",
         inconsistent: str = "use",
+        vanes: str = "measured",
     ) -> None:
         self.calibrate = calibrate
         self.gust_time = gust_time
         self.incomplete = incomplete
         self.inconsistent = inconsistent
+        self.vanes = vanes
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
@@ -165,13 +177,14 @@ class FlightPathReconstruction(TableTransformer):
         if self.missing_:
             raise ValueError(f"The flights of fit lack {self.missing_}, so their sensors were not estimated.")
         self._check(table)
-        errors = self._error_names()
+        table, errors = with_force_vanes(table, self.vanes_), self._error_names()
         return _calibration(self._estimates(table, free=errors, learn=GUSTS, sensors={}), errors)
 
     def _fit_table(self, table):
         errors = self._error_names()
         self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
         self.used_, self.errors_, self.reason_ = not self.missing_, None, "asked for, without a check"
+        self.vanes_ = {}
         if self.missing_:
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
@@ -183,6 +196,11 @@ class FlightPathReconstruction(TableTransformer):
             lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
+        if self.vanes == "forces" and not has_values(table, *AIR_DATA):
+            self.vanes_ = force_vanes(table, [(rows, log, each.path) for _, rows, log, each in estimates])
+        if self.vanes_:
+            complete = with_force_vanes(table, self.vanes_)
+            estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors=lags)
         samples = [len(log.time) for _, _, log, _ in estimates]
         variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
         self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
@@ -205,6 +223,9 @@ class FlightPathReconstruction(TableTransformer):
         """Set whether the reconstruction is used, and why."""
         if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
+            if self.vanes_:
+                found = [f"{name} by {vane.force} (± {100 * vane.std:.2g} %)" for name, vane in self.vanes_.items()]
+                self.reason_ += f": {', '.join(found)}, so that errors of CZ, CY say nothing"
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
             self.used_, self.reason_ = decision(self.errors_)
@@ -226,7 +247,8 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
-        for _, rows, log, solved in self._estimates(table, free=inertial, learn=GUSTS, sensors=self.sensors_):
+        complete = with_force_vanes(table, self.vanes_)
+        for _, rows, log, solved in self._estimates(complete, free=inertial, learn=GUSTS, sensors=self.sensors_):
             for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
             new["gust"][rows] = _gust(solved)

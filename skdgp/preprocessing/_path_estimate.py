@@ -37,6 +37,11 @@ START_PRECISION = np.repeat([1e-4, 1.0], 3)  # prior precision of velocity [m/s]
 WINDOW = 4096  # samples whose equations are in memory at a time
 DELAY_STEPS = 6  # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
 MAX_STEPS = 40
+OVERSHOOT = 0.5
+"""Share of a step that the next one takes back, from which steps are halved.
+
+The crosswind of a straight flight has curved residuals, and full steps would swing ever wider.
+"""
 TOLERANCE = 0.02
 N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
@@ -96,7 +101,8 @@ def estimate(
     """
     path, places = start, [PLACE[name] for name in free]
     draws = _mirrored_pairs(len(log.time), free)
-    offset = pull = np.zeros(len(places))
+    offset = pull = last = np.zeros(len(places))
+    stride = 1.0
     interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
     for step in range(MAX_STEPS):
         if step <= DELAY_STEPS:
@@ -104,9 +110,13 @@ def estimate(
         problem = _Problem(path, log, noise, places, gust_time)
         posterior = solve(problem, problem.prior(offset, pull), draws)
         sums = _residual_sums(_process_names(log), problem, posterior)
+        whole = posterior.constants / np.sqrt(np.diag(posterior.covariance))
+        if whole @ last < -OVERSHOOT * last @ last:
+            stride /= 2
+        last = whole
         change = np.zeros(len(CONSTANTS))
-        change[places] = posterior.constants
-        path = path.moved(posterior.states, change)
+        change[places] = stride * posterior.constants
+        path = path.moved(stride * posterior.states, change)
         offset = (path.constants - start.constants)[places]
         pull = _scale_gradient(path, sums)[places]
         before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))

@@ -2,13 +2,15 @@
 
     python tests/benchmarks/little_told.py ../shared/data [--out FOLDER] [--samples 755]
 
-`identify` learns the flights of two aircraft of JSBSim, and in turn one thing is withheld: inertia and area
+`identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
 (`Aircraft.estimate` of mass, span and kind), the thrust, the vanes, the angles of the surfaces (in parts of their
-largest deflection), or all of these; and the airspeed alone, which is then that of turns. Derivatives at the mean of
+largest deflection), or all of these; and the airspeed alone, which is then that of turns. Two are of the shared data;
+three of JSBSim, of three kinds, fly as in freeflight_air.py, 200 s in light gusts. Derivatives at the mean of
 the flight are compared with the true ones, slopes of the polynomial of third order of the noise-free columns; their
 bands are value +- 1.96 sqrt(std^2 + std_aircraft^2).
-"share" compares the ratios of the derivatives of a coefficient to its main one, by rates in rad/s: no size is in them,
-so their bands are those of the log alone. "width" is the median ratio of bands to those with everything told.
+"ratios" are those of the derivatives of a coefficient to its main one, by rates in rad/s: no size is in them, so their
+bands are those of the log alone. "width" is the median ratio of bands to those with everything told, "log width" that
+of bands by the log of accelerations by regressors (m f / m, I^-1 M: normalised derivatives): again without a size.
 The error of the held-out flight is over the spread of what was measured there, with the same sizes.
 """
 
@@ -19,6 +21,7 @@ import numpy as np
 import pandas as pd
 from _common import finish, parsed, parser_of
 from _study_flights import NAMES, ROTATION, exact_regressors, hats, milspec_rates, slopes_of_third_order
+from freeflight_air import FLOWN, TRAINING, flight_of
 
 from skdgp._flight.channels import COEFFICIENTS, RATE_LENGTHS, TRUTH_SUFFIX
 from skdgp.dynamics import Aircraft, air_velocity, stability_derivatives
@@ -30,6 +33,8 @@ FLIGHTS = {
     "viggen_uav": ("train_latlon", "test_twoalt", "delta"),
     "c172p": ("train_latlon", "test_calm", "conventional"),
 }
+JSBSIM = {"c182": "conventional", "DHC6": "twin", "A4": "delta"}
+"""Aircraft of JSBSim and their kinds: a single propeller, twin propellers, a jet with a delta wing and a tail."""
 THINGS = ("sizes", "thrust", "vanes", "angles")
 WITHHELD = {"nothing": (), **{name: (name,) for name in THINGS}, "all of these": THINGS, "airspeed": ("airspeed",)}
 SURFACES = ("elevator", "aileron", "rudder")
@@ -46,6 +51,10 @@ def subjects(options):
         if not options.aircraft or name in options.aircraft:
             read = [read_flight(options.data / "flights" / f"{name}_{part}.parquet") for part in (train, test)]
             yield name, kind, Aircraft.from_json(options.data / "flights" / f"{name}.json"), *read
+    for name, kind in JSBSIM.items():
+        if not options.aircraft or name in options.aircraft:
+            (train, aircraft), (test, _) = (flight_of(name, *flight) for flight in (TRAINING, FLOWN["light"]))
+            yield name, kind, aircraft, train, test
 
 
 def withhold(things, aircraft, kind, *flights):
@@ -71,8 +80,11 @@ def truth_of(aircraft, *flights):
     """Return the mean of the regressors of the first flight, by name, and the true derivatives there, by name."""
     felt, truth = [], []
     for table in flights:
-        exact = exact_regressors(table, aircraft)
-        exact[:, ROTATION] -= milspec_rates(table, aircraft.span)[0] * hats(table, aircraft)
+        exact, felt_rates = exact_regressors(table, aircraft), [f"{rate}_felt" for rate in "pqr"]
+        if {*felt_rates} <= {*table}:
+            exact[:, ROTATION] = table[felt_rates].to_numpy() * hats(table, aircraft)
+        else:
+            exact[:, ROTATION] -= milspec_rates(table, aircraft.span)[0] * hats(table, aircraft)
         felt.append(exact)
         truth.append(table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
     at = felt[0].mean(axis=0)
@@ -102,6 +114,11 @@ def derivatives(things, aircraft, kind, train, test, at, airspeed, options):
         table[column] /= by
     lengths = table["regressor"].map({name: getattr(told, length) for name, length in RATE_LENGTHS.items()})
     table["by_rate"] = lengths.fillna(1.0)  # over 2 V: of a derivative by rad/s over that by the non-dimensional rate
+    sizes = [*[told.mass] * 3, *(told.inertia.diagonal() / told.moment_lengths)] / np.float64(told.wing_area)
+    accelerations = (
+        table["std"] * table["by_rate"] / table["coefficient"].map(dict(zip(COEFFICIENTS, sizes, strict=True)))
+    )
+    table["log_band"] = accelerations  # over qbar
     one = found.evaluations[0]
     scored = np.isfinite(one.measured).all(axis=1)
     return table.assign(std_aircraft=table.get("std_aircraft", 0.0)), normalized_rmse(
@@ -135,6 +152,7 @@ def row_of(name, withheld, table, told, error):
         "inside, %": float(100 * (table["off"].abs() < NORMAL_95).mean()),
         "ratios inside, %": float(100 * (ratios.abs() < NORMAL_95).mean()),
         "width": float((table["band"] / told["band"]).median()),
+        "log width": float((table["log_band"] / told["log_band"]).median()),
         "error over spread": float(error),
         "wrong signs": ", ".join(wrong) or "none",
     }
@@ -143,7 +161,7 @@ def row_of(name, withheld, table, told, error):
 def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--samples", type=int, default=755, help="to learn from")
-    parser.add_argument("--aircraft", nargs="*", choices=FLIGHTS, help="by default both")
+    parser.add_argument("--aircraft", nargs="*", choices=[*FLIGHTS, *JSBSIM], help="by default all")
     parser.add_argument("--withheld", nargs="*", choices=WITHHELD, help="beside nothing; by default each in turn")
     options = parsed(parser, words)
     options.paths = 200

@@ -22,6 +22,7 @@ from skdgp.design import (
     write_csv,
     write_px4,
 )
+from skdgp.io._autopilot.dataflash import mixing_of
 
 LIMITS = {
     "elevator": Limits(0.05, rate=0.6), "aileron": Limits(0.1, rate=1.0), "rudder": Limits(0.15),
@@ -73,16 +74,16 @@ def test_px4_has_normalised_setpoints_of_its_signs(tmp_path):
 
 @pytest.fixture(scope="module")
 def flown(train, tmp_path_factory):
-    """Return what the script logs and sets: time, inputs by axis, widths of servos 1 to 7."""
+    """Return what the script logs and sets: time, inputs by axis, widths of servos 1 to 11."""
     path = tmp_path_factory.mktemp("lua") / "plan.lua"
     stub = Path(__file__).with_name("autopilot.lua")
 
-    def run(jitter=0, off=1e9, full=FULL):
+    def run(jitter=0, off=1e9, full=FULL, version="older"):
         write_ardupilot_lua(path, train, 50.0, full)
-        command = [sys.executable, "-c", LUA, str(stub), str(path), str(jitter), str(off)]
+        command = [sys.executable, "-c", LUA, str(stub), str(path), str(jitter), str(off), version]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         rows = [line.split(",") for line in done.stdout.splitlines()]
-        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 8))]
+        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 12))]
         return pd.DataFrame(rows, columns=names).astype(float), done.stderr
 
     return run
@@ -129,6 +130,24 @@ def test_elevons_move_with_elevator_and_aileron(flown):
     left, right = logged["elevator"] + logged["aileron"], logged["elevator"] - logged["aileron"]
     np.testing.assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
     np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
+
+
+@pytest.mark.parametrize("version", ["older", "later"])
+def test_flaperons_and_v_tails_of_the_script_are_read_back_as_planned(flown, version):
+    """Table to servos to table: the log's own rules read the widths, less the commands of 5 % that the stub adds."""
+    full = {"flaperon_left": 0.35, "flaperon_right": 0.35, "vtail_left": 0.8, "vtail_right": 0.8}
+    logged, _ = flown(full=full, version=version)
+    widths = {f"C{k}": logged[f"servo{k}"].to_numpy() for k in range(1, 12)}
+    functions = {"SERVO8_FUNCTION": 24.0, "SERVO9_FUNCTION": 25.0, "SERVO10_FUNCTION": 79.0, "SERVO11_FUNCTION": 80.0}
+    ends = {f"SERVO{k}_{end}": width for k in range(8, 12) for end, width in (("MIN", 1000.0), ("MAX", 2000.0))}
+    mixing = mixing_of(widths, functions | ends)
+    found = {
+        name: sum(weight * (widths[each.channel.removeprefix("RCOU.")] - 1500) / 500 for weight, each in parts)
+        for name, parts in mixing.items()
+    }
+    np.testing.assert_allclose(0.35 * (found["aileron"] - 0.05), logged["aileron"], atol=4e-4)  # half a microsecond
+    np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
+    np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
 
 
 def test_the_switch_ends_the_inputs(flown):

@@ -1,6 +1,7 @@
 """A model of what an owner has: what is chosen where nothing tells it, and what is said of it."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
 from skdgp.dynamics._vehicle.estimate import relative_errors
-from skdgp.export import portable_model
+from skdgp.export import portable_model, write_c, write_dave_ml
 from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (
     THRUST_IN_COEFFICIENTS,
@@ -17,8 +18,10 @@ from skdgp.identification._assumed import (
     lacks_thrust,
     servos_for,
     with_throw_errors,
+    with_vane_errors,
 )
 from skdgp.io import FULL_THROW
+from skdgp.preprocessing._force_vanes import ForceVane
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 SIGNS = {
@@ -103,6 +106,18 @@ def quietly(*flights, **options):
         return identify(*flights, regressor=QUICK, **options)
 
 
+def test_alpha_by_specific_force_has_the_deviation_of_its_slope():
+    step = SimpleNamespace(vanes_={"alpha": ForceVane("az", -0.05, {"q": 0.1}, 0.0, 0.03, 1.0)})
+    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    told = with_vane_errors(glider, {"flightpathreconstruction": step})
+    by_alpha, by_q = relative_errors(told.deviations, ("alpha", "q"))[0, 2, 1:]  # of CZ
+    assert (abs(by_alpha), by_q) == (0.03, 0.0)
+    lines = assumptions(told, servos=None, thrust_unknown=False)
+    assert any(line.startswith("No vanes: alpha by specific force") for line in lines)
+    still = {"flightpathreconstruction": SimpleNamespace(vanes_={})}
+    assert with_vane_errors(glider, still) is glider
+
+
 def test_a_table_without_thrust():
     """The model has throttle and airspeed among its regressors."""
     t = np.arange(400) * 0.05
@@ -150,8 +165,13 @@ class TestALogAMassAndASpan:
         point = trim(model.pipeline, model.aircraft, 24.0, climb=None, thrust=None)
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, n_paths=0, thrust=None)
         assert derivatives.loc["Cl_aileron", "per"] == "full throw"
-        units = {each.name: each.unit for each in portable_model(model.pipeline, model.aircraft).regressors}
+        portable = portable_model(model.pipeline, model.aircraft)
+        units = {each.name: each.unit for each in portable.regressors}
         assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
+        write_c(tmp_path, portable)
+        write_dave_ml(tmp_path / "model.dml", model.pipeline, model.aircraft)
+        assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
+        assert 'varID="aileron" units="full throw"' in (tmp_path / "model.dml").read_text()
 
     @pytest.mark.filterwarnings("ignore")
     def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from skdgp.io import FlightReadError, read_flight, servo_template
+from skdgp.io._autopilot.autopilot import read_log
 from skdgp.io._autopilot.servos import read_servos
 
 ENDS = {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
@@ -100,6 +101,22 @@ class TestFullThrow:
 
     COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
 
+    def test_an_a_tail_and_a_single_aileron_servo_of_px4(self, tmp_path, ulog):
+        types = {
+            0: (15, 1.0, 0, 0),
+            1: (13, 0, 0.5, 0.5),
+            2: (14, 0, 0.5, -0.5),
+            3: (16, 0, 0, 1.0),
+        }  # the last: a wheel
+        parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
+        for k, axis in enumerate("RPY"):
+            parameters |= {f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()}
+        log = ulog(**parameters).topic("actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        mixing = read_log(tmp_path / "log.ulg").mixing
+        numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
+        assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
+
     def test_any_mixing_of_px4(self, tmp_path, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
         types = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5), 4: (9, 0.3, 0, 0)}
@@ -185,6 +202,13 @@ class TestTemplates:
         log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         assert tomllib.loads(servo_template(tmp_path / "log.ulg"))["elevator"]["channel"] == channel
+
+    def test_outputs_that_no_parameter_names(self, tmp_path, ulog):
+        """PX4 1.13 and later without a type of any surface: the outputs alone do not say what they move."""
+        log = ulog().topic("actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        with pytest.raises(FlightReadError, match=r"\['actuator_servos'\] without parameters that name their surfaces"):
+            servo_template(tmp_path / "log.ulg")
 
     def test_nothing_to_make_one_of(self, tmp_path, ulog):
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))

@@ -1,5 +1,7 @@
 """The display of effects draws their curves, bands and what is joint."""
 
+from copy import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -31,6 +33,14 @@ def test_draws_a_row_for_each_output_and_a_column_for_each_regressor(model):
     assert bar.get_height() == pytest.approx(2 * norm.ppf(0.95) * found.importance.loc["joint", "CZ"])
     for row in display.axes_:
         assert len({ax.get_ylim() for ax in row}) == 1
+
+
+def test_controls_in_parts_of_their_full_throw_are_shown_so(model):
+    parts = copy(model)
+    parts.control_units_ = {"alpha": "full throw"}  # as of a pipeline of `identify`
+    display = EffectsDisplay.from_model(parts, ax=Figure())
+    assert display.axes_[-1, 0].get_xlabel() == "$\\alpha$\n[full throw]"
+    np.testing.assert_allclose(display.lines_[0].get_xdata(), display.curves["alpha"].at)
 
 
 def test_draws_what_is_wanted(model):

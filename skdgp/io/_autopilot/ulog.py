@@ -88,7 +88,9 @@ OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuato
 TOPICS = {*OUTPUTS, *(rule.topic for rule in RULES)}
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
 """By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up, against our signs."""
-MIXED_TYPES = (*range(1, 9), 12)  # ailerons, elevator, rudder, elevons, V-tail, custom: no flaps, no airbrakes
+MIXED_TYPES = (*range(1, 9), *range(12, 16))
+"""Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No flaps, airbrakes,
+wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp)."""
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
 """Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a positive torque."""
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}

@@ -41,10 +41,10 @@ def gymnasium_env(
     An observation is (airspeed [m/s], alpha, beta, phi, theta, psi [rad], p, q, r [rad/s], altitude [m]). An action
     holds ``start.solved`` controls, in their units and order: elevator, aileron, rudder [rad, or parts of the full
     throw], and thrust [N], throttle or propeller_speed [rad/s]; the others stay as in the trim. A step holds them for
-    ``dt``. An episode terminates when an observation leaves ``observation_space``, to which the last one is clipped, or
-    the flight diverges; it is truncated after ``duration``. ``step`` raises ``gymnasium.error.ResetNeeded`` before the first reset, ValueError for
-    an action of another shape or NaN. Raises ImportError if Gymnasium is not installed; ValueError if the trim is not
-    within the limits, a name is unknown, or ``duration`` is too short.
+    ``dt``. An episode terminates when an observation leaves ``observation_space``, to which the last one is clipped,
+    or the flight diverges; it is truncated after ``duration``. ``step`` raises ``gymnasium.error.ResetNeeded`` before
+    the first reset, ValueError for an action of another shape or NaN. Raises ImportError if Gymnasium is not
+    installed; ValueError if the trim is not within the limits, a name is unknown, or ``duration`` is too short.
 
     Parameters
     ----------

@@ -42,13 +42,13 @@ def aircraft():
 
 @pytest.fixture(scope="module")
 def pipeline(aircraft):
-    """Return a model of 150 noisy samples of a textbook aircraft whose lift curve bends."""
+    """Return a model of 600 noisy samples of a textbook aircraft whose lift curve bends."""
     rng = np.random.default_rng(0)
-    X = rng.normal(CENTRE, SPREAD, (150, 8))
+    X = rng.normal(CENTRE, SPREAD, (600, 8))
     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
     flight = pd.DataFrame(X, columns=[name.removesuffix("_hat") for name in REGRESSORS])
     flight[["p", "q", "r"]] *= 2 * 22.0 / aircraft.moment_lengths
-    flight = flight.assign(time=0.1 * np.arange(150), airspeed=22.0)
+    flight = flight.assign(time=0.1 * np.arange(600), airspeed=22.0)
     lift = 0.2 + 4.5 * alpha - 6 * alpha**2
     Y = np.stack([
         -0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift - 0.3 * elevator,

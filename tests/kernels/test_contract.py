@@ -48,7 +48,8 @@ def basis_trend(transformer, P=3, d=2, seed=1):
     X = rng.normal(0, 1.2, (50, d))
     K = clone(transformer).fit_transform(X).shape[1]
     scales = rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, K))
-    return BasisTrend(transformer, *scales, center=rng.normal(size=K)).initialize(X, np.zeros((50, P)), 0)
+    bounds = {"intercept_scale_bounds": (1e-3, 1e3), "slope_scale_bounds": (1e-3, 1e3)}
+    return BasisTrend(transformer, *scales, center=rng.normal(size=K), **bounds).initialize(X, np.zeros((50, P)), 0)
 
 
 KERNELS = {

@@ -12,7 +12,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 pytestmark = pytest.mark.filterwarnings(
     "ignore:The regressors .* are constant", "ignore:Got n_inducing", "ignore:.* samples repeat another"
 )
-EXAMPLES = settings(max_examples=10)
+EXAMPLES = settings(max_examples=15)
 FEW = settings(max_examples=6)
 INFERENCE = st.sampled_from(["exact", "sparse"])
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import repeat
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -355,10 +356,7 @@ def _checks(facts: _Facts | BuildUp, values: Matrix, internal: bool) -> Element:
                 "staticShot",
                 element("checkInputs", *inputs),
                 *([element("internalValues", *inside)] if internal else []),
-                element(
-                    "checkOutputs",
-                    *map(_signal, COEFFICIENTS, "-" * len(COEFFICIENTS), facts.predicted[row], tolerance),
-                ),
+                element("checkOutputs", *map(_signal, COEFFICIENTS, repeat("-"), facts.predicted[row], tolerance)),
                 name=f"sample {k + 1}",
             )
         )

@@ -110,10 +110,10 @@ def estimate(
         problem = _Problem(path, log, noise, places, gust_time)
         posterior = solve(problem, problem.prior(offset, pull), draws)
         sums = _residual_sums(_process_names(log), problem, posterior)
-        whole = posterior.constants / np.sqrt(np.diag(posterior.covariance))
-        if whole @ last < -OVERSHOOT * last @ last:
+        move = posterior.constants / np.sqrt(np.diag(posterior.covariance))  # the full step, in standard deviations
+        if move @ last < -OVERSHOOT * last @ last:
             stride /= 2
-        last = whole
+        last = move
         change = np.zeros(len(CONSTANTS))
         change[places] = stride * posterior.constants
         path = path.moved(stride * posterior.states, change)

@@ -191,3 +191,8 @@ class TestBadInput:
     def test_no_controls(self, state):
         with pytest.raises(ValueError, match="without controls"):
             stability_derivatives(MODEL, BRUMBY, [state, state])
+
+    def test_a_model_that_is_not_defined_there(self, state):
+        nowhere = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
+        with pytest.raises(ValueError, match="not defined there"):
+            stability_derivatives(nowhere, BRUMBY, state, CONTROLS)

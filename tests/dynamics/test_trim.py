@@ -209,6 +209,10 @@ class TestNoSuchFlight:
         with pytest.raises(ValueError, match=match):
             trim(TEXTBOOK, glider, 20.0, **asked)
 
+    def test_a_model_that_is_not_defined_there(self, glider):
+        with pytest.raises(ValueError, match="not defined there"):
+            trim(Aerodynamics(lambda X: linear(X) * np.nan, NAMES), glider, 20.0)
+
     def test_more_controls_than_equations(self, glider):
         model = Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "flap"])
         with pytest.raises(ValueError, match=r"8 unknowns.*flap.*7 equations.*fixed="):

@@ -19,8 +19,8 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import scaling_of
-from skdgp.dynamics._vehicle.loads import CENTRED
+from skdgp.dynamics._aerodynamics import scaling_of
+from skdgp.dynamics._loads import CENTRED
 from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form

@@ -8,7 +8,7 @@ import pytest
 
 from skdgp._cli import main
 from skdgp._flight.channels import REGRESSOR_SETS
-from skdgp.dynamics._equations import inverse as _inverse
+from skdgp.dynamics import _inverse
 from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS

@@ -16,11 +16,11 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
-from skdgp.dynamics._control.linearize import check_settled
-from skdgp.dynamics._equations.motion import IMPLICIT, PROPULSION, Instant, Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY
-from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._linearize import check_settled
+from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
+from skdgp.dynamics._motion import IMPLICIT, PROPULSION, Instant, Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
 
 ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]
 """Controls that give the thrust of any engine."""

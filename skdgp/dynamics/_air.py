@@ -12,9 +12,8 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import body_to_ned, cross
-from skdgp.dynamics._air.dryden import Gusts
-from skdgp.dynamics._air.turbulence import Turbulence
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._turbulence import Gusts, Turbulence
 
 
 @dataclass(frozen=True, eq=False)

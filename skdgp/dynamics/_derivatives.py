@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, RATE_LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
-from skdgp.dynamics._control.linearize import check_paths, check_settled, flight_point
-from skdgp.dynamics._control.slope_errors import LAGS, lag_of
-from skdgp.dynamics._control.trim import Trim
-from skdgp.dynamics._equations.motion import Instant, Motion
-from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.estimate import errors_of_sizes
-from skdgp.dynamics._vehicle.loads import Thrust
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._estimate import errors_of_sizes
+from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
+from skdgp.dynamics._loads import Thrust
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._trim import Trim
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))

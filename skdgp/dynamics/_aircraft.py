@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
-from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine, as_floats
-from skdgp.dynamics._vehicle.estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
+from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
+from skdgp.dynamics._estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

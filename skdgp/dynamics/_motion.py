@@ -24,11 +24,11 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._air.air import LocalAir, as_air
-from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
-from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._air import LocalAir, as_air
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 CONTROLS = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", *PROPULSION, "gust")

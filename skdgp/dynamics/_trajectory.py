@@ -23,9 +23,9 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler, unwrapped_paths
-from skdgp.dynamics._equations import rigid_body
-from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 
 BEYOND = 0.02
 """Share of its range by which a regressor may exceed what was flown without a warning."""

@@ -15,11 +15,11 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, CHANNELS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._air.air import LocalAir
-from skdgp.dynamics._equations import rigid_body
-from skdgp.dynamics._equations.error_covariance import checked_std
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
-from skdgp.dynamics._vehicle.loads import stacked
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._error_covariance import checked_std
+from skdgp.dynamics._loads import stacked
+from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15

@@ -19,10 +19,10 @@ import numpy as np
 from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
-from skdgp.io._autopilot.dataflash import mixing_of, servos_of
-from skdgp.io._autopilot.formats import EQUIVALENT, QUATERNION, Log, Rule, Topic, density_at, from_rpm, instance_name
-from skdgp.io._autopilot.ulog import MAV_TYPES
+from skdgp.io._dataflash import mixing_of, servos_of
+from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Topic, density_at, from_rpm, instance_name
 from skdgp.io._tables import FlightReadError
+from skdgp.io._ulog import MAV_TYPES
 
 STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13  # bytes: of the arrival; beside a payload, by its first byte
 PX4, INT32 = 12, 6  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from skdgp._flight.frames import euler_to_quaternion
-from skdgp.io._autopilot.formats import (
+from skdgp.io._log import (
     EQUIVALENT,
     QUATERNION,
     Log,

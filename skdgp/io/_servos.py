@@ -15,7 +15,7 @@ from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
 from skdgp._flight.checks import check_columns
-from skdgp.io._autopilot.formats import Log, ServoChannel
+from skdgp.io._log import Log, ServoChannel
 from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")

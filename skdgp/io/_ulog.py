@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.files import read_json
-from skdgp.io._autopilot.formats import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
+from skdgp.io._log import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
 from skdgp.io._tables import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16

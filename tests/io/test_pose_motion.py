@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.poses import ROUGHEST, SMOOTHEST, Record, minus_log_likelihood, smooth_motion, smooth_rotation
+from skdgp.io._poses import ROUGHEST, SMOOTHEST, Record, minus_log_likelihood, smooth_motion, smooth_rotation
 
 LOG_K = np.array([-1.0, -3.0, 0.5])
 

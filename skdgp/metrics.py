@@ -19,9 +19,9 @@ import pandas as pd
 from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._compute.intervals import LEVELS, check_levels, half_width, shares_inside, standardized
 from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
+from skdgp._compute.statistics import LEVELS, check_levels, half_width, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from sklearn.model_selection import BaseCrossValidator
 
-from skdgp._compute.tables import column_names
+from skdgp._compute.files import column_names
 from skdgp._compute.typing import ArrayLike, Indices, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import check_clock, flight_rows

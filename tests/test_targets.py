@@ -7,7 +7,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.tables import column_names
+from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import STATE_NAMES

@@ -14,8 +14,7 @@ from inspect import getdoc
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from skdgp._compute.files import read_toml
-from skdgp._compute.versions import software_versions
+from skdgp._compute.files import read_toml, software_versions
 from skdgp._flight.channels import REGRESSOR_SETS
 
 PROGRAM = "python -m skdgp"

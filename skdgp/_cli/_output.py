@@ -22,8 +22,7 @@ from typing import Any
 import pandas as pd
 
 from skdgp._cli._options import HEAD, Command
-from skdgp._compute.files import Writer, json_text, text_writer, write_together
-from skdgp._compute.tables import csv_writer
+from skdgp._compute.files import Writer, csv_writer, json_text, text_writer, write_together
 
 CLEAR = "\r\x1b[K"
 PERIOD = 0.2  # seconds between two states of the progress line, so that a terminal is not what takes the time

@@ -13,7 +13,7 @@ from skdgp._cli._output import Run, table_writer
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
-from skdgp._excitation.wavetrain import AXES
+from skdgp._excitation import AXES
 from skdgp.design import Envelope, Limits, Pilot, Plan, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
 from skdgp.design._envelope import OPTIONS

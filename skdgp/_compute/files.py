@@ -1,4 +1,4 @@
-"""Files: writing of all or nothing, checksums; JSON and TOML with one-line errors."""
+"""Files, written whole or not at all; JSON and TOML with one-line errors; tables and CSV; versions of software."""
 
 from __future__ import annotations
 
@@ -6,16 +6,23 @@ import hashlib
 import json
 import math
 import os
+import platform
+import re
 import secrets
 import tomllib
 from collections import Counter
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
+
+import pandas as pd
 
 Writer: TypeAlias = "Callable[[Path], object]"
 """Fills a file."""
 LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
+FORMULA = re.compile(r"'*[=+\-@\t\r]")
+"""How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes."""
 
 
 def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
@@ -149,3 +156,48 @@ def _unique_keys(pairs):
 
 def _refuse(constant):
     raise ValueError(f"{constant} is not a number of JSON")
+
+
+def software_versions() -> dict[str, str]:
+    """Return the versions of skdgp and of what its numbers depend on."""
+    found = {"skdgp": "unknown", "python": platform.python_version()}
+    for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a folder that was never installed
+            continue
+    return found
+
+
+def column_names(y) -> list[str]:
+    """Return the columns of a dataframe of any library, or the name of a series; empty if they are not all texts."""
+    names = list(getattr(y, "columns", [getattr(y, "name", None)]))
+    return names if all(isinstance(name, str) and name for name in names) else []
+
+
+def csv_writer(table: pd.DataFrame) -> Writer:
+    """Return what writes a table, every digit of it, an apostrophe before texts that a spreadsheet would compute."""
+    texts = table.select_dtypes(exclude="number").astype(object).map(guarded)
+    safe = table.assign(**{str(name): texts[name] for name in texts}).rename(columns=guarded)
+    return lambda path: safe.to_csv(path, index=False)
+
+
+def guarded(value: Any) -> Any:
+    """Return a text with an apostrophe before it if a spreadsheet would compute it, and any other value as it is."""
+    return f"'{value}" if isinstance(value, str) and _is_formula(value) else value
+
+
+def unguarded(value: Any) -> Any:
+    """Return the value that :func:`guarded` was given."""
+    is_guarded = isinstance(value, str) and value.startswith("'") and _is_formula(value[1:])
+    return value[1:] if is_guarded else value
+
+
+def _is_formula(text: str) -> bool:
+    if not FORMULA.match(text):
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return True
+    return False

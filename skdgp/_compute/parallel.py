@@ -1,4 +1,4 @@
-"""Fits side by side and sums over shares (chunks) of samples, on joblib's active backend.
+"""Fits side by side and sums over shares (chunks) of samples, on joblib's active backend; threads, and limits of BLAS.
 
 This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results keep the order of the
 tasks, so sums keep their bits wherever their parts are computed. What others do not finish is computed here, with a
@@ -12,18 +12,100 @@ import tempfile
 import threading
 import warnings
 from asyncio import CancelledError
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import copy_context
+from functools import lru_cache, wraps
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from uuid import uuid4
 
 import numpy as np
 from joblib import Parallel, cpu_count, delayed, effective_n_jobs
 from joblib.parallel import get_active_backend
+from threadpoolctl import ThreadpoolController
 
 from skdgp._compute.progress import listening
-from skdgp._compute.threads import one_blas_thread, thread_map
+
+SMALL = 2500
+"""Smaller matrices stay on one thread: two gain nothing over whole fits on idle cores, and lose much on busy ones."""
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> list[Any]:
+    return ThreadpoolController().select(user_api="blas").lib_controllers
+
+
+class _OneThread:
+    """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found.
+
+    It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each stage of a step.
+    """
+
+    def __init__(self):
+        self._lock, self._holders = Lock(), 0
+        self._before: list[tuple[Any, int]] = []
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        with self._lock:
+            if self._holders == 0:
+                self._before = [(library, library.num_threads) for library in _libraries()]
+                _set((library, 1) for library, _ in self._before)
+            self._holders += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._holders -= 1
+                if self._holders == 0:
+                    _set(self._before)
+
+
+def _set(numbers: Iterable[tuple[Any, int]]) -> None:
+    for library, number in numbers:
+        library.set_num_threads(number)
+
+
+one_blas_thread = _OneThread()
+
+
+def n_threads() -> int:
+    """Return how many threads BLAS may use now; work on tiles uses as many."""
+    return max((library.num_threads for library in _libraries()), default=1)
+
+
+def threads_for(size: int) -> AbstractContextManager[None]:
+    """Return a context that holds BLAS to one thread where matrices are smaller than ``SMALL``."""
+    return one_blas_thread() if size < SMALL else nullcontext()
+
+
+def few_threads(method: Callable) -> Callable:
+    """Decorate a method of (X, ...): one BLAS thread where ``self.size`` and the rows of X are below ``SMALL``."""
+
+    @wraps(method)
+    def limited(self, X, *arguments, **options):
+        with threads_for(max(self.size, len(X))):
+            return method(self, X, *arguments, **options)
+
+    return limited
+
+
+def thread_map(function: Callable, tasks: Iterable) -> list:
+    """Return ``[function(task) for task in tasks]``, on as many threads as BLAS may use, with one BLAS thread each."""
+    tasks = list(tasks)
+    workers = min(n_threads(), len(tasks))
+    if workers <= 1:
+        return [function(task) for task in tasks]
+    with one_blas_thread(), ThreadPoolExecutor(workers) as pool:
+        futures = [pool.submit(copy_context().run, function, task) for task in tasks]
+        try:
+            return [future.result() for future in futures]
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def check_n_jobs(n_jobs: Any) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._compute.intervals import half_width
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 

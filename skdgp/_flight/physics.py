@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.correlation import autocorrelation_time
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._flight.atmosphere import STANDARD_GRAVITY as G
 from skdgp._flight.channels import (
     ALL_SURFACES,

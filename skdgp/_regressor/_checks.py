@@ -11,9 +11,9 @@ import pandas as pd
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
-from skdgp._compute.correlation import autocorrelation_time
+from skdgp._compute.files import column_names
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
-from skdgp._compute.tables import column_names
+from skdgp._compute.statistics import autocorrelation_time
 
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish

@@ -1,8 +1,19 @@
 """Design of flights: inputs that excite an aircraft, their sequences, what they teach, and what was flown of them."""
 
-from skdgp._excitation.multisines import Multisine, multisine, orthogonal_multisines
-from skdgp._excitation.signals import Chirp, Limits, Signal, Steps, chirp, doublet, three_two_one_one
-from skdgp._excitation.wavetrain import Wavetrain, wavetrain
+from skdgp._excitation import (
+    Chirp,
+    Limits,
+    Multisine,
+    Signal,
+    Steps,
+    Wavetrain,
+    chirp,
+    doublet,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+    wavetrain,
+)
 from skdgp.design._card import write_flight_card
 from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan, flown_plan

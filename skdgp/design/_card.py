@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.html import DASH, THIN, can_draw, figure, number, percent, render_page, symbol, table, text
+from skdgp._display.page import DASH, THIN, can_draw, figure, number, percent, render_page, strip, symbol, table, text
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
-from skdgp._display.svg import strip
-from skdgp._excitation.signals import Steps
+from skdgp._excitation import Steps
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import errors_of

@@ -14,7 +14,7 @@ from scipy.signal import oaconvolve
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array
-from skdgp._display.html import DASH, THIN, number, percent, table, text
+from skdgp._display.page import DASH, THIN, number, percent, table, text
 from skdgp._flight.channels import HAT
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_segments

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation.multisines import orthogonal_multisines
-from skdgp._excitation.signals import Limits, Signal, Steps, doublet, three_two_one_one
+from skdgp._excitation import Limits, Signal, Steps, doublet, orthogonal_multisines, three_two_one_one
 from skdgp.dynamics import LinearModel
 
 DOUBLET_PEAK = 2.331  # frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x

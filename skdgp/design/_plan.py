@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
-from skdgp._excitation.signals import UNLIMITED, Signal
-from skdgp._excitation.wavetrain import Wavetrain
+from skdgp._excitation import UNLIMITED, Signal, Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import Information, errors_of

@@ -13,11 +13,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
+from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.progress import notify
-from skdgp._compute.threads import one_blas_thread
 from skdgp._compute.typing import Array, Seed
-from skdgp._excitation.signals import Limits, as_limits
-from skdgp._excitation.wavetrain import wavetrain
+from skdgp._excitation import Limits, as_limits, wavetrain
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_names

@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._excitation.signals import ROUNDING, Limits, Steps
-from skdgp._excitation.wavetrain import Wavetrain
+from skdgp._excitation import ROUNDING, Limits, Steps, Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, Inputs
 from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate

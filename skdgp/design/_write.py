@@ -11,11 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import text_writer, write_atomically
-from skdgp._compute.tables import csv_writer
-from skdgp._excitation.multisines import Multisine
-from skdgp._excitation.signals import ROUNDING, UNLIMITED, Chirp, Signal, Steps
-from skdgp._excitation.wavetrain import Wavetrain
+from skdgp._compute.files import csv_writer, text_writer, write_atomically
+from skdgp._excitation import ROUNDING, UNLIMITED, Chirp, Multisine, Signal, Steps, Wavetrain
 from skdgp._flight.checks import check_names
 
 SCRIPT = Path(__file__).with_name("replay.lua")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import qr, rq, solve_triangular
 from scipy.linalg.blas import dtrmm
 
-from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import Block, PortableModel, Readout
 

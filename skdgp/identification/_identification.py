@@ -17,9 +17,8 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.files import json_text, plain, text_writer, write_together
+from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
 from skdgp._compute.progress import notify
-from skdgp._compute.versions import software_versions
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft

@@ -15,8 +15,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.files import sha256_of, write_atomically
-from skdgp._compute.versions import software_versions
+from skdgp._compute.files import sha256_of, software_versions, write_atomically
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "

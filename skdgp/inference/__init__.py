@@ -13,7 +13,7 @@ misfit    the error of the function that residuals show where flights come back 
 ========  =============================================================================================================
 """
 
-from skdgp._compute.correlation import autocorrelation_time
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
 from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._exact import ExactPosterior

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import unexplained_variance
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._paths import Paths, mixed_paths

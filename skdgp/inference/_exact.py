@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
-from skdgp._compute.threads import few_threads, n_threads, thread_map, threads_for
+from skdgp._compute.parallel import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import (
     check_memory,
     cluster_centres,
@@ -17,6 +16,7 @@ from skdgp._compute.linalg import (
     output_scale,
 )
 from skdgp._compute.parallel import fit_map
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._exact import ExactPosterior

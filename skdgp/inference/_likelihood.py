@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
 
 from skdgp._compute.linalg import RowPairs, cholesky_inverse, jittered_cholesky, log_determinant, triangular_solve
-from skdgp._compute.threads import thread_map, threads_for
+from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
 

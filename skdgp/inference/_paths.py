@@ -16,7 +16,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import triangular_solve
-from skdgp._compute.threads import threads_for
+from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._noise import draw_noise
 

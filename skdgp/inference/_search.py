@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import LbfgsInvHessProduct, minimize
 
 from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.progress import notify
-from skdgp._compute.threads import one_blas_thread, threads_for
 from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, couplings, log_likelihood

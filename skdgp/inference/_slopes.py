@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.utils import Bunch, check_random_state
 
-from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.threads import one_blas_thread
+from skdgp._compute.parallel import one_blas_thread
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 

@@ -31,8 +31,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
     unexplained_variance,
 )
-from skdgp._compute.parallel import share_map
-from skdgp._compute.threads import few_threads, thread_map, threads_for
+from skdgp._compute.parallel import few_threads, share_map, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data

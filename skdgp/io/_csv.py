@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from skdgp._compute.tables import unguarded
+from skdgp._compute.files import unguarded
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, known_unit, to_si

@@ -22,13 +22,10 @@ time_span : (begin, end), optional
 """
 
 from skdgp.plotting._calibration import CalibrationDisplay
-from skdgp.plotting._coupling import CouplingDisplay
-from skdgp.plotting._derivatives import DerivativeDisplay
-from skdgp.plotting._effects import BuildUpDisplay, EffectsDisplay
-from skdgp.plotting._flight import FlightDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
+from skdgp.plotting._flights import FlightDisplay, TrajectoryDisplay
+from skdgp.plotting._model import BuildUpDisplay, CouplingDisplay, DerivativeDisplay, EffectsDisplay
 from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
-from skdgp.plotting._trajectory import TrajectoryDisplay
 
 __all__ = [
     "BuildUpDisplay", "CalibrationDisplay", "CoefficientDisplay", "CouplingDisplay", "DerivativeDisplay",

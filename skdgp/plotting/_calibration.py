@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.stats import norm
 
-from skdgp._compute.intervals import LEVELS, check_levels, shares_inside, standardized
+from skdgp._compute.statistics import LEVELS, check_levels, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol
 from skdgp._flight.channels import COEFFICIENTS

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.intervals import half_width
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit

@@ -15,9 +15,8 @@ from scipy.stats import norm
 
 from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
 from skdgp._display.flights import START_MARKERS, ground_path, named_flights, start_marker
-from skdgp._display.html import THIN, figure, number, symbol, text
+from skdgp._display.page import THIN, WIDTH, figure, number, picture, strip, symbol, text
 from skdgp._display.style import display_unit, draw_curve, mark_samples, tidy
-from skdgp._display.svg import WIDTH, picture, strip
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
     CalibrationDisplay,

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.html import (
+from skdgp._display.page import (
     DASH,
     THIN,
     can_draw,

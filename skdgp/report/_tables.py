@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._display.html import THIN, number, percent, symbol, table, text
+from skdgp._display.page import THIN, number, percent, symbol, table, text
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse

@@ -10,8 +10,7 @@ from _jsbsim_flight import FOOT, aircraft_of, started
 from _study_flights import SOURCES, SURFACES, Log, _example_log, jsbsim_table
 
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.datasets._example_flights import _columns, fly_plans
-from skdgp.datasets._flight_plans import TIME_CONSTANTS, FlightControls, FlightPlan
+from skdgp.datasets._example_flights import TIME_CONSTANTS, FlightControls, FlightPlan, _columns, fly_plans
 from skdgp.design import Limits, Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain
 from skdgp.dynamics import Aircraft
 

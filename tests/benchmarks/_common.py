@@ -93,7 +93,7 @@ def use_torch_threads(threads=None):
     """Give torch so many threads, by default as many as BLAS has."""
     import torch
 
-    from skdgp._compute.threads import n_threads
+    from skdgp._compute.parallel import n_threads
 
     torch.set_num_threads(threads or n_threads())
 

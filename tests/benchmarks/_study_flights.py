@@ -12,8 +12,7 @@ from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX
 from skdgp._flight.frames import euler_to_quaternion, ned_to_body
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
-from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, fly_plans, measure
-from skdgp.datasets._flight_plans import COMMANDS, FLIGHT_PLANS
+from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, MEASURED, TRUTH, _columns, fly_plans, measure
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
 from skdgp.dynamics._motion import Motion
 

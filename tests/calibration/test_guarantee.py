@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from sklearn.base import BaseEstimator, RegressorMixin
 
-from skdgp.calibration import CalibratedRegressor
-from skdgp.calibration._regressor import unit_weights, units_needed, weighted_quantile
+from skdgp.calibration import CalibratedRegressor, unit_weights, units_needed, weighted_quantile
 
 
 class Standard(RegressorMixin, BaseEstimator):

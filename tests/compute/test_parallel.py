@@ -15,8 +15,7 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from sklearn.model_selection import GridSearchCV
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.parallel import check_n_jobs, fit_map, share_map
-from skdgp._compute.threads import n_threads
+from skdgp._compute.parallel import check_n_jobs, fit_map, n_threads, share_map
 
 SHARES = [np.full(3, float(k)) for k in range(7)]
 LOKY = {"backend": "loky", "n_jobs": 2}
@@ -37,7 +36,7 @@ def processes():
         import os
         import time
 
-        from skdgp._compute.threads import n_threads
+        from skdgp._compute.parallel import n_threads
 
         time.sleep(0.05)
         return factor * share.sum(), os.getpid(), n_threads()

@@ -3,8 +3,8 @@
 import pytest
 
 from skdgp import listening
+from skdgp._compute.parallel import thread_map
 from skdgp._compute.progress import notify
-from skdgp._compute.threads import thread_map
 
 
 def test_listener_is_called_until_the_block_ends():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import skdgp
-from skdgp._compute.tables import csv_writer, guarded, unguarded
+from skdgp._compute.files import csv_writer, guarded, unguarded
 
 TEXTS = st.text("'=+-@\t\ra1.e", max_size=5) | st.text(max_size=5)
 
@@ -29,7 +29,7 @@ def test_no_text_is_a_formula(text):
 def test_every_csv_is_written_so():
     source = Path(skdgp.__file__).parent
     writers = [path.name for path in source.rglob("*.py") if re.search(r"\bto_csv\(", path.read_text(encoding="utf-8"))]
-    assert writers == ["tables.py"]
+    assert writers == ["files.py"]
 
 
 def test_numbers_and_words_stay(tmp_path):

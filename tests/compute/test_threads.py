@@ -8,7 +8,7 @@ from contextvars import ContextVar
 import pytest
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute.threads import SMALL, few_threads, n_threads, one_blas_thread, thread_map
+from skdgp._compute.parallel import SMALL, few_threads, n_threads, one_blas_thread, thread_map
 
 word = ContextVar("word", default="unset")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._display import html as page
+from skdgp._display import page
 from skdgp.design import (
     Envelope,
     Information,

@@ -175,7 +175,7 @@ class TestALogAMassAndASpan:
 
     @pytest.mark.filterwarnings("ignore")
     def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, monkeypatch):
-        monkeypatch.setattr("skdgp._display.html.find_spec", lambda name: None)  # words alone
+        monkeypatch.setattr("skdgp._display.page.find_spec", lambda name: None)  # words alone
         page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
         assert "<h2>What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page

@@ -217,7 +217,7 @@ def stopped(result, tmp_path_factory):
     """Return the same result as if the fit had not converged, and the folder where it is saved, without pictures."""
     stopped = replace(result, fit=result.fit | {"converged": False})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skdgp._display.html.find_spec", lambda name: None)
+        patch.setattr("skdgp._display.page.find_spec", lambda name: None)
         return stopped, stopped.save(tmp_path_factory.mktemp("saved") / "new" / "folder")
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute import threads as _threads
+from skdgp._compute import parallel as _threads
 from skdgp.inference import Data, ExactPosterior, _exact, _likelihood, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

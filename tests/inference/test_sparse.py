@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute import threads as _threads
+from skdgp._compute import parallel as _threads
 from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood, shares_of
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))

@@ -5,7 +5,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.threads import n_threads
+from skdgp._compute.parallel import n_threads
 from skdgp.inference import function_errors, slope_errors
 
 NEW = np.array([[0.3, -0.2]])

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from skdgp._display.html import STYLE
+from skdgp._display.page import STYLE
 from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
 
 # Linear RGB as dichromats see it: Machado, Oliveira & Fernandes (2009), severity 1.

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from skdgp._display.svg import picture, strip
+from skdgp._display.page import picture, strip
 from skdgp.report._figures import busiest_span
 
 SQUARE = {"size": (3, 3), "margins": (0.2, 0.9, 0.2, 0.9)}

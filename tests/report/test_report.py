@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._display import html as page_module
+from skdgp._display import page as page_module
 from skdgp._effects import Curve
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse

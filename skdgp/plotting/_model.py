@@ -1,4 +1,4 @@
-"""EffectsDisplay and BuildUpDisplay: the effect of each regressor on each output, and what no single one explains."""
+"""Displays of a model: EffectsDisplay and BuildUpDisplay, CouplingDisplay, DerivativeDisplay."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.intervals import half_width
-from skdgp._compute.typing import Matrix
+from skdgp._compute.statistics import half_width
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import (
     PALETTE,
     ROLES,
@@ -25,13 +25,19 @@ from skdgp._display.style import (
     units_shown,
 )
 from skdgp._effects import Curve, effects
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.checks import check_choice
 from skdgp.io import FULL_THROW
-from skdgp.plotting._display import Display, Names, choose
+from skdgp.plotting._display import Display, Names, choose, names_of, panels
 
 OTHERS = ""  # key of the column of terms of several regressors
 N_LEVELS = 3  # contours of the standard deviation
 N_PAIRS = 2
 """Tables of two regressors of each coefficient: those with the largest effect, root mean square over the samples."""
+DEFAULT_DERIVATIVES = (
+    "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
+    "Cl_aileron", "Cn_rudder",
+)  # fmt: skip
 
 
 class _CurveDisplay(Display):
@@ -254,3 +260,163 @@ class BuildUpDisplay(_CurveDisplay):
         units = zip(build.regressors, build.units, strict=True)
         with units_shown({name: unit for name, unit in units if unit == FULL_THROW}):
             return cls(curves=curves, maps=maps, samples=samples).plot(**plot_options)
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class CouplingDisplay:
+    """Heat map of the correlations between outputs, with their values.
+
+    The artists are ``image_``, the coloured cells, ``text_`` (P, P), the written values, and ``colorbar_``.
+
+    Parameters
+    ----------
+    correlation, output_names : (P, P), P names
+        Correlations between -1 and 1; NaN where there is none.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp.plotting import CouplingDisplay
+    >>> display = CouplingDisplay.from_correlation([[1, -0.4], [-0.4, 1]], output_names=["CZ", "Cm"], ax=Figure())
+    >>> display.text_[0, 1].get_text()
+    '−0.40'
+    """
+
+    correlation: Matrix
+    output_names: tuple[str, ...]
+
+    def plot(self, ax: Any = None) -> Self:
+        """Draw the heat map into ``ax`` (see :mod:`skdgp.plotting`)."""
+        self.ax_ = ax = panels(ax, 1, 1, figsize=(6.2, 4.6))[0, 0]
+        self.figure_ = ax.figure
+        edges = np.arange(len(self.output_names) + 1) - 0.5
+        style = {"cmap": "RdBu_r", "vmin": -1, "vmax": 1, "edgecolors": "white", "linewidth": 1.0}
+        self.image_ = ax.pcolormesh(edges, edges, self.correlation, **style)
+        self.text_ = np.empty(self.correlation.shape, dtype=object)
+        for (i, j), value in np.ndenumerate(self.correlation):
+            text = f"{value:z.2f}".replace("-", "−") if np.isfinite(value) else "–"
+            style = {"ha": "center", "va": "center", "color": "white" if abs(value) > 0.6 else "black"}
+            self.text_[i, j] = ax.text(j, i, text, fontsize="small", **style)
+        labels = [symbol(name) for name in self.output_names]
+        ax.set_xticks(range(len(labels)), labels)
+        ax.set_yticks(range(len(labels)), labels)
+        ax.invert_yaxis()
+        ax.set_aspect("equal")
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        self.colorbar_ = scale_beside(ax, self.image_, "correlation", ticks=[-1, -0.5, 0, 0.5, 1])
+        return self
+
+    @classmethod
+    def from_correlation(cls, correlation: Any, *, output_names: Any = None, **plot_options: Any) -> Self:
+        """Draw a correlation matrix (P, P), or what ``output_correlation()`` returns; options of :meth:`plot`."""
+        if hasattr(correlation, "correlation"):
+            output_names = correlation.output_names if output_names is None else output_names
+            correlation = correlation.correlation
+        matrix = np.asarray(correlation, dtype=float)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+            raise ValueError(f"Got a correlation of shape {matrix.shape}, but expected (P, P).")
+        largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
+        if largest > 1 + 1e-6:
+            raise ValueError(
+                f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
+                "standard deviations first."
+            )
+        names = names_of(correlation, len(matrix), output_names, COEFFICIENTS)
+        return cls(correlation=matrix, output_names=names).plot(**plot_options)
+
+    @classmethod
+    def from_estimator(cls, estimator: Any, **plot_options: Any) -> Self:
+        """Draw the ``output_correlation()`` of a fitted regressor, or of a pipeline that ends in one."""
+        last = estimator.steps[-1][1] if hasattr(estimator, "steps") else estimator
+        return cls.from_correlation(last.output_correlation(), **plot_options)
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class DerivativeDisplay(Display):
+    """Derivatives with their bands over airspeed, alpha or beta, one panel each.
+
+    The artists are ``lines_`` and ``bands_``.
+
+    Parameters
+    ----------
+    at, over : (n,), {"airspeed", "alpha", "beta"}
+        The points, rising, [m/s] or [rad], and their quantity.
+    values, names : (n, k), k names
+        The derivatives ``CL_alpha``, ``Cm_q``, ...
+    std : (n, k), optional
+        Their standard deviations.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, air_velocity, stability_derivatives
+    >>> from skdgp.plotting import DerivativeDisplay
+    >>> glider = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
+    >>> model = Aerodynamics(lambda X: np.sin(X) * [[0.4, 0, -4.5, 0, -0.6, 0]], ["alpha"])
+    >>> states = np.zeros((5, 13))
+    >>> states[:, 3:6], states[:, 6] = air_velocity(20.0, np.linspace(0, 0.2, 5), 0.0), 1.0
+    >>> sweep = stability_derivatives(model, glider, states, {"thrust": 0.0})
+    >>> display = DerivativeDisplay.from_sweep(sweep, over="alpha", ax=Figure())
+    >>> display.names
+    ('CL_alpha', 'CD_alpha', 'Cm_alpha')
+    """
+
+    at: Vector
+    over: str = "airspeed"
+    values: Matrix
+    names: tuple[str, ...]
+    std: Matrix | None = None
+
+    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
+        """Draw the panels; see :mod:`skdgp.plotting`."""
+        at = self.at * display_unit(self.over)[0]
+
+        def draw(ax, k):
+            ax.set_ylabel(_label(self.names[k]))
+            return draw_curve(ax, at, self.values[:, k], None if self.std is None else self.std[:, k], level, "model")
+
+        keys, options = range(len(self.names)), {"xlabel": axis_label(self.over), "legend": legend, "sharex": True}
+        artists = self._draw_panels(ax, draw, keys, min(3, len(keys)), (3.2, 1.9), **options)
+        self.lines_, self.bands_ = artists
+        return self
+
+    @classmethod
+    def from_sweep(
+        cls, sweep: pd.DataFrame, *, over: str = "airspeed", derivatives: Names = None, **plot_options: Any
+    ) -> Self:
+        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
+
+        ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The derivatives are by default
+        the most common ones of the table.
+        """
+        if not isinstance(sweep.index, pd.MultiIndex):
+            raise ValueError(
+                "Got derivatives of a single point, but expected those of several: stability_derivatives(model, "
+                "aircraft, [trim, ...])."
+            )
+        check_choice("over", over, ("airspeed", "alpha", "beta"))
+        known = sweep.index.unique(level=1)
+        names = [name for name in DEFAULT_DERIVATIVES if name in known] if derivatives is None else list(derivatives)
+        choose(tuple(known), names)
+        at = sweep[over].groupby(level=0).first().sort_values()
+
+        def columns(column):
+            return sweep[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(dtype=float)
+
+        return cls(
+            at=at.to_numpy(dtype=float), values=columns("value"), std=columns("std") if "std" in sweep else None,
+            over=over, names=tuple(names),
+        ).plot(**plot_options)  # fmt: skip
+
+
+def _label(name: str) -> str:
+    """Return the symbol, such as C_{m_q}, of a derivative."""
+    coefficient, _, regressor = name.partition("_")
+    below = coefficient.removeprefix("C")
+    if not regressor:
+        return f"$C_{below}$"
+    sign = symbol(regressor)
+    index = sign.strip("$") if sign.startswith("$") else rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
+    return f"$C_{{{below}_{{{index}}}}}$"

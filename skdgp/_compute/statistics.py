@@ -1,16 +1,58 @@
-"""Central intervals of normal predictions, and how many errors they hold."""
+"""Statistics: central intervals of normal predictions, and how many independent values a series is worth."""
 
 from __future__ import annotations
 
 from numbers import Real
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 
+WINDOW = 5.0  # autocorrelation times over which correlations are summed
 LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
 """Probabilities of the intervals that ``coverage_curve`` counts by default."""
+
+
+def autocorrelation_time(residuals: Vector) -> float:
+    r"""Return the integrated autocorrelation time, in samples, at least 1.
+
+    The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with
+
+    .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
+
+    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997, section 3).
+
+    Parameters
+    ----------
+    residuals : ndarray (n,)
+        In the order of recording. Shuffled residuals are uncorrelated: tau is about 1.
+
+    Returns
+    -------
+    float
+        tau, in samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.inference import autocorrelation_time
+    >>> white = np.random.default_rng(0).normal(size=5000)
+    >>> round(autocorrelation_time(white))
+    1
+    >>> round(autocorrelation_time(np.repeat(white, 8)))
+    8
+    """
+    centred = residuals - np.mean(residuals)
+    n = len(centred)
+    power = np.abs(rfft(centred, next_fast_len(2 * n))) ** 2
+    covariance = irfft(power)[:n]
+    if not covariance[0] > 0:
+        return 1.0
+    tau = 2 * np.cumsum(covariance / covariance[0]) - 1
+    enough = np.arange(n) >= WINDOW * tau
+    return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))
 
 
 def standardized(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> Matrix:

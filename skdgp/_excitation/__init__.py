@@ -1,1 +1,0 @@
-"""Inputs that excite an aircraft, as functions of time; `skdgp.design` shows them to users."""

@@ -76,13 +76,13 @@ class SparsePosterior(Single):
     def __getstate__(self):
         state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "measured")}
         if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
-            state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
+            state["sums"] = self.sums.packed()
         return state
 
     def __setstate__(self, state):
         self.__dict__.update(state)
         if self.shares is None:
-            self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
+            self.sums = self.sums.unpacked()
         self._begin()
 
     @property
@@ -410,24 +410,16 @@ class SampleSums(NamedTuple):
         """Return the sums over these and the other values."""
         return SampleSums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
 
-    def packed(self, features, n_outputs) -> SampleSums:
-        """Return the sums with only the lower-triangular entries of ``outer`` that can differ from zero."""
-        return self._replace(outer=self.outer[_nonzero(features, n_outputs)])
+    def packed(self) -> SampleSums:
+        """Return the sums with ``outer`` as the bits of what is not zero in its lower triangle, and these values."""
+        lower = np.tril(self.outer)
+        return self._replace(outer=(np.packbits(lower != 0), lower[lower != 0]))
 
-    def unpacked(self, features, n_outputs) -> SampleSums:
+    def unpacked(self) -> SampleSums:
         """Return the sums with the full matrix ``outer``; the inverse of ``packed``."""
-        lower = np.zeros((features.size, features.size))
-        lower[_nonzero(features, n_outputs)] = self.outer
-        return self._replace(outer=lower + np.tril(lower, -1).T)
-
-
-def _nonzero(features, n_outputs):
-    """Return the mask of pairs of features that covary with a common output, in the lower triangle."""
-    pairs = np.zeros((features.size, features.size), dtype=bool)
-    for i in range(n_outputs):
-        columns = features.columns(i)
-        pairs[np.ix_(columns, columns)] = True
-    return np.tril(pairs)
+        (bits, values), lower = self.outer, np.zeros((len(self.inner),) * 2)
+        lower[np.unpackbits(bits, count=lower.size).reshape(lower.shape).astype(bool)] = values
+        return self._replace(outer=symmetric(lower))
 
 
 class Statistics(NamedTuple):

@@ -391,7 +391,7 @@ class SampleSums(NamedTuple):
     ``rest`` is log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound.
     """
 
-    outer: np.ndarray
+    outer: Any
     inner: np.ndarray
     rest: float
 

@@ -26,7 +26,7 @@ from skdgp.kernels._pair import (
     signed_sum,
     weighted_sums,
 )
-from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
+from skdgp.kernels._prior_paths import PathBundle, ValuePaths, Waves, draw_latents
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
 MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
@@ -329,7 +329,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return rank_parts(self, X, scale, random_state)
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        return convolved_paths(self, n_paths, n_frequencies, random_state)
+        return Waves.combine(draw_latents(self, n_paths, n_frequencies, random_state), range(self.n_outputs))
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]

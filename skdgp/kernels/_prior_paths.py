@@ -155,14 +155,17 @@ class TrendPaths(PathBundle):
 class FeaturePaths(PathBundle):
     """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
-    def __init__(self, features, n_outputs, coefficients):
+    def __init__(self, features, coefficients):
         self.features, self.coefficients = features, coefficients
-        self._rows, columns = features.rows(), [features.columns(i) for i in range(n_outputs)]
+        self._rows, columns = features.rows(), [features.columns(i) for i in range(features.n_outputs)]
         self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *map(len, columns)]))]
         self._weights = [np.ascontiguousarray(coefficients[:, c]) for c in columns]
 
+    def __reduce__(self):
+        return FeaturePaths, (self.features, self.coefficients)
+
     def take(self, index):
-        return FeaturePaths(self.features, len(self._own), self.coefficients[index])
+        return FeaturePaths(self.features, self.coefficients[index])
 
     def doubles(self, same_points):
         return (1 if same_points else len(self.coefficients)) * self._own[-1].stop
@@ -221,12 +224,12 @@ class ValuePaths(PathBundle):
         outputs = range(kernel.n_outputs)
         coupled = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
         self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in others] for others in coupled])
-        self._slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *self._rows.sizes]))]
         empty = np.empty((len(coefficients[0]), 0))
         self._weights = [
             np.hstack([empty, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in others)])
             for i, others in enumerate(coupled)
         ]
+        self._slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *(w.shape[1] for w in self._weights)]))]
 
     def __reduce__(self):
         # Pickle the coefficients only: they are smaller than the weights of all latents.
@@ -399,20 +402,3 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
         LatentWaves.draw(i, roots[m, i], w[m, i], mu[m, i], n_paths, n_frequencies, random_state)
         for m, i in enumerate(map(np.flatnonzero, feeds))
     ]
-
-
-def convolved_paths(kernel, n_paths, n_frequencies, random_state) -> Waves:
-    """Return paths of all outputs of a ConvolvedGaussian."""
-    return Waves.combine(draw_latents(kernel, n_paths, n_frequencies, random_state), range(kernel.n_outputs))
-
-
-def joint_paths(joint, Z, jitter, n_paths, n_frequencies, random_state) -> tuple[Waves, np.ndarray]:
-    """Return paths of the first outputs of a ConvolvedGaussian, and values (S, K) of its last outputs at Z.
-
-    Z is a list of (k, d), one for each of the last outputs. ``jitter`` is the variance of white noise in the values.
-    """
-    latents = draw_latents(joint, n_paths, n_frequencies, random_state)
-    P = joint.n_outputs - len(Z)
-    u = np.concatenate([Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(Z)], axis=1)
-    u += np.sqrt(jitter) * random_state.standard_normal(u.shape)
-    return Waves.combine(latents, range(P)), u

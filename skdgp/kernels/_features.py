@@ -305,7 +305,8 @@ class TrendFeatures(Features):
         return lambda X: np.tile(np.column_stack([np.ones(len(X)), kernel.columns(X) - center]), P) * scales
 
     def Kfu_derivative(self, i, X):
-        return self.kernel.basis_derivative(i, X)
+        slopes = self.kernel.basis_slopes(i, X)
+        return np.broadcast_to(slopes, (len(slopes), len(X), self.n_weights))
 
     def gradient_fu(self, i, X, W):
         return self.kernel.basis_gradient(i, X, W)

@@ -42,7 +42,8 @@ class PathBundle(ABC):
 
     def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
         """Return S functions whose outputs are those of this bundle, where ``member`` (S, P) is 0, or of another."""
-        return MixedPaths.of_all([self, *others], member)
+        taken = [bundle.take((member == k).any(axis=1)) for k, bundle in enumerate([self, *others])]
+        return MixedPaths(taken, member)
 
     def values(self, X) -> np.ndarray:
         """Return the values at many points, in chunks."""
@@ -86,25 +87,21 @@ class MixedPaths(PathBundle):
     """Functions whose outputs are those of one of several bundles.
 
     ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A bundle holds the
-    functions that need it, whose numbers are ``rows``.
+    functions that need it, in their order, whose numbers are ``rows``.
     """
 
-    def __init__(self, bundles: list[PathBundle], rows: list[np.ndarray], member: np.ndarray):
-        self.bundles, self.rows, self.member = bundles, rows, member
-
-    @classmethod
-    def of_all(cls, bundles: list[PathBundle], member: np.ndarray) -> MixedPaths:
-        """Return the functions from bundles of all S functions."""
-        rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
-        return cls([bundle.take(own) for bundle, own in zip(bundles, rows, strict=True)], rows, member)
+    def __init__(self, bundles: list[PathBundle], member: np.ndarray):
+        self.bundles, self.member = bundles, member
+        self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
 
     def take(self, index):
-        wanted, bundles, rows = np.arange(len(self.member))[index], [], []
-        for bundle, own in zip(self.bundles, self.rows, strict=True):
-            new = np.flatnonzero(np.isin(wanted, own))
-            bundles.append(bundle.take(np.searchsorted(own, wanted[new])))
-            rows.append(new)
-        return MixedPaths(bundles, rows, self.member[index])
+        wanted = np.arange(len(self.member))[index]
+        held = [wanted[np.isin(wanted, own)] for own in self.rows]
+        bundles = [
+            bundle.take(np.searchsorted(own, new))
+            for bundle, own, new in zip(self.bundles, self.rows, held, strict=True)
+        ]
+        return MixedPaths(bundles, self.member[index])
 
     def doubles(self, same_points):
         return max(b.doubles(same_points) for b, rows in zip(self.bundles, self.rows, strict=True) if len(rows))
@@ -361,9 +358,13 @@ class Waves(PathBundle):
         return len(self.omega) * self.omega.shape[2]
 
     def each(self, X):
-        half = (0.5 * X) @ self.omega
-        half += 0.5 * self.phase
-        wave, c = _cosine_of_twice(half), self.shared.shape[1]
+        square, c = (0.5 * X) @ self.omega, self.shared.shape[1]
+        square += 0.5 * self.phase
+        np.tan(square, out=square)  # vectorised in NumPy, and ten times as fast as its cosine
+        square *= square
+        square += 1.0
+        wave = np.divide(2.0, square, out=square)  # cos(2 x) = 2 / (1 + tan(x)^2) - 1
+        wave -= 1.0
         values = wave[..., :c] @ self.shared
         values += np.einsum("snmf,slmf->snm", self._private(wave), self.own) @ self.fed
         return values
@@ -380,16 +381,6 @@ class Waves(PathBundle):
 
     def _private(self, wave):
         return wave[..., self.shared.shape[1] :].reshape(*wave.shape[:2], *self.own.shape[2:])
-
-
-def _cosine_of_twice(half):
-    """Return cos(2 half) and overwrite ``half``; NumPy's tangent is vectorised and ten times as fast as its cosine."""
-    square = np.tan(half, out=half)
-    square *= square
-    square += 1.0
-    cosine = np.divide(2.0, square, out=square)
-    cosine -= 1.0
-    return cosine
 
 
 def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:

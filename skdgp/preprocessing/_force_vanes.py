@@ -14,7 +14,7 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
 from skdgp._flight.channels import ELEVONS, RATES, VANES
 from skdgp._flight.checks import numeric
 from skdgp._flight.frames import air_data
-from skdgp.preprocessing._path_equations import MIN_AIRSPEED, FlightPath, Log
+from skdgp.preprocessing._path import MIN_AIRSPEED, FlightPath, Log
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
 FORCES = {"alpha": "az", "beta": "ay"}

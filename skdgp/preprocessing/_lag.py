@@ -28,7 +28,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
 from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
-from skdgp.preprocessing._path_equations import NEEDED
+from skdgp.preprocessing._path import NEEDED
 from skdgp.preprocessing._table import TableTransformer, has_values, interpolate_missing, with_columns, wrapped_near
 
 GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}

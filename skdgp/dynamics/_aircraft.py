@@ -80,11 +80,17 @@ class Aircraft:
             object.__setattr__(self, name, value)
             if std:
                 factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "told")
-        inertia, of_inertia = _inertia_and_factors(self.inertia)
-        factors = {
-            name: _build(ScaleFactor, each, f"deviations of {name}") if isinstance(each, Mapping) else each
-            for name, each in (factors | of_inertia).items()
-        }
+        pair: Any = self.inertia
+        if isinstance(pair, (list, tuple)) and len(pair) == 2 and np.shape(pair[1]) == (3,):
+            inertia = _inertia(pair[0])
+            relative = (as_floats(pair[1]) / np.diag(inertia)).tolist()
+            for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
+                factors[name] = ScaleFactor(std, {moment: 1.0}, "told")
+        else:
+            inertia = _inertia(pair)
+        for name, each in factors.items():
+            if isinstance(each, Mapping):
+                factors[name] = _build(ScaleFactor, each, f"deviations of {name}")
         object.__setattr__(self, "inertia", inertia)
         object.__setattr__(self, "deviations", factors or None)
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
@@ -213,16 +219,6 @@ class Aircraft:
             f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
             f"c {self.chord:g} m)"
         )
-
-
-def _inertia_and_factors(value: Any) -> tuple[Array, dict[str, ScaleFactor]]:
-    """Return the inertia, of a tensor or of a pair of it and the deviations of its moments, and their scale factors."""
-    if not (isinstance(value, (list, tuple)) and len(value) == 2 and np.shape(value[1]) == (3,)):
-        return _inertia(value), {}
-    inertia = _inertia(value[0])
-    relative = (as_floats(value[1]) / np.diag(inertia)).tolist()
-    pairs = zip(INERTIAS.items(), relative, strict=True)
-    return inertia, {name: ScaleFactor(each, {moment: 1.0}, "told") for (name, moment), each in pairs}
 
 
 def _inertia(value: ArrayLike) -> Array:

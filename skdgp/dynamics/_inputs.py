@@ -214,7 +214,15 @@ def control_schedule(controls: Any, clock: Clock, wanted: Callable[[str], bool],
     ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a feedback law sees.
     """
     if isinstance(controls, FlightComputer):
-        return _held(controls.law, clock)
+        held: dict[int, Mapping] = {}
+
+        def of_step(step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
+            if step not in held:  # asked at the beginning of a step, held to its end
+                held.clear()
+                held[step] = controls.law(clock.stages[stage], observe())
+            return held[step]
+
+        return of_step
     if callable(controls):
         return lambda step, stage, observe: controls(clock.stages[stage], observe())
     if isinstance(controls, Mapping):
@@ -232,19 +240,6 @@ def control_schedule(controls: Any, clock: Clock, wanted: Callable[[str], bool],
         raise ValueError(f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft.")
     values = interpolated(tables, names, clock, "controls")
     return lambda step, stage, observe: {name: values[name][stage] for name in names}
-
-
-def _held(law: Callable, clock: Clock) -> Callable:
-    """Return what a flight computer does: its controls of the beginning of a step, held to its end."""
-    held: dict[int, Mapping] = {}
-
-    def controls(step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
-        if step not in held:
-            held.clear()
-            held[step] = law(clock.stages[stage], observe())
-        return held[step]
-
-    return controls
 
 
 def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:

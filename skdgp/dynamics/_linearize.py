@@ -12,7 +12,7 @@ The square of :math:`C_q` is that of the model plus that of its deviation by met
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -480,7 +480,8 @@ def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = Non
     table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named))
     if paths is None:
         return table
-    spread = [_matched(np.linalg.eigvals(path), eigenvalues) for path in paths[:, rows][:, :, rows]]
+    drawn = np.linalg.eigvals(paths[:, rows][:, :, rows])  # each in the order of those that they lie nearest to
+    spread = [one[linear_sum_assignment(np.abs(eigenvalues[:, None] - one))[1]] for one in drawn]
     found = np.array([[_values(values[list(unit)]) for unit in named.values()] for values in spread])
     decay = np.quantile(found[..., 2], [0.025, 0.975], axis=0)
     table["frequency_std"], table["damping_std"] = found[..., 0].std(axis=0, ddof=1), found[..., 1].std(axis=0, ddof=1)
@@ -510,7 +511,9 @@ def _named(
         return share[np.ix_([states.index(name) for name in names], unit)].sum()
 
     def split(units, names, size):
-        return max(_choices(units, size), key=lambda chosen: sum(moving(names, unit) for unit in chosen))
+        every = (chosen for number in range(1, size + 1) for chosen in combinations(units, number))
+        whole = (chosen for chosen in every if sum(map(len, chosen)) == size)  # units that hold so many eigenvalues
+        return max(whole, key=lambda chosen: sum(moving(names, unit) for unit in chosen))
 
     named: dict[str, tuple[int, ...]] = {}
     rest = list(units)
@@ -529,15 +532,7 @@ def _named(
     return named or _numbered("mode", rest, eigenvalues)
 
 
-def _choices(units: list, size: int) -> Iterator[list]:
-    """Yield every choice of units that holds ``size`` eigenvalues."""
-    for number in range(1, size + 1):
-        for chosen in combinations(units, number):
-            if sum(map(len, chosen)) == size:
-                yield list(chosen)
-
-
-def _numbered(name: str, units: list, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
+def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
     """Return the one unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
     return {name: units[0]} if len(units) == 1 else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
@@ -566,12 +561,6 @@ def _row(eigenvalues: np.ndarray) -> dict[str, Any]:
 def _inverse(values: Any) -> np.ndarray:
     values = np.asarray(values, dtype=float)
     return np.divide(1.0, values, out=np.full(values.shape, np.inf), where=values != 0)
-
-
-def _matched(found: np.ndarray, eigenvalues: np.ndarray) -> np.ndarray:
-    """Return the eigenvalues of a path in the order of those that they lie nearest to."""
-    _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - found))
-    return found[order]
 
 
 class Lag(NamedTuple):

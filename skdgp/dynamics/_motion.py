@@ -89,7 +89,7 @@ class Motion:
             raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
         air = as_air(air)
         self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
-        self._density = _density_of_air if air.density is None else air.density
+        self._density = air.density
         span, chord = self.aerodynamics.span, self.aerodynamics.chord
         own = [aircraft.span, aircraft.chord]
         if span is not None and chord is not None and not np.isclose([span, chord], own, rtol=0.01).any():
@@ -162,6 +162,8 @@ class Motion:
         airspeed, alpha, beta = air_data(velocity)
         altitude = -state[..., 2]
         density = self._density(altitude) if callable(self._density) else self._density
+        if density is None:  # that of the standard atmosphere, NaN outside of it
+            density = standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
@@ -169,7 +171,8 @@ class Motion:
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
-            self._insert(X, guess, airspeed)
+            for k, place in zip(self._implicit, self._follows, strict=True):
+                X[..., k] = guess[..., place] * self.factor(k, airspeed)
             now = self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
             result = self._follow(state, now, velocity, wind, air)
             if self.lagged:
@@ -194,11 +197,6 @@ class Motion:
             if name not in IMPLICIT:
                 X[..., k] = (values[name] if name in values else controls[name]) * self.factor(k, airspeed)
         return X
-
-    def _insert(self, X: Array, implicit: Array, airspeed: Array) -> None:
-        """Set the regressors that follow from the loads."""
-        for k, place in zip(self._implicit, self._follows, strict=True):
-            X[..., k] = implicit[..., place] * self.factor(k, airspeed)
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
@@ -227,11 +225,6 @@ class Motion:
         implicit[..., 2:5] = now.derivative[..., RATES]
         implicit[..., 5:] = now.force / self.aircraft.mass
         return implicit
-
-
-def _density_of_air(altitude: Array) -> Array:
-    """Return the density of the standard atmosphere, NaN outside of it."""
-    return standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
 
 
 def _anderson(tried: list[tuple[Array, Array]], result: Array, off: Array) -> Array:

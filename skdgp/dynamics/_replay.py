@@ -100,13 +100,18 @@ def replay(
         )
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces, float(gravity))
-    driven, start_std, tables = path.is_driven(), checked_std(initial_std), []
+    uncertainty = [] if path.load_factor is None else [path.load_factor.reshape(len(flight), -1)]
+    driven = np.isfinite(np.hstack([path.force, path.moment, *uncertainty])).all(axis=1)
+    start_std, tables = checked_std(initial_std), []
     runs = [slice(part.start + r.start, part.start + r.stop) for part in segments for r in true_runs(driven[part])]
     for h in horizons.tolist():
         rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
         states, std = _integrate(path, rows), None
         if path.load_factor is not None:
-            std = _standard_deviations(path, rows, states, correlation_time, start_std)
+            steps = np.diff(path.time[rows]).T[..., None, None]
+            samples, along = _error_rates(path, rows, states), np.swapaxes(states, 0, 1)
+            found = state_deviations(samples, steps, start_std, along, correlation_time)
+            std = np.stack([each[:, [STATES.index(name) for name in REPLAYED]] for each in found], axis=1)
         tables.append(_table(flight, rows, states, std, h))
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
@@ -191,11 +196,6 @@ class _Path(NamedTuple):
         state, time = table_states(flight, velocity), flight["time"].to_numpy(float)
         return cls(time, force, moment, state, load_factor, aircraft, gravity)
 
-    def is_driven(self) -> Any:
-        """Return where the loads, and with them the uncertainty, are known, (n,)."""
-        driven = np.isfinite(self.force).all(axis=1) & np.isfinite(self.moment).all(axis=1)
-        return driven if self.load_factor is None else driven & np.isfinite(self.load_factor).all(axis=(1, 2))
-
 
 def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:
     if hasattr(coefficients, "columns"):
@@ -252,16 +252,6 @@ def _integrate(path: _Path, rows: Indices) -> Array:
 
         states[:, k + 1] = rk4_step(rate_per_step, 0.0, states[:, k], 1.0)
     return states
-
-
-def _standard_deviations(
-    path: _Path, rows: Indices, states: Array, correlation_time: float, start_std: Mapping[str, float]
-) -> Array:
-    """Return the standard deviations (n_windows, n_steps + 1, 12) of `REPLAYED`."""
-    steps = np.diff(path.time[rows]).T[..., None, None]
-    samples, places = _error_rates(path, rows, states), [STATES.index(name) for name in REPLAYED]
-    found = state_deviations(samples, steps, start_std, np.swapaxes(states, 0, 1), correlation_time)
-    return np.stack([std[:, places] for std in found], axis=1)
 
 
 def _error_rates(path: _Path, rows: Indices, states: Array) -> Iterator[tuple[Array, Array]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,8 +24,10 @@ from skdgp.io._log import (
     Rule,
     ServoChannel,
     Topic,
+    damage,
     density_at,
     from_rpm,
+    gathered,
     instance_name,
     whole,
 )
@@ -56,10 +59,7 @@ def _attitude(degrees):
     return euler_to_quaternion(*np.deg2rad(degrees).T)
 
 
-def _percent(values):
-    return 0.01 * values
-
-
+_percent = partial(np.multiply, 0.01)
 MODELLED = "estimated on board, not measured by a vane"
 RULES = (
     Rule(("p", "q", "r"), "IMU", ("GyrX", "GyrY", "GyrZ")),
@@ -130,7 +130,7 @@ def read_dataflash(path: Path) -> Log:
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=tuple(reader.remarks()),
+        remarks=damage(reader.skipped, reader.cut),
         slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
@@ -194,11 +194,9 @@ class _Reader:
     def records(self, name, *columns) -> np.ndarray | None:
         """Return the messages of a name, None where it has no such columns."""
         of = next((of for of in self.formats.values() if of.name == name), None)
-        return None if of is None or not {*columns} <= {*of.names} else self._gather(of)
-
-    def _gather(self, of):
-        size = of.dtype.itemsize
-        return np.frombuffer(b"".join([self.data[start : start + size] for start in of.starts]), of.dtype)
+        if of is None or not {*columns} <= {*of.names}:
+            return None
+        return gathered(self.data, of.starts, of.dtype)
 
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
@@ -221,7 +219,7 @@ class _Reader:
             timed = "TimeUS" in of.names and of.dtype["TimeUS"].kind in "iu"
             if of.name in DEFINITIONS or not of.starts or not timed:
                 continue
-            records = self._gather(of)
+            records = gathered(self.data, of.starts, of.dtype)
             topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), records, of.scale)
             instance = numbered.get(kind, of.instance)
             numbers = np.zeros(len(records), int) if instance is None else records[instance]
@@ -240,13 +238,6 @@ class _Reader:
             field = names[place] if 0 <= place < len(names) else None
             fields[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
         return fields
-
-    def remarks(self):
-        """Yield remarks on damage."""
-        if self.skipped:
-            yield f"{self.skipped} bytes could not be read and were skipped"
-        if self.cut:
-            yield "the file ends within a message: it was cut off"
 
 
 def servos_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> dict[str, ServoChannel]:

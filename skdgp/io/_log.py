@@ -197,6 +197,21 @@ def whole(value: float) -> int:
     return round(value) if np.isfinite(value) else 0
 
 
+def gathered(data: bytes, starts: list[int], dtype: np.dtype) -> np.ndarray:
+    """Return the messages of one type that start at these bytes, (n,)."""
+    return np.frombuffer(b"".join([data[start : start + dtype.itemsize] for start in starts]), dtype)
+
+
+def damage(skipped: int, cut: bool = False, lost: int = 0) -> tuple[str, ...]:
+    """Return remarks on bytes that could not be read, messages of no topic, and a file that ends within a message."""
+    remarks = {
+        f"{skipped} bytes could not be read and were skipped": skipped,
+        f"{lost} messages belong to no topic that the log defines": lost,
+        "the file ends within a message: it was cut off": cut,
+    }
+    return tuple(words for words, found in remarks.items() if found)
+
+
 def instance_name(name: str, instance: int) -> str:
     """Return the name of an instance of a topic."""
     return f"{name}#{instance}" if instance else name

@@ -20,7 +20,7 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._dataflash import mixing_of, servos_of
-from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Topic, density_at, from_rpm, instance_name
+from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Topic, damage, density_at, from_rpm, instance_name
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES
 
@@ -110,7 +110,7 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(f"{skipped} bytes could not be read and were skipped",) if skipped else (),
+        remarks=damage(skipped),
         slowest_airspeed=next(iter(speeds), np.nan),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.files import read_json
-from skdgp.io._log import QUATERNION, Log, Rule, ServoChannel, Topic, from_rpm, instance_name, whole
+from skdgp.io._log import QUATERNION, Log, Rule, ServoChannel, Topic, damage, from_rpm, gathered, instance_name, whole
 from skdgp.io._tables import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
@@ -111,7 +111,9 @@ def read_ulog(path: Path) -> Log:
         raise FlightReadError(
             f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
         )
-    return _log("PX4 ULog", topics, reader.parameters, reader.information, reader.remarks())
+    return _log(
+        "PX4 ULog", topics, reader.parameters, reader.information, damage(reader.skipped, reader.cut, reader.lost)
+    )
 
 
 def read_topic_tables(path: Path) -> Log:
@@ -160,7 +162,7 @@ def _log(kind, topics, parameters, information, remarks) -> Log:
         parameters=parameters,
         firmware=_firmware(information),
         vehicle=_vehicle(topics, parameters),
-        remarks=tuple(remarks),
+        remarks=remarks,
         slowest_airspeed=parameters.get("FW_AIRSPD_MIN", np.nan),
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
@@ -344,19 +346,9 @@ class _Reader:
         for each in [*self.subscriptions.values(), *self.finished]:
             name = instance_name(each.name, each.instance)
             if each.starts and len(each.starts) > len(by_name.get(name, ())):
-                size = each.dtype.itemsize
-                raw = b"".join([self.data[start : start + size] for start in each.starts])
-                records = np.frombuffer(raw, each.dtype)
+                records = gathered(self.data, each.starts, each.dtype)
                 by_name[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
         return dict(sorted(by_name.items()))
-
-    def remarks(self):
-        if self.skipped:
-            yield f"{self.skipped} bytes could not be read and were skipped"
-        if self.lost:
-            yield f"{self.lost} messages belong to no topic that the log defines"
-        if self.cut:
-            yield "the file ends within a message: it was cut off"
 
 
 def _sampled(name, records):

@@ -34,7 +34,7 @@ from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
 from skdgp._regressor import check_targets
 from skdgp.dynamics import trajectory_bands
-from skdgp.inference._paths import Path, Paths
+from skdgp.inference import Path, Paths
 from skdgp.model_selection import BlockSplit
 
 __all__ = ["CalibratedBands", "CalibratedRegressor"]

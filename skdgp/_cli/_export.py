@@ -10,9 +10,7 @@ from pathlib import Path
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._predict import read_model
-from skdgp.export import FORMATS, export_model, load_portable
-from skdgp.export._c import TOLERANCE
-from skdgp.export._fmu import FMU_FILES, ROOTS
+from skdgp.export import CHOICES, FORMATS, export_model, load_portable
 
 
 def export(run: Run) -> None:
@@ -84,13 +82,13 @@ EXPORT = opt.Command(
             opt.option(
                 "--max-kb KB", "largest size of code or portable form (default: whole model)", opt.positive("kB")
             ),
-            opt.option("--precision", "of arguments and results, of c (default: double)", choices=list(TOLERANCE)),
+            opt.option("--precision", "of arguments and results, of c (default: double)", choices=CHOICES["precision"]),
             opt.option(
                 "--form",
                 "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or coefficients",
-                choices=["functions", "tables", *FMU_FILES],
+                choices=CHOICES["form"],
             ),
-            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=list(ROOTS)),
+            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=CHOICES["fmi"]),
             opt.option("--draws K", "aircraft drawn from the posterior, of jsbsim (default: none)", opt.at_least(1)),
         ]
     },

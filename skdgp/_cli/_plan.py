@@ -14,11 +14,8 @@ from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, json_text, text_writer
 from skdgp._compute.progress import listening
 from skdgp._excitation import AXES
-from skdgp.design import Envelope, Limits, Pilot, Plan, write_csv, write_flight_card
+from skdgp.design import Envelope, Limits, Pilot, Plan, ardupilot_script, surface_mixes, write_csv, write_flight_card
 from skdgp.design import plan as plan_flight
-from skdgp.design._envelope import OPTIONS
-from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.design._write import ardupilot_script, surface_mixes
 from skdgp.io import read_servos, servo_outputs
 
 DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
@@ -57,7 +54,7 @@ def plan(run: Run) -> None:
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
     detents = None if options.pilot is None else {one: DETENTS[one] for one in axes} | opt.by_axis(options.pilot)
-    asked = {name: getattr(options, option[2:].replace("-", "_")) for name, option in OPTIONS.items()}
+    asked = {name: getattr(options, option[2:].replace("-", "_")) for name, option in Envelope.command_options.items()}
     chosen = {"growth": float(options.growth), "risk": options.risk, "margin": options.margin, "n_paths": options.paths}
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
@@ -133,7 +130,7 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
         lines.append(f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)]
     limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="est")
-    until = f"expected, up to {RESPONSE:g} s after the inputs; the risk counts {REACTION:g} s"
+    until = f"expected, up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
     lines += ["", f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} {until}"]
     lines += [
         f"{name:<18}" + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source")) + f" {row['source']}"

@@ -16,13 +16,7 @@ from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
-from skdgp.identification import (
-    check_identified,
-    load_model,
-    named_flights,
-    predict_flight,
-    usable_flights_of_model,
-)
+from skdgp.identification import check_identified, load_model, named_flights, predict_flight, usable_flights_of_model
 from skdgp.identification import validate as judge
 
 NOTABLE_GUSTS = 0.5

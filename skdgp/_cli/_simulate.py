@@ -16,10 +16,10 @@ from skdgp._compute.files import json_text, text_writer
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
+from skdgp._mechanics.record import REASONS
 from skdgp.design import doublet
 from skdgp.dynamics import Air, SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
-from skdgp.dynamics._trajectory import REASONS
 from skdgp.identification import named_flights
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay

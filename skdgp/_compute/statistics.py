@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
 
-from skdgp._compute.typing import ArrayLike, Matrix, Vector
+from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
 LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
@@ -89,3 +89,11 @@ def shares_inside(z: Matrix, levels: Vector) -> Matrix:
     columns = [np.sort(np.abs(column[~np.isnan(column)])) for column in z.T]
     shares = [np.searchsorted(c, bounds, side="right") / len(c) if len(c) else np.nan * bounds for c in columns]
     return np.column_stack(shares)
+
+
+def path_quantiles(values: Array, level: float) -> Array:
+    """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
+    found = np.full((3, values.shape[1]), np.nan)
+    some = np.isfinite(values).any(axis=0)
+    found[:, some] = np.nanquantile(values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0)
+    return found

@@ -31,15 +31,12 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     WIND,
 )
+from skdgp._mechanics import rigid_body
+from skdgp._mechanics.air import GustyAir, LocalAir, dryden_gusts, low_altitude_turbulence
+from skdgp._mechanics.motion import Instant, Motion
+from skdgp._mechanics.record import Clock, Record, channels, fly_record
 from skdgp.datasets._brumby import BRUMBY, PROPELLER, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
-from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._air import GustyAir, LocalAir
-from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._simulate import Record, fly_record
-from skdgp.dynamics._trajectory import channels
-from skdgp.dynamics._turbulence import dryden_gusts, low_altitude_turbulence
 
 ALPHA = 0.085
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -79,6 +80,8 @@ class Envelope:
     margin: float = 0.15
     gusts: Turbulence | Literal["auto"] | None = "auto"
     n_paths: int = 200
+    command_options: ClassVar[Mapping[str, str]] = OPTIONS
+    """What it limits, and the options of the command line."""
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from skdgp._excitation import UNLIMITED, Signal, Wavetrain
 from skdgp._flight.channels import HAT
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._information import Information, errors_of
-from skdgp.design._rehearsal import ROW_STEP
+from skdgp.design._rehearsal import REACTION, RESPONSE, ROW_STEP
 from skdgp.dynamics import Aircraft, Trim
 
 SAMPLES = 20  # stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most
@@ -77,6 +77,9 @@ class Plan:
     weights: Mapping[str, Array] = field(default_factory=dict)
     merged: Mapping[str, float] = field(default_factory=dict)
     gusts: tuple[float, ...] | None = None
+    response: ClassVar[float] = RESPONSE
+    reaction: ClassVar[float] = REACTION
+    """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
 
     @property
     def risk(self) -> float:

@@ -174,7 +174,17 @@ def write_ardupilot_lua(
 
 
 def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300) -> str:
-    """Return the text of the script; parameters and errors are as of `write_ardupilot_lua`."""
+    """Return the text of the script that `write_ardupilot_lua` writes, with its errors.
+
+    Parameters
+    ----------
+    train, rate, full, switch
+        As for `write_ardupilot_lua`.
+
+    Returns
+    -------
+    str
+    """
     if not (rate <= FASTEST and switch in SWITCHES):
         raise ValueError(
             f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an RCn_OPTION of "

@@ -17,23 +17,22 @@ from skdgp._flight.frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._air import Air
-from skdgp.dynamics._aircraft import Aircraft
+from skdgp._mechanics.aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp._mechanics.air import Air, Turbulence, dryden_wind
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp._mechanics.engines import Propeller, ThrustLine
+from skdgp._mechanics.estimate import ScaleFactor
+from skdgp._mechanics.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp._mechanics.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._engines import Propeller, ThrustLine
-from skdgp.dynamics._estimate import ScaleFactor
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
 from skdgp.dynamics._output_error import OutputError, fit_output_error
 from skdgp.dynamics._replay import replay, replay_errors
-from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
-from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 
 __all__ = [
     "STATE_NAMES",

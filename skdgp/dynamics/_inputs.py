@@ -15,11 +15,12 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, CHANNELS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
-from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._air import LocalAir
-from skdgp.dynamics._error_covariance import checked_std
-from skdgp.dynamics._loads import stacked
-from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
+from skdgp._mechanics import rigid_body
+from skdgp._mechanics.air import LocalAir
+from skdgp._mechanics.error_covariance import checked_std
+from skdgp._mechanics.loads import stacked
+from skdgp._mechanics.record import Clock
+from skdgp._mechanics.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15
@@ -146,38 +147,6 @@ def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, rand
         if not any(name in std for name in BODY_VELOCITY):  # the velocity over the ground is what was measured
             drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
     return drawn
-
-
-class Clock(NamedTuple):
-    """Times of the steps of a simulation and of their stages: the beginning, middle and end of each step."""
-
-    dt: float
-    n_steps: int
-
-    @classmethod
-    def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Clock:
-        """Return the clock of a ``duration`` [s], by default as long as all of the ``tables`` last."""
-        if not (np.isfinite(dt) and dt > 0):
-            raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
-        spans = [np.ptp(table["time"].to_numpy(float)) for table in tables]
-        if duration is None:
-            if not spans:
-                raise ValueError("Got no duration and no table of controls, but expected one of them to say how long.")
-            duration = float(min(spans))
-        n_steps = int(np.floor(duration / dt + 1e-6)) if np.isfinite(duration) else 0
-        if n_steps < 1:
-            raise ValueError(f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s.")
-        if spans and n_steps * dt > min(spans) + 1e-6 * dt:
-            raise ValueError(
-                f"Got a table that ends after {min(spans):g} s, but the simulation lasts {n_steps * dt:g} s: give a "
-                "shorter duration, or controls and wind for all of it."
-            )
-        return cls(float(dt), n_steps)
-
-    @property
-    def stages(self) -> np.ndarray:
-        """Times since the start [s], two for each step and the end."""
-        return 0.5 * self.dt * np.arange(2 * self.n_steps + 1)
 
 
 def tables_of(*sources: Any) -> list[pd.DataFrame]:

@@ -18,15 +18,15 @@ from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import wrapped
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._air import as_air
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._error_covariance import checked_std
-from skdgp.dynamics._inputs import Clock, as_starts, control_schedule, initial_states, perturbed
-from skdgp.dynamics._loads import Thrust
-from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._simulate import fly_record, is_control
-from skdgp.dynamics._trajectory import channels
+from skdgp._mechanics.aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp._mechanics.air import as_air
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp._mechanics.error_covariance import checked_std
+from skdgp._mechanics.loads import Thrust
+from skdgp._mechanics.motion import Motion
+from skdgp._mechanics.record import Clock, channels, fly_record
+from skdgp.dynamics._inputs import as_starts, control_schedule, initial_states, perturbed
+from skdgp.dynamics._simulate import is_control
 from skdgp.dynamics._wind import wind_schedule
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)

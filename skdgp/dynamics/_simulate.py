@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,32 +11,19 @@ import pandas as pd
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, CHANNELS, TRUTH_SUFFIX
-from skdgp.dynamics._aerodynamics import Drift
-from skdgp.dynamics._air import LocalAir, as_air
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._error_covariance import STATES, checked_std, state_deviations
-from skdgp.dynamics._inputs import (
-    Clock,
-    as_starts,
-    control_schedule,
-    initial_states,
-    perturbed,
-    tables_of,
-    warn_of_clocks,
-)
-from skdgp.dynamics._linearize import jacobian
-from skdgp.dynamics._loads import Thrust
-from skdgp.dynamics._motion import CONTROLS, PROPULSION, Instant, Motion
-from skdgp.dynamics._rigid_body import RATES, VELOCITY, rk4_step
-from skdgp.dynamics._trajectory import beyond, channels, trajectory_table, warn_of
-from skdgp.dynamics._turbulence import Turbulence
-from skdgp.dynamics._wind import AirAt, airspeeds, drift_in, gusty_air, met_turbulence, wind_field, wind_schedule
+from skdgp._mechanics.aerodynamics import Drift
+from skdgp._mechanics.air import LocalAir, Turbulence, as_air
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp._mechanics.error_covariance import STATES, checked_std, state_deviations
+from skdgp._mechanics.jacobian import jacobian
+from skdgp._mechanics.loads import Thrust
+from skdgp._mechanics.motion import CONTROLS, PROPULSION, Motion
+from skdgp._mechanics.record import FLYING, Clock, Record, channels, end_reasons, fly_record
+from skdgp._mechanics.rigid_body import rk4_step
+from skdgp.dynamics._inputs import as_starts, control_schedule, initial_states, perturbed, tables_of, warn_of_clocks
+from skdgp.dynamics._trajectory import beyond, trajectory_table, warn_of
+from skdgp.dynamics._wind import airspeeds, drift_in, gusty_air, met_turbulence, wind_field, wind_schedule
 
-SLOWEST = 1.0
-"""Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
-FASTEST, SPINNING = 1000.0, 60.0
-"""Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
-FLYING = ""
 MOST_KNOTS = 250
 """Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
 
@@ -171,115 +157,6 @@ def simulate(
     table = trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
     table.attrs["air"] = said
     return table
-
-
-class Record(NamedTuple):
-    """Simulated trajectories: arrays (n_steps + 1, ...) over time, NaN after the end of a trajectory."""
-
-    time: np.ndarray
-    """Since the start, (n_steps + 1,)."""
-    states: Array
-    regressors: Array
-    coefficients: Array
-    specific_force: Array
-    derivative: Array
-    density: Array
-    wind: Array | None
-    controls: dict[str, Array]
-    ended: Array
-    """Why each trajectory ended, (...), `FLYING` where it did not."""
-    end: Array
-    """The step at which it did, (...)."""
-
-    def rows(self, part: slice) -> Record:
-        """Return the record of some of the steps."""
-        controls = {name: values[part] for name, values in self.controls.items()}
-        arrays = (None if values is None else values[part] for values in self[:8])
-        return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
-
-
-def fly_record(
-    motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array, drifts: Array | None = None
-) -> Record:
-    """Return what is flown from states (..., 13): the loop over time.
-
-    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
-    :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added to the coefficients.
-    """
-    start, n = state, clock.n_steps + 1
-    ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
-    flown: list[tuple[Array, Instant, dict, Array | None]] = []
-
-    def instant(step, stage, state, last):
-        stage += 2 * step
-        here = air(stage, state)
-        wind = None if here is None else here.wind
-        controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
-        drift = 0.0 if drifts is None else drifts[stage]
-        return motion.at(state, controls, here, None if last is None else last.implicit, drift), controls, wind
-
-    def slope(step, now, t, state):
-        stage = round(2 * t / clock.dt)
-        return now.derivative if stage == 0 else instant(step, stage, state, now)[0].derivative
-
-    now = None
-    with np.errstate(all="ignore"):  # what diverges is ended
-        for k in range(n):
-            now, controls, wind = instant(k, 0, state, now)
-            over = end_reasons(state, now)
-            for reason, where in over.items():
-                first = np.broadcast_to(where, ended.shape) & (ended == FLYING)
-                ended[first], end[first] = reason, k
-            if not (ended == FLYING).any():
-                break
-            if over:
-                state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
-                now, controls, wind = instant(k, 0, state, None)
-            flown.append((state, now, controls, wind))
-            if k < clock.n_steps:
-                state = rk4_step(partial(slope, k, now), 0.0, state, clock.dt)
-    return _record(motion, clock.dt * np.arange(n), flown, ended, end)
-
-
-def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array) -> Record:
-    """Return the record of the steps ``flown``: state, instant, controls and wind of each."""
-    is_over = np.arange(len(time)).reshape(-1, *[1] * ended.ndim) >= end
-
-    def over_time(values: Sequence, *size: int) -> Array:
-        array = np.full((len(time), *ended.shape, *size), np.nan)
-        for k, value in enumerate(values):
-            array[k] = value
-        array[is_over] = np.nan
-        return array
-
-    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
-    return Record(
-        time=time,
-        states=over_time(states, 13),
-        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
-        coefficients=over_time([now.coefficients for now in instants], 6),
-        specific_force=over_time([now.force for now in instants], 3) / motion.aircraft.mass,
-        derivative=over_time([now.derivative for now in instants], 13),
-        density=over_time([now.density for now in instants]),
-        wind=None if winds[0] is None else over_time(winds, 3),
-        controls={name: over_time([each[name] for each in controls]) for name in controls[0]},
-        ended=ended,
-        end=end,
-    )
-
-
-def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
-    """Return which trajectories cannot go on, by reason."""
-    fine = np.isfinite(now.derivative).all(axis=-1)
-    fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
-    fine = fine & (np.abs(state[..., RATES]) < SPINNING).all(axis=-1)
-    found: dict[str, Any] = {
-        "airspeed": now.airspeed < SLOWEST,
-        "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
-        "diverged": ~fine,
-        "fixed point": np.logical_not(now.settled),
-    }
-    return {reason: where for reason, where in found.items() if np.any(where)}
 
 
 def linear_std(

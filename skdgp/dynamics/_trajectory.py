@@ -9,49 +9,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import (
-    AIR_DATA,
-    BODY_VELOCITY,
-    COEFFICIENTS,
-    EARTH_VELOCITY,
-    EULER,
-    POSITION,
-    RATES,
-    SPECIFIC_FORCE,
-    WIND,
-)
+from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler, unwrapped_paths
-from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
+from skdgp._flight.frames import unwrapped_paths
+from skdgp._mechanics import rigid_body
+from skdgp._mechanics.motion import Motion
+from skdgp._mechanics.record import REASONS, channels
 
 BEYOND = 0.02
 """Share of its range by which a regressor may exceed what was flown without a warning."""
 TINY = 1e-12
-REASONS = {
-    "airspeed": "airspeed under 1 m/s",
-    "altitude": "outside of the atmosphere",
-    "diverged": "diverged",
-    "fixed point": "no fixed point of the regressors that follow from the loads",
-}
 
 
 class SimulationWarning(UserWarning):
     """A trajectory ended early, or left the range of the training data."""
-
-
-def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
-    """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
-    attitude = states[..., ATTITUDE]
-    earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
-    air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
-    groups = {POSITION: states[..., rigid_body.POSITION], EARTH_VELOCITY: earth, BODY_VELOCITY: states[..., VELOCITY]}
-    groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
-    found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
-    found |= dict(zip(AIR_DATA, air_data(air), strict=True))
-    return found | {"altitude": -states[..., 2]}
 
 
 def trajectory_table(record: Any, motion: Motion, first_times: Array, further: dict[str, Array]) -> pd.DataFrame:
@@ -173,11 +146,3 @@ def trajectory_bands(
             band |= {name: middle, f"{name}_low": low, f"{name}_high": high}
         rows.append(pd.DataFrame(band))
     return pd.concat(rows, ignore_index=True)
-
-
-def path_quantiles(values: Array, level: float) -> Array:
-    """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
-    found = np.full((3, values.shape[1]), np.nan)
-    some = np.isfinite(values).any(axis=0)
-    found[:, some] = np.nanquantile(values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0)
-    return found

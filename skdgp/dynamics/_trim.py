@@ -16,18 +16,16 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._linearize import check_settled
-from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
-from skdgp.dynamics._motion import IMPLICIT, PROPULSION, Instant, Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp._mechanics.jacobian import check_settled
+from skdgp._mechanics.loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
+from skdgp._mechanics.motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
+from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY
 
 ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]
 """Controls that give the thrust of any engine."""
 ANGLES = {"alpha": (-np.pi / 6, np.pi / 4), "beta": (-np.pi / 6, np.pi / 6), "theta": (-1.4, 1.4), "phi": (-1.5, 1.5)}
 OTHERS = {"climb": (-1.4, 1.4), "turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
-DEFLECTION = np.pi / 4
-"""Largest one of a control of a model that does not say what it was learned from."""
 LEAST_MARGIN = 0.1
 """Least distance by which a control or alpha may leave what a model was learned from [rad]."""
 ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")

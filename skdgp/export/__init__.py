@@ -5,7 +5,7 @@ from skdgp.export._build_up import BuildUp, Table, build_up, write_build_up
 from skdgp.export._c import write_c
 from skdgp.export._dave_ml import write_dave_ml
 from skdgp.export._fmu import write_fmu
-from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._formats import CHOICES, FORMATS, export_model
 from skdgp.export._graphs import casadi_function, onnx_model
 from skdgp.export._gymnasium import gymnasium_env
 from skdgp.export._jsbsim import write_jsbsim
@@ -22,6 +22,7 @@ from skdgp.export._model import (
 from skdgp.export._pipeline import portable_model
 
 __all__ = [
+    "CHOICES",
     "FORMATS",
     "Block",
     "BuildUp",

@@ -16,9 +16,9 @@ from sklearn.utils import Bunch
 from skdgp.dynamics import Aircraft
 from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import build_up, write_build_up
-from skdgp.export._c import C_FILES, c_bytes, write_c
+from skdgp.export._c import C_FILES, TOLERANCE, c_bytes, write_c
 from skdgp.export._dave_ml import write_dave_ml
-from skdgp.export._fmu import FMU_FILES, write_fmu
+from skdgp.export._fmu import FMU_FILES, ROOTS, write_fmu
 from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel, save_portable
@@ -138,5 +138,7 @@ SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
     "dave-ml": _dave_ml,
 }
 """Formats of a pipeline and its samples."""
+CHOICES = {"precision": [*TOLERANCE], "form": ["functions", "tables", *FMU_FILES], "fmi": [*ROOTS]}
+"""The values of options that are words, of one format or another."""
 FORMATS = ARRAY_FORMATS | SAMPLE_FORMATS
 """The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""

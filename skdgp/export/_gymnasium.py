@@ -9,10 +9,10 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_names
+from skdgp._mechanics.air import CEILING
+from skdgp._mechanics.loads import Thrust
+from skdgp._mechanics.motion import DEFLECTION
 from skdgp.dynamics import Aircraft, Simulator, Trim, as_aerodynamics, dryden_wind
-from skdgp.dynamics._loads import Thrust
-from skdgp.dynamics._trim import DEFLECTION
-from skdgp.dynamics._turbulence import CEILING
 from skdgp.export._text import extra
 
 OBSERVED = ("airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "altitude")

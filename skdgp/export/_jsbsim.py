@@ -18,9 +18,9 @@ from sklearn.utils import check_random_state
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
+from skdgp._mechanics.aerodynamics import scaling_of
+from skdgp._mechanics.loads import CENTRED
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._aerodynamics import scaling_of
-from skdgp.dynamics._loads import CENTRED
 from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form

@@ -14,11 +14,12 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
+from skdgp._mechanics.aerodynamics import SCALERS, scaling_of
+from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._aerodynamics import SCALERS, scaling_of
 from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
-from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
+from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 from skdgp.kernels._features import TrendFeatures

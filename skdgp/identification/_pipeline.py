@@ -18,6 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.clock import flight_segments
+from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
@@ -145,16 +146,6 @@ def default_regressor(**parameters: Any) -> DependentGPRegressor:
     DependentGPRegressor(random_state=0)
     """
     return DependentGPRegressor(**parameters)
-
-
-def check_aircraft(aircraft) -> Aircraft:
-    """Return the aircraft, or raise TypeError."""
-    if not isinstance(aircraft, Aircraft):
-        raise TypeError(
-            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
-            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
-        )
-    return aircraft
 
 
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:

@@ -20,6 +20,7 @@ from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, joined, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
+from skdgp.inference._paths import Path, Paths
 from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched
 from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, output_correlation, slope_errors
 from skdgp.inference._sparse import SparsePosterior, shares_of
@@ -33,6 +34,8 @@ __all__ = [
     "Fit",
     "FunctionErrors",
     "Optimum",
+    "Path",
+    "Paths",
     "SlopeErrors",
     "SparsePosterior",
     "autocorrelation_time",

@@ -8,13 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import (
-    check_memory,
-    cluster_centres,
-    column_scale,
-    covariance_root,
-    output_scale,
-)
+from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, covariance_root, output_scale
 from skdgp._compute.parallel import fit_map
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed

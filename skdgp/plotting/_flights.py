@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.statistics import half_width
+from skdgp._compute.statistics import half_width, path_quantiles
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._display.flights import ground_path, named_flights, start_marker
 from skdgp._display.style import (
@@ -26,7 +26,6 @@ from skdgp._display.style import (
 from skdgp._flight.channels import ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.frames import unwrapped_paths
-from skdgp.dynamics._trajectory import path_quantiles
 from skdgp.plotting._display import Display, Names, line_points, panels
 
 INPUTS = ("throttle", *SURFACES)

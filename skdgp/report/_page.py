@@ -14,19 +14,7 @@ import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.flights import start_marker
-from skdgp._display.page import (
-    DASH,
-    THIN,
-    can_draw,
-    figure,
-    key_of,
-    number,
-    percent,
-    render_page,
-    symbol,
-    table,
-    text,
-)
+from skdgp._display.page import DASH, THIN, can_draw, figure, key_of, number, percent, render_page, symbol, table, text
 from skdgp._display.style import CYCLE, PALETTE, display_unit, units_shown
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay

@@ -5,11 +5,7 @@ from __future__ import annotations
 import gpytorch
 import numpy as np
 import torch
-from gpytorch.variational import (
-    CholeskyVariationalDistribution,
-    LMCVariationalStrategy,
-    VariationalStrategy,
-)
+from gpytorch.variational import CholeskyVariationalDistribution, LMCVariationalStrategy, VariationalStrategy
 
 
 class LCM(gpytorch.models.ExactGP):

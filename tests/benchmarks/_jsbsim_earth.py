@@ -8,6 +8,7 @@ gyroscopes feel. What is left is arithmetic.
 import numpy as np
 from _jsbsim_flight import EARTH_RATE, earth_to_ned
 
+from skdgp._mechanics.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 from skdgp.dynamics import (
     body_to_ned,
     euler_to_quaternion,
@@ -16,7 +17,6 @@ from skdgp.dynamics import (
     rigid_body_derivative,
     rk4,
 )
-from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 

@@ -11,10 +11,10 @@ from sklearn.preprocessing import PolynomialFeatures
 from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH_SUFFIX
 from skdgp._flight.frames import euler_to_quaternion, ned_to_body
+from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, MEASURED, TRUTH, _columns, fly_plans, measure
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
-from skdgp.dynamics._motion import Motion
 
 NAMES = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle")
 """Regressors of the set "classical", rates non-dimensional."""

@@ -20,10 +20,10 @@ from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._mechanics.motion import Motion
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
 from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
-from skdgp.dynamics._motion import Motion
 from skdgp.model_selection import thin_targets
 
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0

@@ -44,6 +44,8 @@ from study import LOGGED, Results, coverage_table
 from skdgp import make_identification_pipeline
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
+from skdgp._mechanics import aerodynamics
+from skdgp._mechanics.air import _spectrum
 from skdgp.datasets._example_flights import MEASURED, measure
 from skdgp.dynamics import (
     SimulationWarning,
@@ -54,9 +56,7 @@ from skdgp.dynamics import (
     euler_to_quaternion,
     simulate,
 )
-from skdgp.dynamics import _aerodynamics as aerodynamics
 from skdgp.dynamics import _wind as simulated_wind
-from skdgp.dynamics._turbulence import _spectrum
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
 

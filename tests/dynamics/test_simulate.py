@@ -11,6 +11,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from skdgp._mechanics.aerodynamics import Drift
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -24,7 +25,6 @@ from skdgp.dynamics import (
     standard_density,
     trajectory_bands,
 )
-from skdgp.dynamics._aerodynamics import Drift
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
 NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")

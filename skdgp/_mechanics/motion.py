@@ -24,15 +24,17 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._air import LocalAir, as_air
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsion_loads
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
+from skdgp._mechanics.aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp._mechanics.air import LocalAir, as_air
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp._mechanics.loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 CONTROLS = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", *PROPULSION, "gust")
 """Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
+DEFLECTION = np.pi / 4
+"""Largest one of a control of a model that does not say what it was learned from."""
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 """Channels that follow from the loads, and so from the coefficients that they may be regressors of."""
 STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")

@@ -17,7 +17,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import cross, cross_matrix, euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
-from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
+from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY
 
 ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATES)
 """Errors of a state: that of its attitude is a small rotation about body axes."""

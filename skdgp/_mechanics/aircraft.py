@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
-from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
-from skdgp.dynamics._estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
+from skdgp._mechanics.engines import Propeller, ThrustLine, as_floats
+from skdgp._mechanics.estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -281,3 +281,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return np.asarray(value).tolist() if isinstance(value, (np.ndarray, tuple)) else value
+
+
+def check_aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, or raise TypeError."""
+    if not isinstance(aircraft, Aircraft):
+        raise TypeError(
+            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
+            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
+        )
+    return aircraft

@@ -1,0 +1,210 @@
+r"""Derivatives of the motion at states, and errors of slopes that the posterior of a model does not contain.
+
+Most flights do not tell alpha_dot from q and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them
+gives their effect to the regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads
+of the model cause without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
+:math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
+:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot.
+The square of :math:`C_q` is that of the model plus that of its deviation by method: where gusts make it vanish,
+:math:`C_{\dot\alpha}` need not vanish.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
+
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import RATE_LENGTHS
+from skdgp._flight.frames import air_data_slopes, air_velocity, cross, cross_matrix, quaternion_rate
+from skdgp._mechanics.air import LocalAir
+from skdgp._mechanics.error_covariance import ERRORS
+from skdgp._mechanics.motion import Instant, Motion
+from skdgp._mechanics.rigid_body import ATTITUDE, RATES
+
+LAGS = {"alpha_dot": "q", "beta_dot": "r"}
+"""Rates of change, and the rates whose slopes theirs are shares of."""
+SHARES = np.array([0.4, 0.2])
+OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
+TURN, SPIN = slice(6, 9), slice(9, 12)
+"""Places in `ERRORS`."""
+ANGLES = slice(1, 3)
+"""Places of alpha and beta in `OUTPUTS`."""
+POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
+"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of themselves."""
+WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
+"""Of the central difference of fourth order."""
+
+
+class Jacobian(NamedTuple):
+    """Derivatives at states (...), by the state errors `ERRORS` and by an error added to the coefficients."""
+
+    state: Array
+    """d error_dot / d error, (..., 12, 12)."""
+    controls: Array
+    """(..., 12, k)."""
+    coefficients: Array
+    """(..., 12, 6)."""
+    outputs_state: Array
+    """d outputs / d error, of `OUTPUTS`, (..., 6, 12)."""
+    outputs_controls: Array
+    """(..., 6, k)."""
+    instant: Instant
+
+
+def jacobian(
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    *,
+    inputs: Sequence[str] = (),
+    air: LocalAir | None = None,
+    lag: Lag | None = None,
+) -> Jacobian:
+    r"""Return the derivatives of an aircraft's motion at states (..., 13).
+
+    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of regressors
+    :math:`X = G(x, u, C)`, which depend on C where they follow from the loads (alpha_dot, ax, ...). So
+
+    .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
+
+    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
+    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
+    these are the first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
+    """
+    state = np.asarray(state, dtype=float)
+    instant = motion.at(state, controls, air)
+    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
+    slopes = motion.aerodynamics.gradient(instant.regressors)
+    n = len(ERRORS) + len(inputs)
+    change: np.ndarray = slopes @ G[..., :n]
+    gain: np.ndarray = np.eye(6)
+    if motion.is_implicit:
+        gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
+        change = gain @ change
+    if lag is not None:
+        rate = _error_rate(F[..., :n] + F[..., n:] @ change, state)
+        change = change + gain @ lag.slopes @ (lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n])
+    rate, output = _error_rate(F[..., :n] + F[..., n:] @ change, state), H[..., :n] + H[..., n:] @ change
+    return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+
+
+def _error_rate(rate: Array, state: Array) -> Array:
+    """Return the derivatives of error_dot (..., 12, n) with those of the attitude, which are exact."""
+    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
+    return rate
+
+
+def check_settled(instant: Instant) -> None:
+    """Raise ValueError if the fixed point of the implicit regressors was not found."""
+    if not np.all(instant.settled):
+        raise ValueError(
+            "The coefficients depend so strongly on the accelerations they cause that the motion is not determined: "
+            "learn a model without accelerations, as RegressorSelector() does."
+        )
+
+
+def _mechanics(
+    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: LocalAir | None
+) -> tuple[Array, Array, Array]:
+    """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
+    frozen: Any = copy.copy(motion)
+    if air is not None:
+        parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
+        air = LocalAir(*parts)
+    n_inputs, shape = len(inputs), state.shape[:-1]
+    controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
+    steps = np.full((*shape, 18 + n_inputs), FRACTION)
+    steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
+        POSITION_STEP,
+        FRACTION * instant.airspeed[..., None],
+        ANGLE_STEP,
+    )
+    for k, name in enumerate(inputs):
+        steps[..., 12 + k] = FRACTION * (1.0 + np.abs(controls[name]))
+    slopes = np.zeros(())
+    for move, weight in WEIGHTS.items():
+        moves = move * steps[..., None] * np.eye(steps.shape[-1])
+        C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
+        frozen.aerodynamics = lambda X, C=C: C
+        moved = {name: np.repeat(value[..., None], steps.shape[-1], axis=-1) for name, value in controls.items()}
+        for k, name in enumerate(inputs):
+            moved[name] = moved[name] + moves[..., 12 + k]
+        slopes = slopes + weight * _responses(frozen.at(_shifted(state, moves[..., :12]), moved, air), motion)
+    slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
+    d = len(motion.regressors)
+    return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]
+
+
+def _shifted(state: Array, errors: Array) -> Array:
+    """Return the states (..., 13) with errors (..., m, 12), as (..., m, 13)."""
+    shifted = np.repeat(state[..., None, :], errors.shape[-2], axis=-2)
+    shifted[..., :6] += errors[..., :6]
+    shifted[..., RATES] += errors[..., SPIN]
+    shifted[..., ATTITUDE] += quaternion_rate(shifted[..., ATTITUDE], errors[..., TURN])
+    return shifted
+
+
+def _responses(instant: Instant, motion: Motion) -> Array:
+    """Return error_dot, zero for the attitude, which `jacobian` has exactly, then regressors and outputs."""
+    rate = np.zeros((*instant.derivative.shape[:-1], 12))
+    rate[..., :6], rate[..., SPIN] = instant.derivative[..., :6], instant.derivative[..., RATES]
+    seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
+    return np.concatenate([rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1)
+
+
+class Lag(NamedTuple):
+    """What alpha_dot and beta_dot may change of C: slopes @ (missing * rates - relation @ regressors)."""
+
+    slopes: Array
+    """One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)."""
+    relation: Array
+    """S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d)."""
+    missing: Array
+    """Whether they are no regressors, (2, 1)."""
+
+    @property
+    def errors(self) -> Array:
+        """Errors of the slopes of C, (..., 6, d, 2)."""
+        return -np.einsum("...ij,...jk->...ikj", self.slopes, self.relation)
+
+
+def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0) -> Lag:
+    """Return what alpha_dot and beta_dot may change at a flight, by the slopes (..., 6, d) of the model.
+
+    ``scatter`` is the standard deviation of these slopes by method.
+    """
+    velocity = air_velocity(now.airspeed, now.alpha, now.beta)
+    pressure = 0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass
+    acceleration = np.asarray(pressure)[..., None, None] * slopes[..., :3, :]
+    by_rate = np.zeros((*slopes.shape[:-1], 2))
+    own = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
+    size = np.copysign(np.hypot(slopes, scatter), slopes)
+    for k, name in enumerate(motion.regressors):
+        if name not in RATE_LENGTHS:
+            continue
+        unit = np.broadcast_to(1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed))  # of the regressor [rad/s]
+        if name in LAGS:
+            own[..., list(LAGS).index(name), k] = unit
+            continue
+        acceleration[..., k] -= cross(np.eye(3)["pqr".index(name)] * np.ones_like(velocity), velocity) * unit[..., None]
+        if name in LAGS.values():
+            by_rate[..., list(LAGS.values()).index(name)] = size[..., k] / unit[..., None]
+    missing = np.array([[name not in motion.regressors] for name in LAGS])
+    return Lag(SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing)
+
+
+def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:
+    """Return draws of the errors of slopes at one flight, (n_paths, 6, d), and of the lag, with paths first."""
+    seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+    rng = np.random.default_rng(seed)
+    lag_drawn = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
+    drawn = np.zeros((n_paths, *lag.errors.shape[:-1]))
+    for part in () if errors is None else (errors.random[0], errors.method[0]):
+        drawn += np.moveaxis(part @ rng.standard_normal((part.shape[-1], n_paths)), -1, 0)
+    return drawn, lag_drawn

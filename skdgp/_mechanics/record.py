@@ -1,0 +1,183 @@
+"""What is flown: the loop over the times of a clock, the states it records, and why a flight ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
+from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
+from skdgp._mechanics import rigid_body
+from skdgp._mechanics.air import AirAt
+from skdgp._mechanics.motion import Instant, Motion
+from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY, rk4_step
+
+SLOWEST = 1.0
+"""Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
+FASTEST, SPINNING = 1000.0, 60.0
+"""Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
+FLYING = ""
+REASONS = {
+    "airspeed": "airspeed under 1 m/s",
+    "altitude": "outside of the atmosphere",
+    "diverged": "diverged",
+    "fixed point": "no fixed point of the regressors that follow from the loads",
+}
+
+
+def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
+    """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
+    attitude = states[..., ATTITUDE]
+    earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
+    air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
+    groups = {POSITION: states[..., rigid_body.POSITION], EARTH_VELOCITY: earth, BODY_VELOCITY: states[..., VELOCITY]}
+    groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
+    found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
+    found |= dict(zip(AIR_DATA, air_data(air), strict=True))
+    return found | {"altitude": -states[..., 2]}
+
+
+class Clock(NamedTuple):
+    """Times of the steps of a simulation and of their stages: the beginning, middle and end of each step."""
+
+    dt: float
+    n_steps: int
+
+    @classmethod
+    def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Clock:
+        """Return the clock of a ``duration`` [s], by default as long as all of the ``tables`` last."""
+        if not (np.isfinite(dt) and dt > 0):
+            raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
+        spans = [np.ptp(table["time"].to_numpy(float)) for table in tables]
+        if duration is None:
+            if not spans:
+                raise ValueError("Got no duration and no table of controls, but expected one of them to say how long.")
+            duration = float(min(spans))
+        n_steps = int(np.floor(duration / dt + 1e-6)) if np.isfinite(duration) else 0
+        if n_steps < 1:
+            raise ValueError(f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s.")
+        if spans and n_steps * dt > min(spans) + 1e-6 * dt:
+            raise ValueError(
+                f"Got a table that ends after {min(spans):g} s, but the simulation lasts {n_steps * dt:g} s: give a "
+                "shorter duration, or controls and wind for all of it."
+            )
+        return cls(float(dt), n_steps)
+
+    @property
+    def stages(self) -> np.ndarray:
+        """Times since the start [s], two for each step and the end."""
+        return 0.5 * self.dt * np.arange(2 * self.n_steps + 1)
+
+
+class Record(NamedTuple):
+    """Simulated trajectories: arrays (n_steps + 1, ...) over time, NaN after the end of a trajectory."""
+
+    time: np.ndarray
+    """Since the start, (n_steps + 1,)."""
+    states: Array
+    regressors: Array
+    coefficients: Array
+    specific_force: Array
+    derivative: Array
+    density: Array
+    wind: Array | None
+    controls: dict[str, Array]
+    ended: Array
+    """Why each trajectory ended, (...), `FLYING` where it did not."""
+    end: Array
+    """The step at which it did, (...)."""
+
+    def rows(self, part: slice) -> Record:
+        """Return the record of some of the steps."""
+        controls = {name: values[part] for name, values in self.controls.items()}
+        arrays = (None if values is None else values[part] for values in self[:8])
+        return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
+
+
+def fly_record(
+    motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array, drifts: Array | None = None
+) -> Record:
+    """Return what is flown from states (..., 13): the loop over time.
+
+    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
+    :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added to the coefficients.
+    """
+    start, n = state, clock.n_steps + 1
+    ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
+    flown: list[tuple[Array, Instant, dict, Array | None]] = []
+
+    def instant(step, stage, state, last):
+        stage += 2 * step
+        here = air(stage, state)
+        wind = None if here is None else here.wind
+        controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+        drift = 0.0 if drifts is None else drifts[stage]
+        return motion.at(state, controls, here, None if last is None else last.implicit, drift), controls, wind
+
+    def slope(step, now, t, state):
+        stage = round(2 * t / clock.dt)
+        return now.derivative if stage == 0 else instant(step, stage, state, now)[0].derivative
+
+    now = None
+    with np.errstate(all="ignore"):  # what diverges is ended
+        for k in range(n):
+            now, controls, wind = instant(k, 0, state, now)
+            over = end_reasons(state, now)
+            for reason, where in over.items():
+                first = np.broadcast_to(where, ended.shape) & (ended == FLYING)
+                ended[first], end[first] = reason, k
+            if not (ended == FLYING).any():
+                break
+            if over:
+                state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
+                now, controls, wind = instant(k, 0, state, None)
+            flown.append((state, now, controls, wind))
+            if k < clock.n_steps:
+                state = rk4_step(partial(slope, k, now), 0.0, state, clock.dt)
+    return _record(motion, clock.dt * np.arange(n), flown, ended, end)
+
+
+def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array) -> Record:
+    """Return the record of the steps ``flown``: state, instant, controls and wind of each."""
+    is_over = np.arange(len(time)).reshape(-1, *[1] * ended.ndim) >= end
+
+    def over_time(values: Sequence, *size: int) -> Array:
+        array = np.full((len(time), *ended.shape, *size), np.nan)
+        for k, value in enumerate(values):
+            array[k] = value
+        array[is_over] = np.nan
+        return array
+
+    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
+    return Record(
+        time=time,
+        states=over_time(states, 13),
+        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
+        coefficients=over_time([now.coefficients for now in instants], 6),
+        specific_force=over_time([now.force for now in instants], 3) / motion.aircraft.mass,
+        derivative=over_time([now.derivative for now in instants], 13),
+        density=over_time([now.density for now in instants]),
+        wind=None if winds[0] is None else over_time(winds, 3),
+        controls={name: over_time([each[name] for each in controls]) for name in controls[0]},
+        ended=ended,
+        end=end,
+    )
+
+
+def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
+    """Return which trajectories cannot go on, by reason."""
+    fine = np.isfinite(now.derivative).all(axis=-1)
+    fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
+    fine = fine & (np.abs(state[..., rigid_body.RATES]) < SPINNING).all(axis=-1)
+    found: dict[str, Any] = {
+        "airspeed": now.airspeed < SLOWEST,
+        "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
+        "diverged": ~fine,
+        "fixed point": np.logical_not(now.settled),
+    }
+    return {reason: where for reason, where in found.items() if np.any(where)}

@@ -30,8 +30,7 @@ from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._output_error import OutputError, fit_output_error
 from skdgp.dynamics._replay import replay, replay_errors
-from skdgp.dynamics._simulate import Simulator, simulate
-from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
+from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [

@@ -25,9 +25,8 @@ from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file
 from skdgp.identification._evaluation import Evaluation, group_means, reconstruction_of, scores
 from skdgp.identification._flights import named_flights
-from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._pipeline import regressor_and_scale
-from skdgp.identification._verdict import judge
+from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import FlightMechanics, ModelSummary, ReportContent, Verdict, render_report, write_report
 

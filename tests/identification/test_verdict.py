@@ -7,8 +7,7 @@ import pytest
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, simulate, stability_derivatives, trim
 from skdgp.identification import Evaluation
-from skdgp.identification._mechanics import flight_mechanics, simulation_errors
-from skdgp.identification._verdict import judge
+from skdgp.identification._verdict import flight_mechanics, judge, simulation_errors
 from skdgp.report import FlightMechanics
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute import parallel as _threads
+from skdgp._compute import parallel
 from skdgp.inference import Data, ExactPosterior, _exact, _likelihood, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -172,7 +172,7 @@ class TestTiles:
         monkeypatch.setattr(_likelihood, "TILE", tile)
         monkeypatch.setattr(_likelihood, "HALF", 2)
         monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
-        monkeypatch.setattr(_threads, "SMALL", 0)
+        monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
             posterior = posterior_of(problem)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute import parallel as _threads
+from skdgp._compute import parallel
 from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood, shares_of
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -132,7 +132,7 @@ class TestRows:
         posterior = sparse(problem)
         expected = posterior.log_marginal_likelihood, posterior.bound_gradient(), *posterior.predict(NEW, True)
         monkeypatch.setattr(_sparse, "ROWS", 3)
-        monkeypatch.setattr(_threads, "SMALL", 0)
+        monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again = sparse(problem)
             got = again.log_marginal_likelihood, again.bound_gradient(), *again.predict(NEW, True)

@@ -79,18 +79,10 @@ class Single:
 
 
 def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
-    r"""Return the mean and, with ``return_variance``, the variance of a mixture.
+    r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
-    With means :math:`m_k` and variances :math:`v_k` of members,
-    :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
-
-    Parameters
-    ----------
-    mixture : ndarray (K, P)
-        Weights of members for each output.
-    found : sequence of K
-        The mean (n, P, ...) of each member; with ``return_variance`` a pair, mean and variance.
-    return_variance : bool
+    ``found`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs of these and the
+    variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
     means, variances = zip(*found, strict=True) if return_variance else (found, None)
     means = np.asarray(means)

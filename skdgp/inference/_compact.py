@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,8 +112,7 @@ def compact(
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.wholes[0].features.theta):
-        moved = partial(maximize_features, max_iter=max_iter, stage="compact")
-        improved = posterior.sparse(*(moved(whole, column_scale(X))[0] for whole in new.wholes))
+        improved = posterior.sparse(*(moved_features(whole, column_scale(X), max_iter) for whole in new.wholes))
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
             new, change = improved, improved_change
@@ -195,8 +193,8 @@ def _ratio_bounds(divergence):
     return float(np.exp(low / 2)), float(np.exp(high / 2))
 
 
-def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, stage: str) -> tuple:
-    """Return the features that maximise the bound, from those of ``start``, and the Optimum.
+def moved_features(start: SparsePosterior, scale: Vector, max_iter: int) -> Any:
+    """Return the features with the inducing inputs that maximise the bound, from those of ``start``.
 
     Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
     search then does not depend on the units of the regressors, and the scaling causes no rounding.
@@ -209,5 +207,5 @@ def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, s
         posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
         return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
 
-    best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage=stage)
-    return features.rebuild(kernel, unit * best.theta), best
+    best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage="compact")
+    return features.rebuild(kernel, unit * best.theta)

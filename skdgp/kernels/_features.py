@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -394,14 +394,6 @@ class SumFeatures(Features):
 # -- placement of inducing variables -------------------------------------------------------------------
 
 
-class Ranking(NamedTuple):
-    """Candidates of one latent, best first: variance reduction, output and input."""
-
-    gain: np.ndarray
-    output: np.ndarray
-    Z: np.ndarray
-
-
 def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
     """Return a function n -> the best n inducing features.
 
@@ -413,38 +405,26 @@ def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures
     """
     seed = check_random_state(random_state).randint(2**31 - 1)
     random_state = np.random.RandomState(seed)
-    X = np.unique(X, axis=0)
-    rankings = [_rank(kernel, m, X, scale, random_state) for m in range(len(kernel._value("feeds")))]
-    for ranking in rankings:
-        ranking.gain[0] = np.inf  # every latent, and so every output, has at least one feature
-    order = np.sort(np.concatenate([ranking.gain for ranking in rankings]))[::-1]
+    X, rankings = np.unique(X, axis=0), []
+    for m, outputs in enumerate(map(np.flatnonzero, kernel._value("feeds"))):
+        x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
+        K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
+        weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
+        pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
+        gain[0] = np.inf  # every latent, and so every output, has at least one feature
+        rankings.append((gain, outputs[pivots // len(x)]))
+    order = np.sort(np.concatenate([gain for gain, _ in rankings]))[::-1]
     subset = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
 
     def best(n):
         least = order[min(max(n, len(rankings)), len(order)) - 1]
         latents, outputs, Z = [], [], []
-        for m, ranking in enumerate(rankings):
-            selected = ranking.output[ranking.gain >= least]
-            for i in np.unique(selected):
+        for m, (gain, of_output) in enumerate(rankings):
+            for i, size in zip(*np.unique(of_output[gain >= least], return_counts=True), strict=True):
                 latents.append(m)
                 outputs.append(i)
-                Z.append(_centres(subset, kernel._value("length_scale")[m, i], np.sum(selected == i), seed))
+                lengths = kernel._value("length_scale")[m, i]
+                Z.append(subset if size >= len(subset) else cluster_centres(subset, lengths, size, seed, max_iter=30))
         return LatentFeatures(kernel, latents, Z, outputs=outputs)
 
     return best
-
-
-def _rank(kernel, m, X, scale, random_state):
-    outputs = np.flatnonzero(kernel._value("feeds")[m])
-    x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
-    K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
-    weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
-    pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
-    return Ranking(gain, outputs[pivots // len(x)], x[pivots % len(x)])
-
-
-def _centres(X, length_scale, n, seed):
-    """Return n centres of the samples in the metric of the length scales, or all samples if n is not smaller."""
-    if n >= len(X):
-        return X
-    return cluster_centres(X, length_scale, n, seed, max_iter=30)

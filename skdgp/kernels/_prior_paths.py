@@ -304,11 +304,6 @@ class LatentWaves(NamedTuple):
         gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'); the phase is its direction
         return cls(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), outputs, gain, shift)
 
-    def at_origin(self, selected) -> tuple[np.ndarray, np.ndarray]:
-        """Return the phase (S, F) for the first selected output, and the phase differences of the others."""
-        turn = self.omega @ self.shift[selected].T
-        return self.phase - turn[..., 0], turn - turn[..., :1]
-
 
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
@@ -331,7 +326,8 @@ class Waves(PathBundle):
             place, selected = np.nonzero(np.equal.outer(outputs, latent.outputs))
             if len(place) == 0:
                 continue
-            phase, turn = latent.at_origin(selected)
+            turn = latent.omega @ latent.shift[selected].T
+            phase, turn = latent.phase - turn[..., 0], turn - turn[..., :1]  # of the first output, and differences
             gain = latent.gain[..., selected]
             if len(place) == 1:
                 own.append((latent.omega, phase, gain))

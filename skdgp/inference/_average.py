@@ -1,19 +1,11 @@
 r"""The average of posteriors of parts of one kernel, weighted by what they predict of held-out blocks.
 
-A kernel is a sum of terms: a trend, a process of each regressor alone, processes of all regressors. Which of them a log
-can tell apart from its noise is uncertain, and the likelihood, which takes residuals as independent, does not say. So
-the posterior is the mixture of those with fewer and fewer terms, at the hyperparameters that one search found,
+The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found, has the weights
 
-.. math:: p(f_i) = \sum_k w_{ik}\, p_k(f_i), \quad
-          w_i = \arg\max_w \frac{n}{\tau} \, \overline{\log \sum_k w_k\, p_k(y_i \mid \text{other blocks})}
+.. math:: w_i = \arg\max_w \frac{n}{\tau} \, \overline{\log \sum_k w_k\, p_k(y_i \mid \text{other blocks})}
           + c \sum_k \pi_k \log w_k,
 
-the stacking of predictive distributions (Yao, Vehtari, Simpson & Gelman 2018) for each output i. n rows whose errors,
-those of the best member, are correlated over tau rows are worth n / tau. c rows of an opinion :math:`\pi` keep weights
-from following chance. It is equal weights, but the trend alone as far as n / tau falls short of ten rows for each
-regressor, times :math:`e^{-n \Delta_k / 10 \tau}` for a member whose mean log score is less than the best by
-:math:`\Delta_k`. Hyperparameters have seen the held-out blocks, too, and fit few rows: with r < 10 rows for each
-regressor their evidence counts :math:`(r / 10)^4` times.
+for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018). docs/theory.md has n, tau and the opinion pi.
 """
 
 from __future__ import annotations

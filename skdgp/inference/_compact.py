@@ -98,8 +98,7 @@ def compact(
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
-    scale = check.scale()
-    best = [whole.kernel.feature_ranking(X, scale, random_state) for whole in posterior.wholes]
+    best = [whole.kernel.feature_ranking(X, check.scale, random_state) for whole in posterior.wholes]
     sizes = [whole.features.size for whole in posterior.wholes if isinstance(whole, SparsePosterior)]
 
     def compact_to(n):
@@ -147,16 +146,13 @@ class _Check:
         self.posterior = posterior
         inputs = X[random_state.permutation(len(X))[:MAX_POINTS]]
         around = inputs + PERTURBATION * X.std(axis=0) * random_state.standard_normal(inputs.shape)
-        self.inputs, self.points = inputs, np.concatenate([inputs, around])
+        self.points = np.concatenate([inputs, around])
         self.mean, variance = posterior.predict(self.points, return_variance=True)
         P = self.mean.shape[1]
         prior = np.stack([posterior.kernel.block_diag(i, self.points) for i in range(P)], axis=1)
         self.least = 1e-6 * np.sqrt(prior)  # a smaller standard deviation is rounding error
         self.std = np.maximum(np.sqrt(variance), self.least)
-
-    def scale(self):
-        """Return the root mean square standard deviation of each output at the training inputs, (P,)."""
-        return np.sqrt((self.std[: len(self.inputs)] ** 2).mean(axis=0))
+        self.scale = np.sqrt((self.std[: len(inputs)] ** 2).mean(axis=0))  # of each output at the training inputs
 
     def compare(self, new) -> Compaction:
         """Return the change of predictions from the original to the new posterior."""

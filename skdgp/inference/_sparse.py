@@ -171,7 +171,7 @@ class SparsePosterior(Single):
         samples = self.samples()
         if samples is None:
             return self._with(statistics=None, sums=sums)
-        total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
+        total = added and [old.plus(new) for old, new in zip(self.statistics, added, strict=True)]
         return self._with(shares=shares_of(samples.joined(data)), statistics=total, sums=sums)
 
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
@@ -421,10 +421,9 @@ class Statistics(NamedTuple):
         """Prior variance that the features do not explain."""
         return self.variance - float(np.trace(self.outer))
 
-
-def total_statistics(parts) -> Statistics:
-    """Return the sums over the samples of all parts."""
-    return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
+    def plus(self, other: Statistics) -> Statistics:
+        """Return the sums over these and the other samples."""
+        return Statistics(*(one + another for one, another in zip(self, other, strict=True)))
 
 
 def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
@@ -437,15 +436,12 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
             inner[columns] += part[1]
             rest += part[4] + part[2] + part[3] - np.trace(part[0])
         return SampleSums(outer, inner, rest), None
+    sizes = [len(features.columns(i)) for i in range(kernel.n_outputs)]
+    statistics = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0) for c in sizes]
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
-    statistics = []
-    for i in range(kernel.n_outputs):
-        c = len(features.columns(i))
-        by_share = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)]
-        for share, part in zip(shares, parts, strict=True):
-            if share.outputs == (i,):
-                by_share.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
-        statistics.append(total_statistics(by_share))
+    for share, part in zip(shares, parts, strict=True):
+        (i,) = share.outputs
+        statistics[i] = statistics[i].plus(Statistics(*part[:4], len(share.X)))
     return SampleSums.combine(features, noise, statistics), statistics
 
 

@@ -36,14 +36,9 @@ ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has mai
 
 
 def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
-    """Return the fit of a regressor to X (n, d) and centred and scaled targets Z (n, P), the average where it is one.
+    """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
-    Parameters
-    ----------
-    model : DependentGPRegressor
-        Its parameters are read; it is not changed.
-    log : bool
-        Whether rows are those of a log, in its order.
+    Parameters of the model, a DependentGPRegressor, are read; it is not changed.
     """
     kernel, input_noise = _make_kernel(model, X, Z, log), model.input_noise
     if isinstance(input_noise, str) and input_noise == "auto":

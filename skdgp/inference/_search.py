@@ -269,14 +269,6 @@ TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 TOLERANCE = 1e-5  # rise of the likelihood by one iteration, as a fraction for each process, below which it is the last
 
 
-class Singles(NamedTuple):
-    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
-
-    kernels: list
-    noise: np.ndarray
-    n_evaluations: int
-
-
 class _SingleFit:
     """The values of one output and the maximisation of its likelihood."""
 
@@ -318,8 +310,10 @@ def fit_singles(
     max_iter: int,
     random_state: Any,
     stop: Event,
-) -> Singles:
-    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
+) -> tuple[list, Vector, int]:
+    """Return kernels and noise (P,) of separate fits of each output, and the number of evaluations.
+
+    Each has at most twice ``max_iter`` iterations.
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
     long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
@@ -334,11 +328,9 @@ def fit_singles(
         output.optimize(single, optimum.theta, 1, most)
         for output, (single, optimum, _) in zip(outputs, trials, strict=True)
     ]
-    return Singles(
-        [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined],
-        np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined]),
-        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
-    )
+    kernels = [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined]
+    noise = np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined])
+    return kernels, noise, sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined)
 
 
 # -- what is maximised, and the optimiser -----------------------------------------------------------------------------

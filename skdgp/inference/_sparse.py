@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils import gen_batches
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
@@ -241,7 +242,7 @@ class SparsePosterior(Single):
 
         if len(Xs) <= ROWS:
             return evaluate(Xs)
-        parts = thread_map(lambda some: evaluate(Xs[some]), row_slices(len(Xs)))
+        parts = thread_map(lambda some: evaluate(Xs[some]), [*gen_batches(len(Xs), ROWS)])
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
     def term(self, kernel: Any) -> SparsePosterior:
@@ -282,7 +283,8 @@ class SparsePosterior(Single):
     @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))
+        roots = self.roots if return_variance else None
+        parts = thread_map(partial(self._gradient, Xs, roots), [*gen_batches(len(Xs), ROWS)])
         mean, variance = zip(*parts, strict=True)
         return (np.concatenate(mean), np.concatenate(variance)) if return_variance else np.concatenate(mean)
 
@@ -509,7 +511,7 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
             if i == j:
                 diagonal += kernel.diag_gradient(first, X, w)
             elif kernel.couples(first, second):
-                for rows in _diagonal_slices(len(X)):
+                for rows in gen_batches(len(X), DIAGONAL_ROWS):
                     diagonal += kernel.block_gradient(first, second, X[rows], X[rows], np.diag(2 * w[rows]))
         for i in outputs:
             W = np.multiply.outer(weighted[:, i], weights[columns[i]])
@@ -525,11 +527,6 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
 # -- common to both ---------------------------------------------------------------------------------------------------
 
 
-def row_slices(n):
-    """Return slices of at most ROWS of n rows."""
-    return [slice(a, min(a + ROWS, n)) for a in range(0, n, ROWS)]
-
-
 def sub_factor(Lu, columns):
     """Return the Cholesky factor of some features: Kuu is block diagonal, and ``columns`` are whole blocks."""
     return np.asfortranarray(Lu[np.ix_(columns, columns)])
@@ -538,7 +535,7 @@ def sub_factor(Lu, columns):
 def _blocks(share, noise):
     """Yield X, Y, inverse noise covariances (n, p, p) and log |2 pi noise| (n,) for successive rows of a share."""
     noise = noise[list(share.outputs)]
-    for rows in row_slices(len(share.X)):
+    for rows in gen_batches(len(share.X), ROWS):
         X, Y, loading = share.X[rows], share.Y[rows], share.loading[rows]
         yield X, Y, *precisions(Y, loading, noise)
 
@@ -569,8 +566,6 @@ def _variance(kernel, i, j, X):
         return kernel.block_diag(i, X)
     if not kernel.couples(i, j):
         return np.zeros(len(X))
-    return np.concatenate([np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in _diagonal_slices(len(X))])
-
-
-def _diagonal_slices(n):
-    return [slice(a, a + DIAGONAL_ROWS) for a in range(0, n, DIAGONAL_ROWS)]
+    return np.concatenate(
+        [np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in gen_batches(len(X), DIAGONAL_ROWS)]
+    )

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp, softmax
+from sklearn.utils import check_random_state
 
 from skdgp._compute.correlation import autocorrelation_time
 from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths, mixed_paths
+from skdgp.inference._paths import Paths
 
 PRIOR_ROWS = 3.0
 """c. An output of ten values, which has another for a guide, needs few.
@@ -214,8 +215,16 @@ class AveragePosterior:
         return np.maximum(last - first, 0.0)
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
-        """Return samples of the mixture that are functions of the regressors: each output of a path has one member."""
-        return mixed_paths(self.members, self.mixture, n_paths, random_state)
+        """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
+
+        The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
+        """
+        random_state = check_random_state(random_state)
+        pick = random_state.permutation(n_paths) + random_state.uniform(size=n_paths)
+        member = np.sum(pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1)
+        seeds = random_state.randint(2**31 - 1, size=len(self.members))
+        bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(self.members, seeds, strict=True)]
+        return Paths(bundles[0].mixed(bundles[1:], member), n_paths, self.kernel.n_features)
 
 
 def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any) -> Matrix:

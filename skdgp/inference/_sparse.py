@@ -20,7 +20,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sklearn.utils import gen_batches
+from sklearn.utils import check_random_state, gen_batches
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
@@ -37,7 +37,7 @@ from skdgp._compute.threads import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths, sparse_paths
+from skdgp.inference._paths import FREQUENCIES, Paths
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
@@ -276,9 +276,15 @@ class SparsePosterior(Single):
         return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
-        """Return samples of the posterior that are functions of the regressors."""
+        """Return samples of the posterior that are functions of the regressors; u_post = Lu w, w ~ N(white, B^-1)."""
+        random_state = check_random_state(random_state)
         with threads_for(self.size):
-            return sparse_paths(self, n_paths, random_state)
+            prior, u = self.features.prior_paths(n_paths, FREQUENCIES, random_state)
+            drawn = np.asfortranarray(random_state.standard_normal(u.shape).T)
+            w = self.white[:, None] + triangular_solve(self.LB, drawn, transposed=True)
+            w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
+            coefficients = triangular_solve(self.Lu, np.asfortranarray(w), transposed=True).T
+            return Paths(prior + self.features.paths(coefficients), n_paths, self.kernel.n_features)
 
     @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:

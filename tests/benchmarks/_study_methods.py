@@ -12,7 +12,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
 from skdgp.dynamics import air_velocity, stability_derivatives
-from skdgp.dynamics._control.derivatives import PARTS
+from skdgp.dynamics._derivatives import PARTS
 from skdgp.identification import FlightPipeline
 from skdgp.inference import autocorrelation_time
 from skdgp.inference._slopes import _parabola, _Polynomial

@@ -1,0 +1,464 @@
+"""Aerodynamics: coefficients as a function of named regressors, from a pipeline or a formula."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from inspect import signature
+from itertools import takewhile
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+from sklearn.base import BaseEstimator
+from sklearn.frozen import FrozenEstimator
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted
+
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import COEFFICIENTS
+
+DIFFERENCE = 1e-4
+"""Of central differences, where a model has no slopes: a fraction of the range of a regressor, or absolute."""
+NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
+"""Names that a regressor gives to outputs without names."""
+MISFIT_MEMORY = 2.0
+"""Time [s] for which an error of the function lasts: that in which a manoeuvre changes the regressors. A guess: 1 and
+5 s are as good on five aircraft (docs/simulation.md); with the memory of the drift, .1 to .6 s, bands hold down to
+83 %."""
+SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
+
+
+class Mixing(NamedTuple):
+    """Controls of a model as combinations of the surfaces: controls = matrix @ surfaces."""
+
+    surfaces: tuple[str, ...]
+    controls: tuple[str, ...]
+    matrix: Array
+
+
+class Drift(NamedTuple):
+    """Errors of the coefficients along a flight: tau^2 exp(-|t - t'| / T), independent of the regressors."""
+
+    variance: Array
+    """tau^2 of each coefficient, (6,)."""
+    memory: Array
+    """T [s], (6,)."""
+    misfit: Array | float = 0.0
+    """Part of the variance that is an error of the function, whatever the air, (6,). Its T is `MISFIT_MEMORY`."""
+
+    def _processes(self) -> list[tuple[Array, Array]]:
+        """Return variances and memories (6,) of the independent processes."""
+        misfit = np.broadcast_to(self.misfit, self.variance.shape)
+        return [(self.variance - misfit, self.memory), (misfit, np.full(len(misfit), MISFIT_MEMORY))]
+
+    def covariance(self, time: Array) -> Array:
+        """Return the covariance (6 n, 6 n) at times (n,), all n of the first coefficient first."""
+        lag = np.abs(np.subtract.outer(time, time))[..., None]
+        blocks = np.sum([variance * np.exp(-lag / memory) for variance, memory in self._processes()], axis=0)
+        return block_diag(*np.moveaxis(blocks, -1, 0))
+
+    def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
+        """Return draws (n, *shape, 6) at times (n,) that increase."""
+        seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+        rng, total = np.random.default_rng(seed), np.zeros((len(time), *shape, 6))
+        for variance, memory in self._processes():
+            if variance.any():
+                drawn = rng.standard_normal(total.shape) * np.sqrt(variance)
+                for k, r in enumerate(np.exp(-np.diff(time)[:, None] / memory), start=1):
+                    drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
+                total += drawn
+        return total
+
+
+class Aerodynamics:
+    """The six coefficients of an aircraft as a function of named regressors.
+
+    Parameters
+    ----------
+    function : callable
+        Regressors (n, d) to CX CY CZ Cl Cm Cn (n, 6).
+    regressors : sequence of str
+        Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its non-dimensional form, or
+        controls by any name.
+    gradient : callable, optional
+        Regressors (n, d) to slopes (n, 6, d); by default central differences.
+    sampler : callable, optional
+        (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients (n_paths, n, 6) and to
+        slopes (n_paths, n, 6, d), of functions drawn from the posterior. Without it the model has no uncertainty.
+    covariance : callable, optional
+        Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first coefficient first.
+    drift : Drift, optional
+        Errors along a flight: what regressors and posterior leave unexplained.
+    turbulence : Turbulence, optional
+        Of the flights that the model was learned from.
+    limits : array-like of shape (2, d), optional
+        Smallest and largest value of each regressor that the model was learned from.
+    flown : mapping of str to tuple of float, optional
+        The same of other channels, such as ``phi``, ``airspeed``, ``az``, ``altitude``.
+    span, chord : float, optional
+        Lengths [m] of the non-dimensional rates; by default those of the aircraft that flies.
+    mixing : Mixing, optional
+        How the model's controls follow from the aircraft's surfaces.
+    units : mapping of str to str, optional
+        Units of controls that are not those of docs/notation.md.
+
+    Examples
+    --------
+    A textbook glider:
+
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics
+    >>> def linear(X):
+    ...     alpha, beta, q_hat, elevator = X.T
+    ...     return np.stack([-0.03 + 0 * alpha, -0.5 * beta, -0.1 - 4 * alpha, -0.03 * beta,
+    ...                      0.03 - 0.5 * alpha - 8 * q_hat - 0.6 * elevator, 0.06 * beta], axis=-1)
+    >>> glider = Aerodynamics(linear, ["alpha", "beta", "q_hat", "elevator"])
+    >>> glider([0.1, 0.0, 0.0, -0.02]).round(3)
+    array([-0.03 , -0.   , -0.5  , -0.   , -0.008,  0.   ])
+    >>> glider.gradient([0.1, 0.0, 0.0, -0.02])[4].round(6)
+    array([-0.5,  0. , -8. , -0.6])
+    """
+
+    slope_errors: Callable | None = None
+    """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
+    function_errors: Callable | None = None
+    """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or to None."""
+
+    def __init__(
+        self,
+        function: Callable,
+        regressors: Sequence[str],
+        *,
+        gradient: Callable | None = None,
+        sampler: Callable | None = None,
+        covariance: Callable | None = None,
+        drift: Drift | None = None,
+        turbulence: Any = None,
+        limits: ArrayLike | None = None,
+        flown: Mapping[str, tuple[float, float]] | None = None,
+        span: float | None = None,
+        chord: float | None = None,
+        mixing: Mixing | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> None:
+        if isinstance(regressors, str) or len(set(regressors)) != len(regressors):
+            raise ValueError(f"Got regressors={regressors!r}, but expected a list of names, each once.")
+        self.function, self.regressors = function, tuple(str(name) for name in regressors)
+        self.limits = None if limits is None else np.asarray(limits, dtype=float)
+        if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
+            raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
+        self.span, self.chord, self.mixing, self.drift, self.turbulence = span, chord, mixing, drift, turbulence
+        self.flown, self.units = dict(flown or {}), dict(units or {})
+        self.n_paths: int | None = None
+        self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
+
+    def __repr__(self) -> str:
+        paths = "" if self.n_paths is None else f", {self.n_paths} paths"
+        return f"Aerodynamics({', '.join(self.regressors)}{paths})"
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether functions can be drawn from a posterior."""
+        return self._sampler is not None
+
+    def __call__(self, X: ArrayLike) -> Array:
+        """Return the coefficients (..., 6) at regressors (..., d)."""
+        return self._evaluated(self.function, np.asarray(X, dtype=float), 6)
+
+    def gradient(self, X: ArrayLike) -> Array:
+        """Return the slopes of the coefficients (..., 6, d) at regressors (..., d)."""
+        X = np.asarray(X, dtype=float)
+        if self._gradient is None:
+            return self._differences(X)
+        return self._evaluated(self._gradient, X, 6, X.shape[-1])
+
+    def sample(self, n_paths: int, random_state: Any = 0, *, correlated: bool = False) -> Aerodynamics:
+        """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
+
+        The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors of its own.
+        ``correlated``: with errors by noise that is correlated between the samples of a model learned from flights.
+        """
+        if self._sampler is None:
+            raise ValueError(
+                f"Got a model without posterior samples ({self!r}), but expected one that can draw functions: a "
+                "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
+            )
+        values, slopes = self._sampler(n_paths, random_state)
+        drawn = copy.copy(self)
+        drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
+        if correlated and (known := self._errors()) is not None:
+            errors = known.draw(n_paths, random_state)
+            drawn.function = lambda X: values(X) + errors(X)
+            drawn._gradient = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
+        return drawn
+
+    def covariance(self, X: ArrayLike, *, correlated: bool = False) -> Array:
+        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior.
+
+        ``correlated``: as of `sample`.
+        """
+        if self._covariance is None:
+            raise ValueError(
+                f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
+                "DependentGPRegressor, or Aerodynamics(..., covariance=...)."
+            )
+        X = np.asarray(X, dtype=float)
+        covariance = self._covariance(X)
+        errors = self._errors() if correlated else None
+        if errors is None:
+            return covariance
+        root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(len(covariance), -1)
+        return covariance + root @ root.T
+
+    def _errors(self) -> Any:
+        return None if self.function_errors is None else self.function_errors()
+
+    def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
+        """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
+        paths = () if self.n_paths is None else (self.n_paths,)
+        if X.shape[: len(paths)] != paths:
+            raise ValueError(
+                f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as their first axis."
+            )
+        if X.ndim == len(paths) + 2:
+            return function(X)
+        return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
+
+    def _differences(self, X: Array) -> Array:
+        size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])
+        slopes = []
+        for k in range(X.shape[-1]):
+            step = np.zeros(X.shape[-1])
+            step[k] = DIFFERENCE * (size[k] or 1.0)
+            near, far = (self(X + m * step) - self(X - m * step) for m in (1, 2))
+            slopes.append((8.0 * near - far) / (12.0 * step[k]))
+        return np.stack(slopes, axis=-1)
+
+
+def as_aerodynamics(model: Any) -> Aerodynamics:
+    """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
+
+    ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
+    columns are regressors; or either in a fitted search or a ``CalibratedRegressor``. It predicts all six coefficients,
+    in the order CX CY CZ Cl Cm Cn where it keeps no names of them. Raises TypeError if it is none of these; ValueError
+    if regressors have no names or were scaled before they were chosen, or a coefficient is missing.
+
+    Notes
+    -----
+    A transformer declares by its class attribute ``in_simulation`` what becomes of it in a simulation, which has exact
+    states and no neighbours in time:
+
+    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,), and ``ranges_`` of
+      channels by name. The last counts.
+    - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
+    - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
+    - "measurements": treats measurements, and is left out. So is a step without the attribute.
+
+    These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
+    regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n, d); ``sample_paths``, functions with
+    ``each`` and ``gradient``, and then a ``predict`` with ``return_cov``; and a drift in time, ``drift_variance_`` and
+    ``drift_memory_`` (P,). A meta-estimator whose ``acts_on_outputs`` is true may hold
+    a pipeline in ``estimator_``.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from skdgp.dynamics import as_aerodynamics
+    >>> X = pd.DataFrame(np.random.default_rng(0).normal(size=(50, 2)), columns=["alpha", "elevator"])
+    >>> model = LinearRegression().fit(X, X.to_numpy() @ np.ones((2, 6)))
+    >>> as_aerodynamics(model)([0.1, 0.2]).round(3)
+    array([0.3, 0.3, 0.3, 0.3, 0.3, 0.3])
+    """
+    if isinstance(model, Aerodynamics):
+        return model
+    if not isinstance(model, BaseEstimator) or not callable(getattr(model, "predict", None)):
+        raise TypeError(
+            f"Got {type(model).__name__} as the model, but expected a fitted pipeline, an estimator, or "
+            "Aerodynamics(function, regressors=[...])."
+        )
+    check_is_fitted(model)
+    steps = _steps_of(model)
+    roles = [getattr(step, "in_simulation", "measurements") for step in steps]
+    place = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
+    before, behind = steps[: max(place, 0)], steps[place + 1 :]
+    by_role = dict(zip(roles[: place + 1], steps, strict=False))
+    chosen, rates, splitter = (by_role.get(role) for role in ("regressors", "rates", "controls"))
+    names = getattr(steps[0], "feature_names_in_", None) if chosen is None else chosen.regressors_
+    if names is None:
+        raise ValueError(
+            f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
+            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
+        )
+    if scaled := [type(step).__name__ for step in before if isinstance(step, SCALERS)]:
+        raise ValueError(
+            f"Got {scaled} before the choice of regressors, but expected flight channels in their units there, as a "
+            "simulation gives them: put it behind RegressorSelector."
+        )
+    chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
+    limits, mixing = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")], None
+    if splitter is not None:
+        mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
+    aerodynamics = Aerodynamics(
+        chain.mean,
+        list(names),
+        gradient=chain.slopes if chain.has_slopes else None,
+        sampler=chain.sample if chain.can_sample else None,
+        covariance=chain.covariance if chain.can_sample else None,
+        drift=chain.drift(),
+        turbulence=turbulence_of(model),
+        limits=None if limits[0] is None else np.array(limits),
+        flown=getattr(chosen, "ranges_", None),
+        span=getattr(rates, "span", None),
+        chord=getattr(rates, "chord", None),
+        mixing=mixing,
+        units=getattr(model, "control_units_", None),
+    )
+    if chain.can_sample:
+        aerodynamics.slope_errors, aerodynamics.function_errors = chain.slope_errors, chain.function_errors
+    return aerodynamics
+
+
+class _Chain:
+    """The steps of a pipeline after the selection of regressors: scalings, other transforms, and the regressor."""
+
+    def __init__(self, transforms: list, regressor: Any, n_regressors: int):
+        self.regressor = regressor
+        self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
+        self.order = self._order()
+        self.has_slopes = not self.others and hasattr(regressor, "predict_gradient")
+        self.can_sample = not self.others and hasattr(regressor, "sample_paths")
+
+    def mean(self, X: Array) -> Array:
+        """Return the coefficients (n, 6) at regressors (n, d)."""
+        return self._predicted(X)[:, self.order]
+
+    def slopes(self, X: Array) -> Array:
+        """Return their slopes (n, 6, d)."""
+        return self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order] / self.scale
+
+    def slope_errors(self, X: Array) -> Any:
+        """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known."""
+        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None)
+        found = errors((X - self.shift) / self.scale)
+        return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
+
+    def function_errors(self) -> Any:
+        """Return the errors of the function that the posterior does not contain, None where none are known."""
+        return self._function_errors
+
+    @cached_property
+    def _function_errors(self) -> Any:
+        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None)()
+        return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
+
+    def covariance(self, X: Array) -> Array:
+        """Return the joint posterior covariance (6 n, 6 n) at regressors that are exact, as those of the paths."""
+        predict = self.regressor.predict
+        exact = {"include_input_noise": False} if "include_input_noise" in signature(predict).parameters else {}
+        covariance = predict((X - self.shift) / self.scale, return_cov=True, **exact)[1]
+        blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
+        return blocks[self.order][:, :, self.order].reshape(6 * len(X), -1)
+
+    def drift(self) -> Drift | None:
+        """Return the drift of the regressor, or None if it has none."""
+        variance = np.asarray(getattr(self.regressor, "drift_variance_", 0.0))
+        if not np.any(variance > 0):
+            return None
+        memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
+        misfit = np.minimum(getattr(self.regressor, "misfit_variance_", 0.0), variance)
+        return Drift(variance[self.order], memory[self.order], misfit[self.order])
+
+    def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
+        """Return values and slopes of functions drawn from the posterior."""
+        paths, order, shift, scale = (
+            self.regressor.sample_paths(n_paths, random_state), self.order, self.shift, self.scale,
+        )  # fmt: skip
+        return (
+            lambda X: paths.each((X - shift) / scale)[..., order],
+            lambda X: paths.gradient((X - shift) / scale)[..., order, :] / scale,
+        )
+
+    def _predicted(self, X: Array) -> Array:
+        X = (X - self.shift) / self.scale
+        for step in self.others:
+            X = step.transform(X)
+        return self.regressor.predict(X)
+
+    def _order(self) -> slice | list[int]:
+        names = list(getattr(self.regressor, "output_names_", NO_NAMES))
+        if names == NO_NAMES:
+            shape = np.shape(self._predicted(self.shift[None]))
+            if shape != (1, 6):
+                raise ValueError(
+                    f"Got a model of outputs {shape[1:]}, but expected all six coefficients {', '.join(COEFFICIENTS)}."
+                )
+            return slice(None)
+        if lacking := [name for name in COEFFICIENTS if name not in names]:
+            raise ValueError(
+                f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. Fit it on a table "
+                "of all of them (aerodynamic_coefficients gives it)."
+            )
+        order = [names.index(name) for name in COEFFICIENTS]
+        return slice(None) if order == list(range(len(names))) else order
+
+
+def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
+    """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
+    shift, scale = np.zeros(n_regressors), np.ones(n_regressors)
+    scalers = list(takewhile(lambda step: type(step) in SCALERS and not getattr(step, "clip", False), steps))
+    for step in scalers:
+        if isinstance(step, MinMaxScaler):
+            own, factor = -step.min_ / step.scale_, 1.0 / step.scale_
+        else:
+            own, factor = getattr(step, "mean_", getattr(step, "center_", None)), step.scale_
+        shift = shift + (0.0 if own is None else own) * scale
+        scale = scale * (1.0 if factor is None else factor)
+    return shift, scale, steps[len(scalers) :]
+
+
+def turbulence_of(model: Any) -> Any:
+    """Return the turbulence that a pipeline was learned in, in a search or calibrated too; None if it is not known."""
+    inner = getattr(model, "best_estimator_", getattr(model, "estimator_", None))
+    return getattr(model, "turbulence_", None) if inner is None else turbulence_of(inner)
+
+
+def _steps_of(model: Any) -> list:
+    """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
+    inner = model.estimator if isinstance(model, FrozenEstimator) else getattr(model, "best_estimator_", None)
+    if inner is not None:
+        return _steps_of(inner)
+    if isinstance(model, Pipeline):
+        steps = [step for _, step in model.steps if step not in (None, "passthrough")]
+        return [*steps[:-1], *_steps_of(steps[-1])]
+    if getattr(model, "acts_on_outputs", False):  # so it may stand around the last step alone
+        *before, last = _steps_of(model.estimator_)
+        return [*before, _with(model, estimator_=last)]
+    return [model]
+
+
+def _for_arrays(transform: Any) -> Any:
+    """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
+    twin = copy.deepcopy(_without_names(transform))
+    return twin.set_output(transform="default") if hasattr(twin, "set_output") else twin
+
+
+def _without_names(step: Any) -> Any:
+    """Return the step as if fitted on an array: one that was fitted on a table warns at arrays."""
+    if getattr(step, "acts_on_outputs", False):
+        return _with(step, estimator_=_without_names(step.estimator_))
+    twin = object.__new__(type(step))
+    twin.__dict__.update({name: value for name, value in vars(step).items() if name != "feature_names_in_"})
+    return twin
+
+
+def _with(model: Any, **attributes: Any) -> Any:
+    """Return a copy of the model with other attributes."""
+    twin = copy.copy(model)
+    twin.__dict__.update(attributes)
+    return twin

@@ -205,18 +205,16 @@ class ExactPosterior(Single):
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._mean_function.each(Xs[None])[0] if len(Xs) <= FEW else self._mean(Xs)
-        chunks = self._chunks(len(Xs), self.kernel.n_outputs * self.data.n_values)
-        mean, variance = map(np.concatenate, zip(*(self._mean_and_variance(Xs[rows]) for rows in chunks), strict=True))
-        return mean, variance
-
-    def _mean_and_variance(self, x):
         P = self.kernel.n_outputs
-        K = self._cross(range(P), x)
-        mean = K @ self.alpha
-        half = self._solve_lower(K).T
-        prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
-        variance = unexplained_variance(prior, np.einsum("ab,ab->a", half, half))
-        return mean.reshape(P, -1).T, variance.reshape(P, -1).T
+        mean, variance = np.empty((2, len(Xs), P))
+        for rows in self._chunks(len(Xs), P * self.data.n_values):
+            K = self._cross(range(P), Xs[rows])
+            mean[rows] = (K @ self.alpha).reshape(P, -1).T
+            half = self._solve_lower(K).T
+            explained = np.einsum("ab,ab->a", half, half).reshape(P, -1)
+            prior = np.stack([self.kernel.block_diag(i, Xs[rows]) for i in range(P)])
+            variance[rows] = unexplained_variance(prior, explained).T
+        return mean, variance
 
     @cached_property
     def _mean_function(self):

@@ -1,6 +1,6 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``fit_singles``).
+1. Each output alone (``_fit_singles``).
 2. All outputs, with widths that they share.
 3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
 4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
@@ -131,9 +131,8 @@ def search(
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop, singles, n_singles = Event(), None, 0
     if optimizer is not None and P > 1 and not open_kernel.has_values():  # stage 1
-        singles, noise, n_singles = fit_singles(
-            open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
-        )
+        options = optimizer, max_iter, random_state, stop
+        singles, noise, n_singles = _fit_singles(open_kernel, noise, noise_bounds, X, Y, *options)
     scale, X, Y = column_scale(X), X[rows], Y[rows]
     stages = _Stages(P, held_out, optimizer, exact, stop)
     learned_root = isinstance(input_noise, str)
@@ -300,17 +299,7 @@ class _SingleFit:
 
 
 @one_blas_thread()  # and one after another: two threads gain nothing on small matrices
-def fit_singles(
-    kernel: Any,
-    noise: Vector,
-    noise_bounds,
-    X: Matrix,
-    Y: Matrix,
-    optimizer: Any,
-    max_iter: int,
-    random_state: Any,
-    stop: Event,
-) -> tuple[list, Vector, int]:
+def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop):
     """Return kernels and noise (P,) of separate fits of each output, and the number of evaluations.
 
     Each has at most twice ``max_iter`` iterations.

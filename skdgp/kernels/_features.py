@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
@@ -99,23 +100,16 @@ class PointFeatures(Features):
 
     def __init__(self, kernel, Z):
         self.kernel, self.Z = kernel, np.asarray(Z, dtype=float)
-        self.size = kernel.n_outputs * len(self.Z)
-
-    def _coupled_outputs(self, i):
-        """Return the outputs that are coupled to output i, directly or through others."""
-        coupled, queue = {i}, [i]
-        while queue:
-            j = queue.pop()
-            more = {k for k in range(self.kernel.n_outputs) if self.kernel.couples(j, k)} - coupled
-            coupled |= more
-            queue += more
-        return sorted(coupled)
+        outputs, self.size = range(kernel.n_outputs), kernel.n_outputs * len(self.Z)
+        couples = np.array([[kernel.couples(i, j) for j in outputs] for i in outputs])
+        _, groups = connected_components(couples, directed=False)
+        self._coupled = [np.flatnonzero(groups == group) for group in groups]
 
     def _slice(self, j):
         return slice(j * len(self.Z), (j + 1) * len(self.Z))
 
     def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled_outputs(i)])
+        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled[i]])
 
     def Kuu(self):
         K = self.kernel(self.Z)
@@ -123,14 +117,14 @@ class PointFeatures(Features):
         return K
 
     def Kfu(self, i, X):
-        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled_outputs(i)])
+        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled[i]])
 
     def Kfu_derivative(self, i, X):
-        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled_outputs(i)], axis=2)
+        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2)
 
     def gradient_fu(self, i, X, W):
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for j, w in zip(self._coupled_outputs(i), np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
+        for j, w in zip(self._coupled[i], np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
             total += self.kernel.block_gradient(i, j, X, self.Z, w)
             dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
         return np.concatenate([total, dZ.ravel()])
@@ -139,7 +133,7 @@ class PointFeatures(Features):
         W = W + JITTER * np.diag(np.diag(W))
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
         for i in range(self.kernel.n_outputs):
-            for j in self._coupled_outputs(i):
+            for j in self._coupled[i]:
                 w = W[self._slice(i), self._slice(j)]
                 total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
                 dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)

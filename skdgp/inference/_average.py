@@ -219,10 +219,10 @@ class AveragePosterior:
 
         The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
         """
-        random_state = check_random_state(random_state)
-        pick = random_state.permutation(n_paths) + random_state.uniform(size=n_paths)
+        rng = check_random_state(random_state)
+        pick = rng.permutation(n_paths) + rng.uniform(size=n_paths)
         member = np.sum(pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1)
-        seeds = random_state.randint(2**31 - 1, size=len(self.members))
+        seeds = rng.randint(2**31 - 1, size=len(self.members))
         bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(self.members, seeds, strict=True)]
         return Paths(bundles[0].mixed(bundles[1:], member), n_paths, self.kernel.n_features)
 

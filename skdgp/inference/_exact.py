@@ -266,14 +266,14 @@ class ExactPosterior(Single):
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
-        random_state, data = check_random_state(random_state), self.data
+        rng, data = check_random_state(random_state), self.data
         edges = np.cumsum([0, *map(len, data.X)])
         with threads_for(self.size):
-            prior = self.kernel.prior_paths(n_paths, FREQUENCIES, random_state)
+            prior = self.kernel.prior_paths(n_paths, FREQUENCIES, rng)
             points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
             f = prior.values(points[None])
             f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
-            residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, random_state)
+            residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
             coefficients = self.solve(residual.T).T
             by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
             return Paths(prior + self.kernel.paths(data.X, by_output), n_paths, self.kernel.n_features)

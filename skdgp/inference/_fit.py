@@ -149,7 +149,7 @@ def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
     posterior = SparsePosterior(learned.kernel, features, learned.noise, shares_of(Data.from_table(X, Y)))
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
-    value = posterior.log_marginal_likelihood
+    value = float(posterior.log_marginal_likelihood)
     if converge:
         inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T])
         posterior = _converge_noise(posterior, inflation, least)

@@ -277,10 +277,10 @@ class SparsePosterior(Single):
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior that are functions of the regressors; u_post = Lu w, w ~ N(white, B^-1)."""
-        random_state = check_random_state(random_state)
+        rng = check_random_state(random_state)
         with threads_for(self.size):
-            prior, u = self.features.prior_paths(n_paths, FREQUENCIES, random_state)
-            drawn = np.asfortranarray(random_state.standard_normal(u.shape).T)
+            prior, u = self.features.prior_paths(n_paths, FREQUENCIES, rng)
+            drawn = np.asfortranarray(rng.standard_normal(u.shape).T)
             w = self.white[:, None] + triangular_solve(self.LB, drawn, transposed=True)
             w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
             coefficients = triangular_solve(self.Lu, np.asfortranarray(w), transposed=True).T
@@ -431,7 +431,8 @@ class Statistics(NamedTuple):
 
     def plus(self, other: Statistics) -> Statistics:
         """Return the sums over these and the other samples."""
-        return Statistics(*(one + another for one, another in zip(self, other, strict=True)))
+        pairs: Any = zip(self, other, strict=True)
+        return Statistics(*(one + another for one, another in pairs))
 
 
 def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
@@ -448,8 +449,8 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
     statistics = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0) for c in sizes]
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
     for share, part in zip(shares, parts, strict=True):
-        (i,) = share.outputs
-        statistics[i] = statistics[i].plus(Statistics(*part[:4], len(share.X)))
+        (i,), (outer, inner, square, variance, _) = share.outputs, part
+        statistics[i] = statistics[i].plus(Statistics(outer, inner, square, variance, len(share.X)))
     return SampleSums.combine(features, noise, statistics), statistics
 
 

@@ -164,7 +164,19 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
     """Return R (d, r) of the covariance R R^T of the regressors' noise; None and "learned" are returned unchanged."""
     if input_noise is None or isinstance(input_noise, str):
         return input_noise
-    root = _covariance_root(input_noise, X.shape[1])
+    given, d = np.asarray(input_noise, dtype=float), X.shape[1]
+    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
+    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
+        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
+    if given.ndim < 2:
+        if (given < 0).any():
+            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+        root = np.diag(np.broadcast_to(given, d))
+    else:
+        values = np.linalg.eigvalsh(given)
+        if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
+            raise ValueError(f"Got input_noise that is not a covariance (symmetric, positive), but {expected}")
+        root = eigen_root(given)
     noise = np.sqrt(np.einsum("dr,dr->d", root, root))
     excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
     if excessive.any():
@@ -174,21 +186,6 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
             "expected less noise than signal. Give it in the units of X, one value for each column."
         )
     return root
-
-
-def _covariance_root(input_noise, d):
-    given = np.asarray(input_noise, dtype=float)
-    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
-    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
-        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
-    if given.ndim < 2:
-        if (given < 0).any():
-            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
-        return np.diag(np.broadcast_to(given, d))
-    values = np.linalg.eigvalsh(given)
-    if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
-        raise ValueError(f"Got input_noise that is not a covariance (symmetric, positive), but {expected}")
-    return eigen_root(given)
 
 
 def default_names(n: int) -> list[str]:

@@ -70,12 +70,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     O(N^3) time and O(N^2) memory. A predicted mean takes O(N), a standard deviation O(N^2). To learn from a part of a
     long log, set the other targets to NaN (``skdgp.model_selection.thin_targets``).
 
+    A log, below, are rows in the order of recording, whose ``time`` ``fit`` gets.
+
     Parameters
     ----------
     kernel : MultiOutputKernel or None
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent, covariance_type=covariance_type)``, for
-        a log, which ``fit`` gets with ``time``, with ``length_scale_bounds="spacing"``. Missing values are estimated
-        from the data.
+        a log with ``length_scale_bounds="spacing"``. Missing values are estimated from the data.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. None: two, or without
         ``time`` and with missing targets half as many as outputs, two to four.
@@ -85,10 +86,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
         (main effects). "trend": the trend alone, with its weights integrated out. "average": the mixture of posteriors
         of all terms ("additive" for up to 5000 samples of a log, else "joint"), of the trend and main effects, and of
-        the trend, at the same hyperparameters. Weights for each output come from blocks of rows that are held out in
-        turn, so rows must be in the order of the log (docs/theory.md). They are in ``weights_``. Of a log, which
-        ``fit`` gets with ``time``, it is the mean of two such mixtures, of two searches. A model without a linear
-        trend, or whose hyperparameters are not learned, has one member.
+        the trend, at the same hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
+        held out in turn, so rows must be in order (docs/theory.md). Of a log it is the mean of two such mixtures, of
+        two searches. A model without a linear trend, or whose hyperparameters are not learned, has one member.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
         with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
@@ -96,25 +96,24 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         None: no trend and no centring.
     inference : {"auto", "exact", "sparse"}
         "exact" computes the posterior from every observed value. "sparse" computes it from all values through inducing
-        variables, in linear time and constant memory. It estimates the correlation of neighbouring errors from the
-        order of the rows, so rows must be in the order of the log. Both learn hyperparameters from at most 1800 values.
-        "auto" is "exact" up to 6000 observed values, 1000 of a log, which ``fit`` gets with ``time``. The result is in
-        ``inference_``.
+        variables, in linear time and constant memory; it estimates the correlation of neighbouring errors, so rows must
+        be in order. Both learn hyperparameters from at most 1800 values. "auto" is "exact" up to 6000 observed values,
+        1000 of a log. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
     input_noise : "auto", "learned", None, float, array (d,) or (d, d)
         Noise of the regressors, independent between samples: standard deviations or a covariance S in the units of X,
         or "learned" for one learned standard deviation for each regressor. With the slopes J of the mean it adds
         J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors. "auto" is
-        "learned" for a log, which ``fit`` gets with ``time``, and else None.
+        "learned" for a log, and else None.
     optimizer : "fmin_l_bfgs_b", callable or None
-        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log,
-        which ``fit`` gets with ``time``, the search stops when the error of held-out blocks of rows no longer falls, so
-        that hyperparameters do not fit what is particular to the log. The posterior uses all values.
+        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log the search stops
+        when the error of held-out blocks of rows no longer falls, so that hyperparameters do not fit what is particular
+        to the log. The posterior uses all values.
     max_iter : int or None
         Largest number of iterations of a joint search, half of them with widths that outputs share. The preceding fits
-        of single outputs use at most twice as many each. None: 60 for a log, which ``fit`` gets with ``time``,
-        else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
+        of single outputs use at most twice as many each. None: 60 for a log, else 150, and down to 86 where the search
+        learns from more than 1500 values, at most 1800.
     n_jobs : int or None
         Searches of a log, or members of the average, that are fitted side by side, as in joblib. None: the setting of
         ``joblib.parallel_config``, or one process.
@@ -528,46 +527,22 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return mean, cov * np.multiply.outer(scale, scale)
 
     def predict_gradient(self, X: Matrix, return_std: bool = False) -> Any:
-        """Return the slopes of the mean, d mean / d regressor, and with ``return_std`` their standard deviation.
+        """Return the slopes of the mean at X (n, d), d mean / d regressor, with ``return_std`` and their deviations.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        return_std : bool
-
-        Returns
-        -------
-        gradient : ndarray (n, P, d), or (n, d) for one-dimensional targets
-        std : ndarray of the same shape
-            With ``return_std``.
+        Both are (n, P, d), or (n, d) for one-dimensional targets.
         """
-        X = self._check_regressors(X)
+        X, scale = self._check_regressors(X), self.scale_[:, None]
         if not return_std:
-            return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
+            return self._squeeze(self.posterior_.gradient(X) * scale)
         mean, variance = self.posterior_.gradient(X, return_variance=True)
-        return self._squeeze(mean * self.scale_[:, None]), self._squeeze(np.sqrt(variance) * self.scale_[:, None])
+        return self._squeeze(mean * scale), self._squeeze(np.sqrt(variance) * scale)
 
     def slope_errors(self, X: Matrix) -> SlopeErrors | None:
-        r"""Return errors of the slopes that the posterior does not contain, from the samples of the fit.
+        """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.
 
-        ``random``: errors correlated between neighbouring samples and between outputs, of a polynomial of second order,
-        :math:`G \sum_b Q_b^T r_b` over blocks b of the log (Liang & Zeger 1986). ``method``: the difference d of the
-        slopes of this model to those of a polynomial with past regressors as instruments, which the noise of now did
-        not move; it counts as :math:`d |d| / \sqrt{d^2 + s^2}`, with the standard deviation s of the latter. Then what
-        third powers change, and what noise of each regressor may flatten, as far as the residuals of all outputs leave
-        room for it. Polynomials are of second order where there are 10 samples for each term (50 with instruments),
-        else of first. Rows must be in the order of the log.
-
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-
-        Returns
-        -------
-        SlopeErrors or None
-            ``random`` (n, P, d, n_blocks) and ``method`` (n, P, d, n_methods): errors are sums over the last axis times
-            independent standard normal numbers. ``white`` (n, P, d): standard deviation of the first if samples were
-            independent. ``n_samples``. None if the samples are too few, or not stored (compact models).
+        They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random`` errors, correlated
+        between neighbouring samples and between outputs, and errors of the ``method``. None if the samples are too few,
+        or not stored (compact models). Rows must be in the order of the log.
 
         Examples
         --------
@@ -585,14 +560,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """Return errors of the function that the posterior does not contain, from the samples of the fit.
 
         Errors of neighbouring samples and of different outputs are correlated. Those of a polynomial of second order
-        are estimated block by block, as ``random`` of `slope_errors`. ``simulate`` adds them to the paths.
-
-        Returns
-        -------
-        FunctionErrors or None
-            ``errors(X)`` are the values (n_blocks, n, P) at X (n_blocks, n, d); errors of the function are sums over
-            the blocks times independent standard normal numbers, and ``errors.draw(n_paths)`` are such sums. None if
-            the samples are too few, or not stored (compact models).
+        are estimated block by block, as ``random`` of `slope_errors`. ``simulate`` adds them to the paths. None if the
+        samples are too few, or not stored (compact models).
 
         Examples
         --------
@@ -608,17 +577,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return None if errors is None else errors._replace(weights=errors.weights * self.scale_)
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
-        """Return samples of the joint posterior of all outputs at X, without misfit.
+        """Return samples of the joint posterior of all outputs at X (n, d), without misfit.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        n_samples : int
-        random_state : int, RandomState or None
-
-        Returns
-        -------
-        ndarray (n, P, n_samples), or (n, n_samples) for one-dimensional targets
+        They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
         """
         X = self._check_regressors(X)
         mean = self.posterior_.predict(X)
@@ -630,31 +591,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return self._squeeze((mean[..., None] + draws) * self.scale_[:, None] + self.center_[:, None])
 
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
-        """Return sample paths of the posterior: samples that are functions of the regressors.
+        """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
 
         ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any points, repeatedly,
         as a simulation needs it. A path is a random function of the prior, a sum of waves, plus a correction by the
         data (Matheron's rule: Wilson et al. 2020, "Efficiently sampling functions from Gaussian process posteriors").
         Mean and covariance over many paths are those of ``predict(X, return_cov=True, include_input_noise=False)``.
+        Equal seeds give equal functions.
 
-        Parameters
-        ----------
-        n_paths : int
-        random_state : int, RandomState or None
-            Equal seeds give equal functions.
-
-        Returns
-        -------
-        Paths
-            A sequence of functions. ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for one-dimensional targets.
-            ``paths(X)`` evaluates all paths at the same points, (n_paths, n, P). ``paths.each(X)`` evaluates each path
-            at its own points X (n_paths, n, d). ``paths.gradient(X)`` returns slopes for either X, (n_paths, n, P, d).
-            Paths contain no measurement noise.
-
-        Raises
-        ------
-        ValueError
-            If ``n_paths`` is not a positive integer.
+        Of the sequence that is returned, ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for one-dimensional targets;
+        ``paths(X)`` are all paths at the same points, (n_paths, n, P), ``paths.each(X)`` each path at its own points X
+        (n_paths, n, d), and ``paths.gradient(X)`` slopes at either, (n_paths, n, P, d). Raises ValueError if
+        ``n_paths`` is not a positive integer.
 
         Examples
         --------
@@ -675,17 +623,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
 
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-        y : array, Series or DataFrame (n,) or (n, P)
-            NaN where an output was not observed. Outputs without targets are ignored.
-        sample_weight : array (n,) or None
-
-        Returns
-        -------
-        float
-            1 for a perfect prediction, 0 for predicting the mean.
+        It is 1 for a perfect prediction, 0 for predicting the mean. Targets y (n,) or (n, P) at X (n, d), with weights
+        (n,), are NaN where an output was not observed; outputs without targets are ignored.
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
@@ -702,22 +641,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     # -- likelihood and hyperparameters ------------------------------------------------------------------
 
     def log_marginal_likelihood(self, theta: Vector | None = None, eval_gradient: bool = False) -> Any:
-        """Return the log marginal likelihood of the normalised outputs (equation 20).
+        """Return the log marginal likelihood of the normalised outputs in nats (equation 20), on request its gradient.
 
-        Parameters
-        ----------
-        theta : ndarray or None
-            ``kernel_.theta`` followed by the logarithms of the noise variances of the normalised outputs. None: the
-            fitted values. The noise of the regressors keeps its fitted value.
-        eval_gradient : bool
-            Also return the gradient with respect to theta.
-
-        Returns
-        -------
-        value : float
-            In nats.
-        gradient : ndarray (n_theta,)
-            With ``eval_gradient``.
+        ``theta`` (n_theta,) is ``kernel_.theta`` followed by the logarithms of the noise variances of the normalised
+        outputs, by default the fitted values. The noise of the regressors keeps its fitted value.
         """
         check_is_fitted(self)
         P = len(self.scale_)

@@ -36,24 +36,21 @@ ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has mai
 
 
 def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
-    """Return the fit of a regressor to X (n, d) and centred and scaled targets Z (n, P), the average where it is one.
+    """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
-    Parameters
-    ----------
-    model : DependentGPRegressor
-        Its parameters are read; it is not changed.
-    log : bool
-        Whether rows are those of a log, in its order.
+    Parameters of the model, a DependentGPRegressor, are read; it is not changed.
     """
-    _check_structure(model)
+    kernel, input_noise = _make_kernel(model, X, Z, log), model.input_noise
+    if isinstance(input_noise, str) and input_noise == "auto":
+        input_noise = "learned" if log else None
     options = {
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": _checks.input_root(_input_noise(model, log), X, model._regressor_names()),
+        "input_noise": _checks.input_root(input_noise, X, model._regressor_names()),
         "stop_early": log,
     }
     search = fit_exact if model.inference_ == "exact" else partial(fit_sparse, n_inducing=model.n_inducing)
-    search = partial(search, _make_kernel(model, X, Z, log), X, Z, **options)
+    search = partial(search, kernel, X, Z, **options)
     averaged = model.structure == "average" and model.optimizer is not None
     seeds = check_random_state(model.random_state).randint(2**31 - 1, size=SEARCHES if averaged and log else 1)
     if not averaged:
@@ -82,13 +79,6 @@ def _averaged(search, X, Z, n_jobs, seed):
     return fit if fit.interrupted else average(fit, X, Z, n_jobs)
 
 
-def _input_noise(model, log):
-    """Return the noise of the regressors: in a log it is learned by default."""
-    if isinstance(model.input_noise, str) and model.input_noise == "auto":
-        return "learned" if log else None
-    return model.input_noise
-
-
 def weights_of(posterior: Any) -> dict[str, Vector]:
     """Return the weight (P,) of each kind of member of a posterior, by its name."""
     weights: dict = {}
@@ -112,8 +102,8 @@ def _name(kernel):
     return "joint" if several else "additive" if terms else "trend"
 
 
-def _check_structure(model):
-    """Raise ValueError if the structure needs another kernel or trend."""
+def _make_kernel(model, X, Z, log):
+    """Return the kernel of all terms; raise ValueError if the structure needs another kernel or trend."""
     if model.structure == "trend" and (model.kernel is not None or model.trend in ("constant", None)):
         raise ValueError(
             f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but expected "
@@ -124,16 +114,6 @@ def _check_structure(model):
             f"Got structure='additive' with kernel={model.kernel!r}, but expected kernel=None: add "
             "ConvolvedGaussian(0, regressors=[k]) to the kernel."
         )
-
-
-def _n_latent(Z, log):
-    """Return the number of shared latents: more where they can fill what is missing, see docs/choosing.md."""
-    fewest, most = N_LATENT
-    return fewest if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, fewest, most))
-
-
-def _make_kernel(model, X, Z, log):
-    """Return the kernel of all terms."""
     n, d = X.shape
     trend: Any = None
     if model.trend not in ("constant", None):
@@ -143,7 +123,9 @@ def _make_kernel(model, X, Z, log):
     bounds = "spacing" if log else None
     kernel: Any = model.kernel and clone(model.kernel)
     if kernel is None:
-        n_latent = _n_latent(Z, log) if model.n_latent is None else model.n_latent
+        n_latent = model.n_latent
+        if n_latent is None:  # more where they can fill what is missing, see docs/choosing.md
+            n_latent = N_LATENT[0] if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, *N_LATENT))
         kernel = ConvolvedGaussian(n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds)
     averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):

@@ -1,19 +1,11 @@
 r"""The average of posteriors of parts of one kernel, weighted by what they predict of held-out blocks.
 
-A kernel is a sum of terms: a trend, a process of each regressor alone, processes of all regressors. Which of them a log
-can tell apart from its noise is uncertain, and the likelihood, which takes residuals as independent, does not say. So
-the posterior is the mixture of those with fewer and fewer terms, at the hyperparameters that one search found,
+The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found, has the weights
 
-.. math:: p(f_i) = \sum_k w_{ik}\, p_k(f_i), \quad
-          w_i = \arg\max_w \frac{n}{\tau} \, \overline{\log \sum_k w_k\, p_k(y_i \mid \text{other blocks})}
+.. math:: w_i = \arg\max_w \frac{n}{\tau} \, \overline{\log \sum_k w_k\, p_k(y_i \mid \text{other blocks})}
           + c \sum_k \pi_k \log w_k,
 
-the stacking of predictive distributions (Yao, Vehtari, Simpson & Gelman 2018) for each output i. n rows whose errors,
-those of the best member, are correlated over tau rows are worth n / tau. c rows of an opinion :math:`\pi` keep weights
-from following chance. It is equal weights, but the trend alone as far as n / tau falls short of ten rows for each
-regressor, times :math:`e^{-n \Delta_k / 10 \tau}` for a member whose mean log score is less than the best by
-:math:`\Delta_k`. Hyperparameters have seen the held-out blocks, too, and fit few rows: with r < 10 rows for each
-regressor their evidence counts :math:`(r / 10)^4` times.
+for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018). docs/theory.md has n, tau and the opinion pi.
 """
 
 from __future__ import annotations
@@ -24,12 +16,13 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp, softmax
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths, mixed_paths
+from skdgp.inference._paths import Paths
 
 PRIOR_ROWS = 3.0
 """c. An output of ten values, which has another for a guide, needs few.
@@ -79,18 +72,10 @@ class Single:
 
 
 def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
-    r"""Return the mean and, with ``return_variance``, the variance of a mixture.
+    r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
-    With means :math:`m_k` and variances :math:`v_k` of members,
-    :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
-
-    Parameters
-    ----------
-    mixture : ndarray (K, P)
-        Weights of members for each output.
-    found : sequence of K
-        The mean (n, P, ...) of each member; with ``return_variance`` a pair, mean and variance.
-    return_variance : bool
+    ``found`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs of these and the
+    variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
     means, variances = zip(*found, strict=True) if return_variance else (found, None)
     means = np.asarray(means)
@@ -230,8 +215,16 @@ class AveragePosterior:
         return np.maximum(last - first, 0.0)
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
-        """Return samples of the mixture that are functions of the regressors: each output of a path has one member."""
-        return mixed_paths(self.members, self.mixture, n_paths, random_state)
+        """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
+
+        The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
+        """
+        rng = check_random_state(random_state)
+        pick = rng.permutation(n_paths) + rng.uniform(size=n_paths)
+        member = np.sum(pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1)
+        seeds = rng.randint(2**31 - 1, size=len(self.members))
+        bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(self.members, seeds, strict=True)]
+        return Paths(bundles[0].mixed(bundles[1:], member), n_paths, self.kernel.n_features)
 
 
 def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any) -> Matrix:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,8 +98,7 @@ def compact(
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
-    scale = check.scale()
-    best = [whole.kernel.feature_ranking(X, scale, random_state) for whole in posterior.wholes]
+    best = [whole.kernel.feature_ranking(X, check.scale, random_state) for whole in posterior.wholes]
     sizes = [whole.features.size for whole in posterior.wholes if isinstance(whole, SparsePosterior)]
 
     def compact_to(n):
@@ -113,8 +111,7 @@ def compact(
 
     new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
     if max_iter > 0 and new is not posterior and len(new.wholes[0].features.theta):
-        moved = partial(maximize_features, max_iter=max_iter, stage="compact")
-        improved = posterior.sparse(*(moved(whole, column_scale(X))[0] for whole in new.wholes))
+        improved = posterior.sparse(*(moved_features(whole, column_scale(X), max_iter) for whole in new.wholes))
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
             new, change = improved, improved_change
@@ -149,16 +146,13 @@ class _Check:
         self.posterior = posterior
         inputs = X[random_state.permutation(len(X))[:MAX_POINTS]]
         around = inputs + PERTURBATION * X.std(axis=0) * random_state.standard_normal(inputs.shape)
-        self.inputs, self.points = inputs, np.concatenate([inputs, around])
+        self.points = np.concatenate([inputs, around])
         self.mean, variance = posterior.predict(self.points, return_variance=True)
         P = self.mean.shape[1]
         prior = np.stack([posterior.kernel.block_diag(i, self.points) for i in range(P)], axis=1)
         self.least = 1e-6 * np.sqrt(prior)  # a smaller standard deviation is rounding error
         self.std = np.maximum(np.sqrt(variance), self.least)
-
-    def scale(self):
-        """Return the root mean square standard deviation of each output at the training inputs, (P,)."""
-        return np.sqrt((self.std[: len(self.inputs)] ** 2).mean(axis=0))
+        self.scale = np.sqrt((self.std[: len(inputs)] ** 2).mean(axis=0))  # of each output at the training inputs
 
     def compare(self, new) -> Compaction:
         """Return the change of predictions from the original to the new posterior."""
@@ -195,8 +189,8 @@ def _ratio_bounds(divergence):
     return float(np.exp(low / 2)), float(np.exp(high / 2))
 
 
-def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, stage: str) -> tuple:
-    """Return the features that maximise the bound, from those of ``start``, and the Optimum.
+def moved_features(start: SparsePosterior, scale: Vector, max_iter: int) -> Any:
+    """Return the features with the inducing inputs that maximise the bound, from those of ``start``.
 
     Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
     search then does not depend on the units of the regressors, and the scaling causes no rounding.
@@ -209,5 +203,5 @@ def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, s
         posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
         return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
 
-    best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage=stage)
-    return features.rebuild(kernel, unit * best.theta), best
+    best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage="compact")
+    return features.rebuild(kernel, unit * best.theta)

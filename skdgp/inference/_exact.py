@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
 from skdgp._compute.parallel import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
-from skdgp.inference._paths import Paths, exact_paths
+from skdgp.inference._noise import draw_noise
+from skdgp.inference._paths import FREQUENCIES, Paths
 from skdgp.inference._sparse import SparsePosterior, shares_of
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
@@ -203,18 +205,16 @@ class ExactPosterior(Single):
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._mean_function.each(Xs[None])[0] if len(Xs) <= FEW else self._mean(Xs)
-        chunks = self._chunks(len(Xs), self.kernel.n_outputs * self.data.n_values)
-        mean, variance = map(np.concatenate, zip(*(self._mean_and_variance(Xs[rows]) for rows in chunks), strict=True))
-        return mean, variance
-
-    def _mean_and_variance(self, x):
         P = self.kernel.n_outputs
-        K = self._cross(range(P), x)
-        mean = K @ self.alpha
-        half = self._solve_lower(K).T
-        prior = np.concatenate([self.kernel.block_diag(i, x) for i in range(P)])
-        variance = unexplained_variance(prior, np.einsum("ab,ab->a", half, half))
-        return mean.reshape(P, -1).T, variance.reshape(P, -1).T
+        mean, variance = np.empty((2, len(Xs), P))
+        for rows in self._chunks(len(Xs), P * self.data.n_values):
+            K = self._cross(range(P), Xs[rows])
+            mean[rows] = (K @ self.alpha).reshape(P, -1).T
+            half = self._solve_lower(K).T
+            explained = np.einsum("ab,ab->a", half, half).reshape(P, -1)
+            prior = np.stack([self.kernel.block_diag(i, Xs[rows]) for i in range(P)])
+            variance[rows] = unexplained_variance(prior, explained).T
+        return mean, variance
 
     @cached_property
     def _mean_function(self):
@@ -265,9 +265,18 @@ class ExactPosterior(Single):
         return mean, variance
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
-        """Return samples of the posterior that are functions of the regressors."""
+        """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
+        rng, data = check_random_state(random_state), self.data
+        edges = np.cumsum([0, *map(len, data.X)])
         with threads_for(self.size):
-            return exact_paths(self, n_paths, random_state)
+            prior = self.kernel.prior_paths(n_paths, FREQUENCIES, rng)
+            points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
+            f = prior.values(points[None])
+            f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
+            residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
+            coefficients = self.solve(residual.T).T
+            by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
+            return Paths(prior + self.kernel.paths(data.X, by_output), n_paths, self.kernel.n_features)
 
 
 class Factor:

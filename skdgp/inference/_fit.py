@@ -90,8 +90,7 @@ def fit_exact(
     random_state = check_random_state(random_state)
     rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    options |= {"random_state": random_state, "held": held}
-    learned = search(kernel.prepared(X), X, Y, rows, **options, exact=True)
+    learned = search(kernel.prepared(X), X, Y, rows, held=held, random_state=random_state, exact=True, **options)
     posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
     return Fit(posterior, learned, posterior.log_marginal_likelihood)
 
@@ -136,72 +135,32 @@ def fit_sparse(
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    options |= {"random_state": random_state, "held": held}
-    learned = search(kernel, X, Y, rows, **options)
-    features, shares = learned.kernel.features(Z), shares_of(Data.from_table(X, Y))
-    if optimizer is None:
-        posterior = SparsePosterior(learned.kernel, features, learned.noise, shares)
-        value = posterior.log_marginal_likelihood
-        return _final_fit(learned, posterior, X, Y, np.ones(len(posterior.noise)), value)
-    learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
-    return _final_fit(learned, posterior, X, Y, inflation, value)
+    learned = search(kernel, X, Y, rows, held=held, random_state=random_state, **options)
+    return _sparse_fit(learned, learned.kernel.features(Z), X, Y, converge=optimizer is not None)
 
 
-def _with_converged_noise(learned, features, X, Y, shares):
-    """Return hyperparameters with the noise that is best for these features, posterior, inflation and bound.
+def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
+    """Return the sparse fit with these features and, unless ``converge`` is false, the noise that is best for them.
 
     Errors of neighbours are correlated: a sample carries less information, so the posterior's noise is larger by the
-    inflation (P,).
+    inflation (P,). With noisy regressors, part of each output's noise becomes noise of the regressors, whose errors are
+    correlated, too. ``loading`` is G of this noise, by default by the slopes of the posterior.
     """
-    least = NOISE_BOUNDS[0] * output_scale(Y) ** 2
-    posterior = _converge_noise(SparsePosterior(learned.kernel, features, learned.noise, shares), 1.0, least)
-    value = posterior.log_marginal_likelihood
-    residual = Y - posterior.predict(X)
-    inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
-    posterior = _converge_noise(posterior, inflation, least)
-    return learned._replace(noise=posterior.noise / inflation), posterior, inflation, value
-
-
-def with_noise_for(kernel: Any, features: Any, fit: Fit, X: Matrix, Y: Matrix, loading: Any) -> Fit:
-    """Return the fit of another kernel, a part of that of a fit, at its hyperparameters but for the white noise.
-
-    ``features`` of the kernel are those of a sparse fit; None for an exact one. Noise of the regressors propagates by
-    ``loading``, that of the given fit at X. Evaluations are those for the noise.
-    """
-    learned = fit.learned._replace(kernel=kernel, n_evaluations=0)
-    if features is None:
-        data = fit.posterior.data
-        noise, n_evaluations = noise_alone(kernel, X, Y, data)
-        learned = learned._replace(noise=noise, n_evaluations=n_evaluations)
-        if kernel.n_processes:
-            return Fit(ExactPosterior(kernel, noise, data), learned, fit.value)
-        # The few weights of a trend are all that there is to know, so this is exact, and small.
-        return Fit(SparsePosterior(kernel, kernel.features(X[:1]), noise, shares_of(data)), learned, fit.value)
-    shares = shares_of(Data.from_table(X, Y))
-    learned, posterior, inflation, value = _with_converged_noise(learned, features, X, Y, shares)
-    return _final_fit(learned, posterior, X, Y, inflation, value, loading)
-
-
-def loading_of(fit: Fit, X: Matrix) -> np.ndarray | None:
-    """Return what noise of the regressors adds to the outputs at X, G (n, P, r), or None for exact regressors."""
-    return None if fit.learned.root is None else input_noise_loading(fit.posterior, X, fit.learned.root)
-
-
-def _final_fit(learned, posterior, X, Y, inflation, value, loading=None) -> Fit:
-    """Return the fit; with noisy regressors, part of each output's noise becomes noise of the regressors.
-
-    ``inflation`` (P,) multiplies the variances of both parts: errors of the regressors are correlated in time, too.
-    ``loading`` is G of this noise, by default by the slopes of the posterior.
-    """
+    posterior = SparsePosterior(learned.kernel, features, learned.noise, shares_of(Data.from_table(X, Y)))
+    inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
+    posterior = _converge_noise(posterior, inflation, least) if converge else posterior
+    value = float(posterior.log_marginal_likelihood)
+    if converge:
+        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T])
+        posterior = _converge_noise(posterior, inflation, least)
+    noise = posterior.noise / inflation
     if learned.root is not None:
-        if loading is None:
-            loading = input_noise_loading(posterior, X, learned.root)
+        loading = input_noise_loading(posterior, X, learned.root) if loading is None else loading
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-        noise = np.maximum(learned.noise - propagated, MIN_WHITE_FRACTION * learned.noise)
+        noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
         shares = shares_of(Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None]))
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
-        learned = learned._replace(noise=noise)
-    return Fit(posterior, learned, value)
+    return Fit(posterior, learned._replace(noise=noise), value)
 
 
 def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
@@ -279,7 +238,8 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     if len(parts) == 1:
         return fit
     try:
-        loading = loading_of(fit, X)
+        root = fit.learned.root
+        loading = None if root is None else input_noise_loading(fit.posterior, X, root)
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
         fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
         members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
@@ -319,9 +279,20 @@ def joined(fits: list[Fit]) -> Fit:
     return Fit(posterior, found, fits[0].value)
 
 
-def _of_part(fit, X, Y, loading, part) -> Fit:
-    """Return the fit of some terms of its kernel, with the noise that is best for them."""
-    kernel, features = of_terms(fit.posterior.kernel, part), None
-    if isinstance(fit.posterior, SparsePosterior):
-        features = of_terms(fit.posterior.features, part)
-    return with_noise_for(kernel, features, fit, X, Y, loading)
+def _of_part(whole, X, Y, loading, part) -> Fit:
+    """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
+
+    Noise of the regressors propagates by ``loading``, that of the whole. Evaluations are those for the noise.
+    """
+    kernel = of_terms(whole.posterior.kernel, part)
+    learned = whole.learned._replace(kernel=kernel, n_evaluations=0)
+    if isinstance(whole.posterior, SparsePosterior):
+        return _sparse_fit(learned, of_terms(whole.posterior.features, part), X, Y, loading=loading)
+    data = whole.posterior.data
+    noise, n_evaluations = noise_alone(kernel, X, Y, data)
+    posterior: Any
+    if kernel.n_processes:
+        posterior = ExactPosterior(kernel, noise, data)
+    else:  # the few weights of a trend are all that there is to know, so this is exact, and small
+        posterior = SparsePosterior(kernel, kernel.features(X[:1]), noise, shares_of(data))
+    return Fit(posterior, learned._replace(noise=noise, n_evaluations=n_evaluations), whole.value)

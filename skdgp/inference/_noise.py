@@ -1,16 +1,11 @@
 """Noise covariance: white noise of each output, and noise propagated from the regressors to all outputs.
 
-To first order an error e ~ N(0, S) of the regressors changes all outputs of sample a by J_a e, with the slopes J_a of
-the posterior mean. The noise of the sample then has the covariance diag(sigma^2) + J_a S J_a^T (McHutchon & Rasmussen
-2011). With G = J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T. G is called ``loading``, as in
-factor analysis.
+The noise of sample a has the covariance diag(sigma^2) + J_a S J_a^T, with the slopes J_a of the posterior mean and the
+covariance S of errors of the regressors (McHutchon & Rasmussen 2011). With G = J R and S = R diag(s) R^T this is
+diag(sigma^2) + G_a diag(s) G_a^T. G is called ``loading``, as in factor analysis.
 
-Errors of neighbouring samples of a flight are correlated: gusts, lags and unmodelled motion last longer than a sample
-interval. The residuals of a fit show this. `fit_drift_to_integrals` estimates the drift of an output from them, an
-Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T) within a flight, and zero between flights
-(Rasmussen & Williams 2006, equation 4.20 with nu = 1/2).
-
-Misfit is what the processes of a posterior cannot follow, seen where flights come back to the same regressors.
+Residuals of a fit also show the drift, an Ornstein-Uhlenbeck process with the covariance tau^2 exp(-|t - t'| / T)
+within a flight (Rasmussen & Williams 2006, equation 4.20 with nu = 1/2), and the misfit.
 """
 
 from __future__ import annotations

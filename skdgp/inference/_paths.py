@@ -9,16 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import triangular_solve
 from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.inference._noise import draw_noise
 
 FREQUENCIES = 64  # waves of each latent process in each path
 
@@ -125,44 +121,3 @@ class Paths(Sequence):
 
     def _squeeze(self, values):
         return values[:, :, 0] if self.single else values
-
-
-def sparse_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
-    """Return paths of a SparsePosterior, with u_post = Lu w, w ~ N(white, B^-1)."""
-    random_state = check_random_state(random_state)
-    features, Lu = posterior.features, posterior.Lu
-    prior, u = features.prior_paths(n_paths, FREQUENCIES, random_state)
-    drawn = np.asfortranarray(random_state.standard_normal(u.shape).T)
-    w = posterior.white[:, None] + triangular_solve(posterior.LB, drawn, transposed=True)
-    w -= triangular_solve(Lu, np.asfortranarray(u.T))
-    coefficients = triangular_solve(Lu, np.asfortranarray(w), transposed=True).T
-    return Paths(prior + features.paths(coefficients), n_paths, posterior.kernel.n_features)
-
-
-def exact_paths(posterior: Any, n_paths: int, random_state: Any) -> Paths:
-    """Return paths of an ExactPosterior, f + Kfy Kyy^-1 (y - f(X) - noise), with a draw of the noise."""
-    random_state = check_random_state(random_state)
-    kernel, data = posterior.kernel, posterior.data
-    edges = np.cumsum([0, *map(len, data.X)])
-    prior = kernel.prior_paths(n_paths, FREQUENCIES, random_state)
-    points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
-    f = prior.values(points[None])
-    f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
-    residual = np.concatenate(data.y) - f - draw_noise(posterior.noise, data, n_paths, random_state)
-    coefficients = posterior.solve(residual.T).T
-    by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
-    return Paths(prior + kernel.paths(data.X, by_output), n_paths, kernel.n_features)
-
-
-def mixed_paths(members: Any, weights: Matrix, n_paths: int, random_state: Any) -> Paths:
-    """Return paths of a mixture of posteriors with weights (K, P): each output of a path is that of one member.
-
-    The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
-    """
-    random_state = check_random_state(random_state)
-    pick = random_state.permutation(n_paths) + random_state.uniform(size=n_paths)
-    ends = np.cumsum(weights, axis=0)[:-1]
-    member = np.sum(pick[:, None, None] >= n_paths * ends, axis=1)
-    seeds = random_state.randint(2**31 - 1, size=len(members))
-    bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(members, seeds, strict=True)]
-    return Paths(bundles[0].mixed(bundles[1:], member), n_paths, members[0].kernel.n_features)

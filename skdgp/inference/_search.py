@@ -1,6 +1,6 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``fit_singles``).
+1. Each output alone (``_fit_singles``).
 2. All outputs, with widths that they share.
 3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
 4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
@@ -131,9 +131,8 @@ def search(
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop, singles, n_singles = Event(), None, 0
     if optimizer is not None and P > 1 and not open_kernel.has_values():  # stage 1
-        singles, noise, n_singles = fit_singles(
-            open_kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop
-        )
+        options = optimizer, max_iter, random_state, stop
+        singles, noise, n_singles = _fit_singles(open_kernel, noise, noise_bounds, X, Y, *options)
     scale, X, Y = column_scale(X), X[rows], Y[rows]
     stages = _Stages(P, held_out, optimizer, exact, stop)
     learned_root = isinstance(input_noise, str)
@@ -269,14 +268,6 @@ TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 TOLERANCE = 1e-5  # rise of the likelihood by one iteration, as a fraction for each process, below which it is the last
 
 
-class Singles(NamedTuple):
-    """Kernel and noise of a separate fit of each output, and the number of evaluations."""
-
-    kernels: list
-    noise: np.ndarray
-    n_evaluations: int
-
-
 class _SingleFit:
     """The values of one output and the maximisation of its likelihood."""
 
@@ -308,18 +299,10 @@ class _SingleFit:
 
 
 @one_blas_thread()  # and one after another: two threads gain nothing on small matrices
-def fit_singles(
-    kernel: Any,
-    noise: Vector,
-    noise_bounds,
-    X: Matrix,
-    Y: Matrix,
-    optimizer: Any,
-    max_iter: int,
-    random_state: Any,
-    stop: Event,
-) -> Singles:
-    """Return a separate fit of each output, with at most twice ``max_iter`` iterations each.
+def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop):
+    """Return kernels and noise (P,) of separate fits of each output, and the number of evaluations.
+
+    Each has at most twice ``max_iter`` iterations.
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
     long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
@@ -334,11 +317,9 @@ def fit_singles(
         output.optimize(single, optimum.theta, 1, most)
         for output, (single, optimum, _) in zip(outputs, trials, strict=True)
     ]
-    return Singles(
-        [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined],
-        np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined]),
-        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
-    )
+    kernels = [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined]
+    noise = np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined])
+    return kernels, noise, sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined)
 
 
 # -- what is maximised, and the optimiser -----------------------------------------------------------------------------

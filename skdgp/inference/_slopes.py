@@ -1,11 +1,10 @@
 """Errors of slopes and values that the deviations of a posterior do not contain, estimated from polynomials.
 
-A posterior states the scatter of its slopes for the learned noise and widths, with independent errors. But errors of
-neighbouring samples and of different outputs are correlated, and the widths may be wrong. Gusts flatten slopes where
-the motion is small, and correlate errors with rates at the same time. Polynomials show how large such errors are: with
-past regressors as instruments, which correlate less with the present error; with third powers, since a smooth prior and
-polynomials of second order find too small a slope at the trim of a function that saturates on both sides; and with the
-residuals of the outputs, which bound the noise of each regressor.
+Errors of neighbouring samples and of different outputs are correlated, widths may be wrong, gusts flatten slopes and
+correlate errors with rates. Polynomials show how large such errors are: with past regressors as instruments, which
+correlate less with the present error; with third powers, since a smooth prior and polynomials of second order find too
+small a slope at the trim of a function that saturates on both sides; and with the residuals of the outputs, which bound
+the noise of each regressor.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.utils import check_random_state, gen_batches
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
@@ -35,7 +36,7 @@ from skdgp._compute.parallel import few_threads, share_map, thread_map, threads_
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths, sparse_paths
+from skdgp.inference._paths import FREQUENCIES, Paths
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
@@ -170,7 +171,7 @@ class SparsePosterior(Single):
         samples = self.samples()
         if samples is None:
             return self._with(statistics=None, sums=sums)
-        total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
+        total = added and [old.plus(new) for old, new in zip(self.statistics, added, strict=True)]
         return self._with(shares=shares_of(samples.joined(data)), statistics=total, sums=sums)
 
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
@@ -240,7 +241,7 @@ class SparsePosterior(Single):
 
         if len(Xs) <= ROWS:
             return evaluate(Xs)
-        parts = thread_map(lambda some: evaluate(Xs[some]), row_slices(len(Xs)))
+        parts = thread_map(lambda some: evaluate(Xs[some]), [*gen_batches(len(Xs), ROWS)])
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
     def term(self, kernel: Any) -> SparsePosterior:
@@ -274,14 +275,21 @@ class SparsePosterior(Single):
         return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
-        """Return samples of the posterior that are functions of the regressors."""
+        """Return samples of the posterior that are functions of the regressors; u_post = Lu w, w ~ N(white, B^-1)."""
+        rng = check_random_state(random_state)
         with threads_for(self.size):
-            return sparse_paths(self, n_paths, random_state)
+            prior, u = self.features.prior_paths(n_paths, FREQUENCIES, rng)
+            drawn = np.asfortranarray(rng.standard_normal(u.shape).T)
+            w = self.white[:, None] + triangular_solve(self.LB, drawn, transposed=True)
+            w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
+            coefficients = triangular_solve(self.Lu, np.asfortranarray(w), transposed=True).T
+            return Paths(prior + self.features.paths(coefficients), n_paths, self.kernel.n_features)
 
     @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        parts = thread_map(partial(self._gradient, Xs, self.roots if return_variance else None), row_slices(len(Xs)))
+        roots = self.roots if return_variance else None
+        parts = thread_map(partial(self._gradient, Xs, roots), [*gen_batches(len(Xs), ROWS)])
         mean, variance = zip(*parts, strict=True)
         return (np.concatenate(mean), np.concatenate(variance)) if return_variance else np.concatenate(mean)
 
@@ -420,10 +428,10 @@ class Statistics(NamedTuple):
         """Prior variance that the features do not explain."""
         return self.variance - float(np.trace(self.outer))
 
-
-def total_statistics(parts) -> Statistics:
-    """Return the sums over the samples of all parts."""
-    return Statistics(*(sum(part) for part in zip(*parts, strict=True)))
+    def plus(self, other: Statistics) -> Statistics:
+        """Return the sums over these and the other samples."""
+        pairs: Any = zip(self, other, strict=True)
+        return Statistics(*(one + another for one, another in pairs))
 
 
 def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
@@ -436,15 +444,12 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
             inner[columns] += part[1]
             rest += part[4] + part[2] + part[3] - np.trace(part[0])
         return SampleSums(outer, inner, rest), None
+    sizes = [len(features.columns(i)) for i in range(kernel.n_outputs)]
+    statistics = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0) for c in sizes]
     parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
-    statistics = []
-    for i in range(kernel.n_outputs):
-        c = len(features.columns(i))
-        by_share = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0)]
-        for share, part in zip(shares, parts, strict=True):
-            if share.outputs == (i,):
-                by_share.append(Statistics(part[0], part[1], part[2], part[3], len(share.X)))
-        statistics.append(total_statistics(by_share))
+    for share, part in zip(shares, parts, strict=True):
+        (i,), (outer, inner, square, variance, _) = share.outputs, part
+        statistics[i] = statistics[i].plus(Statistics(outer, inner, square, variance, len(share.X)))
     return SampleSums.combine(features, noise, statistics), statistics
 
 
@@ -512,7 +517,7 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
             if i == j:
                 diagonal += kernel.diag_gradient(first, X, w)
             elif kernel.couples(first, second):
-                for rows in _diagonal_slices(len(X)):
+                for rows in gen_batches(len(X), DIAGONAL_ROWS):
                     diagonal += kernel.block_gradient(first, second, X[rows], X[rows], np.diag(2 * w[rows]))
         for i in outputs:
             W = np.multiply.outer(weighted[:, i], weights[columns[i]])
@@ -528,11 +533,6 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
 # -- common to both ---------------------------------------------------------------------------------------------------
 
 
-def row_slices(n):
-    """Return slices of at most ROWS of n rows."""
-    return [slice(a, min(a + ROWS, n)) for a in range(0, n, ROWS)]
-
-
 def sub_factor(Lu, columns):
     """Return the Cholesky factor of some features: Kuu is block diagonal, and ``columns`` are whole blocks."""
     return np.asfortranarray(Lu[np.ix_(columns, columns)])
@@ -541,7 +541,7 @@ def sub_factor(Lu, columns):
 def _blocks(share, noise):
     """Yield X, Y, inverse noise covariances (n, p, p) and log |2 pi noise| (n,) for successive rows of a share."""
     noise = noise[list(share.outputs)]
-    for rows in row_slices(len(share.X)):
+    for rows in gen_batches(len(share.X), ROWS):
         X, Y, loading = share.X[rows], share.Y[rows], share.loading[rows]
         yield X, Y, *precisions(Y, loading, noise)
 
@@ -572,8 +572,6 @@ def _variance(kernel, i, j, X):
         return kernel.block_diag(i, X)
     if not kernel.couples(i, j):
         return np.zeros(len(X))
-    return np.concatenate([np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in _diagonal_slices(len(X))])
-
-
-def _diagonal_slices(n):
-    return [slice(a, a + DIAGONAL_ROWS) for a in range(0, n, DIAGONAL_ROWS)]
+    return np.concatenate(
+        [np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in gen_batches(len(X), DIAGONAL_ROWS)]
+    )

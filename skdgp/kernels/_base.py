@@ -14,6 +14,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
+from sklearn.utils import gen_batches
 
 from skdgp._compute.linalg import RowPairs, cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
@@ -121,9 +122,8 @@ class MultiOutputKernel(Kernel):
 
     def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
-        rows = [slice(a, a + DIAGONAL_ROWS) for a in range(0, len(Xi), DIAGONAL_ROWS)]
-        parts = [self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows]
-        return np.sum(parts, axis=0) if parts else np.zeros(self.n_dims)
+        rows = gen_batches(len(Xi), DIAGONAL_ROWS)
+        return sum((self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows), np.zeros(self.n_dims))
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).

@@ -93,15 +93,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard deviations, for n samples, at most 400,
         in d regressors. In many regressors, a process of smaller width is noise to the samples.
 
-    Attributes
-    ----------
-    v : ndarray (M, P)
-        Filter gains; zero where a latent does not contribute to an output.
-    A : ndarray (M, P, d) or, for "full", (M, P, d, d)
-        Filter precisions.
-    mu : ndarray (M, P, d)
-        Filter shifts.
-
     Examples
     --------
     >>> from skdgp.kernels import ConvolvedGaussian
@@ -380,7 +371,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     @property
     def A(self) -> Array:
-        """Filter precisions, (M, P, d) or (M, P, d, d)."""
+        """Filter precisions, (M, P, d) or, for "full", (M, P, d, d)."""
         if self.covariance_type != "full":
             return 2.0 / self._value("length_scale") ** 2
         return precision(self._roots())
@@ -392,7 +383,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     @property
     def v(self) -> Matrix:
-        """Filter gains, (M, P): ``v = w |A|^(1/4) / pi^(d/4)``."""
+        """Filter gains, (M, P), zero where a latent feeds no output: ``v = w |A|^(1/4) / pi^(d/4)``."""
         lengths = self._value("length_scale")
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
         return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)

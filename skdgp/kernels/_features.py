@@ -8,9 +8,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
@@ -99,23 +100,16 @@ class PointFeatures(Features):
 
     def __init__(self, kernel, Z):
         self.kernel, self.Z = kernel, np.asarray(Z, dtype=float)
-        self.size = kernel.n_outputs * len(self.Z)
-
-    def _coupled_outputs(self, i):
-        """Return the outputs that are coupled to output i, directly or through others."""
-        coupled, queue = {i}, [i]
-        while queue:
-            j = queue.pop()
-            more = {k for k in range(self.kernel.n_outputs) if self.kernel.couples(j, k)} - coupled
-            coupled |= more
-            queue += more
-        return sorted(coupled)
+        outputs, self.size = range(kernel.n_outputs), kernel.n_outputs * len(self.Z)
+        couples = np.array([[kernel.couples(i, j) for j in outputs] for i in outputs])
+        _, groups = connected_components(couples, directed=False)
+        self._coupled = [np.flatnonzero(groups == group) for group in groups]
 
     def _slice(self, j):
         return slice(j * len(self.Z), (j + 1) * len(self.Z))
 
     def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled_outputs(i)])
+        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled[i]])
 
     def Kuu(self):
         K = self.kernel(self.Z)
@@ -123,14 +117,14 @@ class PointFeatures(Features):
         return K
 
     def Kfu(self, i, X):
-        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled_outputs(i)])
+        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled[i]])
 
     def Kfu_derivative(self, i, X):
-        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled_outputs(i)], axis=2)
+        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2)
 
     def gradient_fu(self, i, X, W):
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for j, w in zip(self._coupled_outputs(i), np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
+        for j, w in zip(self._coupled[i], np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
             total += self.kernel.block_gradient(i, j, X, self.Z, w)
             dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
         return np.concatenate([total, dZ.ravel()])
@@ -139,7 +133,7 @@ class PointFeatures(Features):
         W = W + JITTER * np.diag(np.diag(W))
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
         for i in range(self.kernel.n_outputs):
-            for j in self._coupled_outputs(i):
+            for j in self._coupled[i]:
                 w = W[self._slice(i), self._slice(j)]
                 total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
                 dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)
@@ -394,14 +388,6 @@ class SumFeatures(Features):
 # -- placement of inducing variables -------------------------------------------------------------------
 
 
-class Ranking(NamedTuple):
-    """Candidates of one latent, best first: variance reduction, output and input."""
-
-    gain: np.ndarray
-    output: np.ndarray
-    Z: np.ndarray
-
-
 def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
     """Return a function n -> the best n inducing features.
 
@@ -413,38 +399,26 @@ def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures
     """
     seed = check_random_state(random_state).randint(2**31 - 1)
     random_state = np.random.RandomState(seed)
-    X = np.unique(X, axis=0)
-    rankings = [_rank(kernel, m, X, scale, random_state) for m in range(len(kernel._value("feeds")))]
-    for ranking in rankings:
-        ranking.gain[0] = np.inf  # every latent, and so every output, has at least one feature
-    order = np.sort(np.concatenate([ranking.gain for ranking in rankings]))[::-1]
+    X, rankings = np.unique(X, axis=0), []
+    for m, outputs in enumerate(map(np.flatnonzero, kernel._value("feeds"))):
+        x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
+        K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
+        weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
+        pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
+        gain[0] = np.inf  # every latent, and so every output, has at least one feature
+        rankings.append((gain, outputs[pivots // len(x)]))
+    order = np.sort(np.concatenate([gain for gain, _ in rankings]))[::-1]
     subset = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
 
     def best(n):
         least = order[min(max(n, len(rankings)), len(order)) - 1]
         latents, outputs, Z = [], [], []
-        for m, ranking in enumerate(rankings):
-            selected = ranking.output[ranking.gain >= least]
-            for i in np.unique(selected):
+        for m, (gain, of_output) in enumerate(rankings):
+            for i, size in zip(*np.unique(of_output[gain >= least], return_counts=True), strict=True):
                 latents.append(m)
                 outputs.append(i)
-                Z.append(_centres(subset, kernel._value("length_scale")[m, i], np.sum(selected == i), seed))
+                lengths = kernel._value("length_scale")[m, i]
+                Z.append(subset if size >= len(subset) else cluster_centres(subset, lengths, size, seed, max_iter=30))
         return LatentFeatures(kernel, latents, Z, outputs=outputs)
 
     return best
-
-
-def _rank(kernel, m, X, scale, random_state):
-    outputs = np.flatnonzero(kernel._value("feeds")[m])
-    x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
-    K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
-    weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
-    pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
-    return Ranking(gain, outputs[pivots // len(x)], x[pivots % len(x)])
-
-
-def _centres(X, length_scale, n, seed):
-    """Return n centres of the samples in the metric of the length scales, or all samples if n is not smaller."""
-    if n >= len(X):
-        return X
-    return cluster_centres(X, length_scale, n, seed, max_iter=30)

@@ -190,7 +190,7 @@ class KernelPaths(PathBundle):
         self.kernel, self.X, self.coefficients = kernel, X, coefficients
 
     def take(self, index):
-        return KernelPaths(self.kernel, self.X, [c[index] for c in self.coefficients])
+        return type(self)(self.kernel, self.X, [c[index] for c in self.coefficients])
 
     def doubles(self, same_points):
         return (1 if same_points else len(self.coefficients[0])) * TILE
@@ -213,11 +213,11 @@ class KernelPaths(PathBundle):
         return values.T.swapaxes(0, 1)
 
 
-class ValuePaths(PathBundle):
+class ValuePaths(KernelPaths):
     """``KernelPaths`` of a convolved Gaussian: few points need one matrix product and one exponential."""
 
     def __init__(self, kernel, X, coefficients):
-        self.general = KernelPaths(kernel, X, coefficients)
+        super().__init__(kernel, X, coefficients)
         outputs = range(kernel.n_outputs)
         coupled = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
         self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in others] for others in coupled])
@@ -230,11 +230,7 @@ class ValuePaths(PathBundle):
 
     def __reduce__(self):
         # Pickle the coefficients only: they are smaller than the weights of all latents.
-        return ValuePaths, (self.general.kernel, self.general.X, self.general.coefficients)
-
-    def take(self, index):
-        general = self.general
-        return ValuePaths(general.kernel, general.X, [c[index] for c in general.coefficients])
+        return ValuePaths, (self.kernel, self.X, self.coefficients)
 
     def doubles(self, same_points):
         return (1 if same_points else len(self._weights[0])) * self._slices[-1].stop
@@ -243,9 +239,6 @@ class ValuePaths(PathBundle):
         A = _unflatten_points(self._rows(_flatten_points(X)), X)
         values = [contract(A[..., columns], c) for columns, c in zip(self._slices, self._weights, strict=True)]
         return np.stack(values, axis=-1)
-
-    def gradient(self, X):
-        return self.general.gradient(X)
 
 
 def _flatten_points(X):
@@ -278,37 +271,6 @@ class LatentWaves(NamedTuple):
     gain: np.ndarray
     shift: np.ndarray
 
-    @classmethod
-    def draw(cls, outputs, roots, amplitude, shift, n_paths, n_frequencies, random_state) -> LatentWaves:
-        r"""Return F waves for each of S paths of one latent that c outputs share, h_i * x with A_i = 2 R_i R_i^T.
-
-        The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
-
-        .. math:: w_i \sum_k \sqrt{\frac{N_i(\omega_k)}{F q(\omega_k)}}
-                  \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
-                  \quad g_k, g'_k \sim N(0, 1).
-
-        These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i
-        of all outputs of the latent. Frequencies are stratified over its components, so the weights are bounded (the
-        balance heuristic of Veach & Guibas 1995). Every path has new frequencies, so moments over paths are those of
-        the prior for any number of frequencies, at least c. The roots R are (c, d, d), amplitudes w (c,), shifts mu
-        (c, d).
-        """
-        S, F, (c, d) = n_paths, n_frequencies, shift.shape
-        component = np.arange(F) % c
-        omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
-        white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
-        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
-        log_mixture = logsumexp(log_density, axis=2, b=np.bincount(component), keepdims=True)  # log(F q)
-        gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
-        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'); the phase is its direction
-        return cls(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), outputs, gain, shift)
-
-    def at_origin(self, selected) -> tuple[np.ndarray, np.ndarray]:
-        """Return the phase (S, F) for the first selected output, and the phase differences of the others."""
-        turn = self.omega @ self.shift[selected].T
-        return self.phase - turn[..., 0], turn - turn[..., :1]
-
 
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
@@ -331,7 +293,8 @@ class Waves(PathBundle):
             place, selected = np.nonzero(np.equal.outer(outputs, latent.outputs))
             if len(place) == 0:
                 continue
-            phase, turn = latent.at_origin(selected)
+            turn = latent.omega @ latent.shift[selected].T
+            phase, turn = latent.phase - turn[..., 0], turn - turn[..., :1]  # of the first output, and differences
             gain = latent.gain[..., selected]
             if len(place) == 1:
                 own.append((latent.omega, phase, gain))
@@ -384,12 +347,31 @@ class Waves(PathBundle):
 
 
 def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:
-    """Return the waves of every latent of a ConvolvedGaussian, at least one for each of its outputs."""
-    w, mu, feeds = (kernel._value(name) for name in ("amplitude", "shift", "feeds"))
-    lengths = kernel._value("length_scale")
-    roots = kernel._roots() if kernel.covariance_type == "full" else np.eye(mu.shape[2]) / lengths[..., None]
-    n_frequencies = max(n_frequencies, int(feeds.sum(axis=1).max()))
-    return [
-        LatentWaves.draw(i, roots[m, i], w[m, i], mu[m, i], n_paths, n_frequencies, random_state)
-        for m, i in enumerate(map(np.flatnonzero, feeds))
-    ]
+    r"""Return F waves for each of S paths of every latent of a ConvolvedGaussian, h_i * x with A_i = 2 R_i R_i^T.
+
+    The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
+
+    .. math:: w_i \sum_k \sqrt{\frac{N_i(\omega_k)}{F q(\omega_k)}}
+              \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
+              \quad g_k, g'_k \sim N(0, 1).
+
+    These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i of
+    all c outputs of the latent. Frequencies are stratified over its components, so the weights are bounded (the balance
+    heuristic of Veach & Guibas 1995). Every path has new frequencies, so moments over paths are those of the prior for
+    any number of frequencies, at least c.
+    """
+    feeds, latents = kernel._value("feeds"), []
+    S, F = n_paths, max(n_frequencies, int(feeds.sum(axis=1).max()))
+    for m, i in enumerate(map(np.flatnonzero, feeds)):
+        amplitude, shift, lengths = (kernel._value(name)[m, i] for name in ("amplitude", "shift", "length_scale"))
+        c, d = shift.shape
+        roots = kernel._roots()[m, i] if kernel.covariance_type == "full" else np.eye(d) / lengths[..., None]
+        component = np.arange(F) % c
+        omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
+        white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
+        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
+        log_mixture = logsumexp(log_density, axis=2, b=np.bincount(component), keepdims=True)  # log(F q)
+        gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
+        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'); the phase is its direction
+        latents.append(LatentWaves(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), i, gain, shift))
+    return latents

@@ -40,21 +40,14 @@ def check_transformer(transformer: Any) -> None:
 class FittedBasis:
     """A fitted transformer with K columns; clones of a kernel share it, since hyperparameters do not change it.
 
-    ``step`` (d,) is that of numerical slopes in each regressor.
+    It is a clone that is fitted to X (n, d). ``step`` (d,) is that of numerical slopes in each regressor.
     """
 
-    def __init__(self, transformer: Any, step, n_columns) -> None:
-        self.transformer = transformer
-        self.step = step
-        self.n_columns = n_columns
-
-    @classmethod
-    def from_transformer(cls, transformer: Any, X: Matrix) -> FittedBasis:
-        """Return a clone of the transformer fitted to X (n, d)."""
+    def __init__(self, transformer: Any, X: Matrix) -> None:
         check_transformer(transformer)
-        fitted = clone(transformer).fit(X)
-        columns = as_columns(fitted.transform(X), len(X), fitted)
-        return cls(fitted, BASIS_STEP * column_scale(X), columns.shape[1])
+        self.transformer = clone(transformer).fit(X)
+        self.step = BASIS_STEP * column_scale(X)
+        self.n_columns = as_columns(self.transformer.transform(X), len(X), self.transformer).shape[1]
 
     def __sklearn_clone__(self):
         return self
@@ -283,12 +276,9 @@ class Trend(MultiOutputKernel):
         return self._cached("free", self._free_parameters)
 
     def _free_parameters(self):
-        P, K = self.n_outputs, self.n_weights - 1
-        intercept, slope = np.arange(P), np.arange(P * K).reshape(P, K)
-        return [
-            FreeParameter("intercept_scale", intercept, True, or_default(self.intercept_scale_bounds, (1e-5, 1e5))),
-            FreeParameter("slope_scale", slope, True, or_default(self.slope_scale_bounds, (1e-5, 1e5))),
-        ]
+        bounds = {"intercept_scale": self.intercept_scale_bounds, "slope_scale": self.slope_scale_bounds}
+        index = {name: np.arange(self._value(name).size).reshape(self._value(name).shape) for name in bounds}
+        return [FreeParameter(name, index[name], True, or_default(bounds[name], (1e-5, 1e5))) for name in bounds]
 
 
 class LinearTrend(Trend):
@@ -413,7 +403,7 @@ class BasisTrend(Trend):
     def prepared(self, X: Matrix) -> MultiOutputKernel:
         if isinstance(self.transformer, FittedBasis):
             return self
-        return clone(self).set_params(transformer=FittedBasis.from_transformer(self.transformer, X))
+        return clone(self).set_params(transformer=FittedBasis(self.transformer, X))
 
     def single_output(self) -> MultiOutputKernel:
         return BasisTrend(self.transformer)

@@ -47,7 +47,8 @@ def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
 @pytest.fixture(autouse=True)
 def _few_waves(monkeypatch):
     """Moments over paths do not depend on how many waves a path has."""
-    monkeypatch.setattr("skdgp.inference._paths.FREQUENCIES", 6)
+    for module in ("_exact", "_sparse"):
+        monkeypatch.setattr(f"skdgp.inference.{module}.FREQUENCIES", 6)
 
 
 @pytest.fixture(params=[exact, sparse, compacted])

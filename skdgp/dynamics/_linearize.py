@@ -143,11 +143,8 @@ def _mechanics(
     n_inputs, shape = len(inputs), state.shape[:-1]
     controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
     steps = np.full((*shape, 18 + n_inputs), FRACTION)
-    steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
-        POSITION_STEP,
-        FRACTION * instant.airspeed[..., None],
-        ANGLE_STEP,
-    )
+    steps[..., :3], steps[..., 6:12] = POSITION_STEP, ANGLE_STEP
+    steps[..., 3:6] = FRACTION * instant.airspeed[..., None]
     for k, name in enumerate(inputs):
         steps[..., 12 + k] = FRACTION * (1.0 + np.abs(controls[name]))
     slopes = np.zeros(())

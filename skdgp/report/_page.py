@@ -28,7 +28,7 @@ from skdgp._display.html import (
     text,
 )
 from skdgp._display.style import CYCLE, PALETTE, display_unit, units_shown
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, MIRRORED
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
@@ -61,7 +61,6 @@ HOW_TO_READ = (
     "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>"
 )
 N_WARNINGS = 3
-LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 STRONG = 0.3
 """Correlation of two outputs that is worth naming."""
@@ -222,7 +221,7 @@ def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]
     rows = []
     for coefficient in coefficients:
         for name, row in chosen[chosen["coefficient"] == coefficient].iterrows():
-            if (row["regressor"] in LATERAL_REGRESSORS) != across:
+            if (row["regressor"] in MIRRORED) != across:
                 continue
             open_sign = "std" in row and not row["lower"] * row["upper"] > 0
             beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])

@@ -264,7 +264,7 @@ def gaussian_sums(
         return [mean]
     bundle = posterior.regressor.sample_paths(n_draws, random_state).bundle
     if not isinstance(bundle, MixedPaths):
-        bundle = MixedPaths.of_all([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))
+        bundle = MixedPaths([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))
     return [mean, *_drawn(mean, posterior, form, weights, trend, bundle)]
 
 

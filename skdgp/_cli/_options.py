@@ -24,9 +24,6 @@ COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers 
 PARSED = ("type", "choices", "nargs")  # keywords of an option that a value of a configuration needs
 
 
-# -- one option ----------------------------------------------------------------------------------------------------
-
-
 class FileName(str):
     """The name of a file or folder, which a configuration keeps as a whole path."""
 
@@ -118,8 +115,6 @@ def regressor_names(text: str) -> str | list[str]:
     """Return the name of a set of regressors, or names of columns with commas between."""
     return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
 
-
-# -- options that several commands have ----------------------------------------------------------------------------
 
 COMMON = [
     flag("--json", "print JSON instead of text"),
@@ -220,9 +215,6 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     learned = {} if model is None else model.get("options", {})
     return {"servos": options.servos or learned.get("servos"), "airborne": airborne}
-
-
-# -- a command -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -155,9 +155,6 @@ def _redirect_to_null(stream) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-# -- files ---------------------------------------------------------------------------------------------------------
-
-
 class OutputFolder:
     """A folder made for outputs, or that of a single table; removed again if nothing was written into it.
 

@@ -95,12 +95,15 @@ CHANNELS = {
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 LONGITUDINAL = ("CX", "CZ", "Cm")
 LATERAL = ("CY", "Cl", "Cn")
+MIRRORED = frozenset((*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder"))
+"""Coefficients and regressors whose sign changes in a mirror at the x-z plane."""
 
 TRUTH_SUFFIX = "_true"  # columns that end so are noise-free truth of a simulation: for scoring only
 
 HAT = "_hat"  # ends the name of a non-dimensional rate
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
+LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 REGRESSOR_SETS = {
     "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
     "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),

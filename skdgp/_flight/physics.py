@@ -182,9 +182,6 @@ def _magnitudes(table: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], str]]:
                 yield (name,), f"{words} ({CHANNELS[name].unit or 'a share'} at most {most:.3g})"
 
 
-# -- signals in windows -------------------------------------------------------------------------------------
-
-
 class Windows(NamedTuple):
     """Windows within segments: first and last rows, rows of a segment, and the step of the clock [s]."""
 
@@ -253,9 +250,6 @@ def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
 def block_means(values: np.ndarray, size: int) -> np.ndarray:
     """Return the means of ``size`` rows each; what is left over at the end does not count."""
     return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
-
-
-# -- relations ----------------------------------------------------------------------------------------------
 
 
 def _relations(windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED) -> dict[str, Relation]:
@@ -395,9 +389,6 @@ def _t_value(total: float, products: np.ndarray) -> float:
     """Return the t value of a slope: the sum of regressor times response, and the products regressor times residual."""
     error = np.sqrt(autocorrelation_time(products) * (products @ products))
     return float(total / max(error, 1e-9 * abs(total), 1e-300))
-
-
-# -- causes -------------------------------------------------------------------------------------------------
 
 
 def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool] | None:

@@ -83,7 +83,8 @@ def error_covariances(
     yield covariance
     for (next_A, next_B), step in zip(samples, steps, strict=True):
         half = 0.5 * step
-        transition = _exponential(half * (A + next_A))
+        M, one = half * (A + next_A), np.eye(12)
+        transition = one + M @ (one + M @ (one / 2 + M @ (one / 6 + M / 24)))  # exp(M) of small M, to fourth order
         memory = np.exp(-step / correlation_time) if correlation_time > 0 else 0.0
         covariance, with_z = _pushed(covariance, with_z, half * B)
         covariance = transition @ covariance @ np.swapaxes(transition, -1, -2)
@@ -121,12 +122,6 @@ def _pushed(covariance: Array, with_z: Array, push: Array) -> tuple[Array, Array
     cross = with_z @ np.swapaxes(push, -1, -2)
     covariance = covariance + cross + np.swapaxes(cross, -1, -2) + push @ np.swapaxes(push, -1, -2)
     return covariance, with_z + push
-
-
-def _exponential(M: Array) -> Array:
-    """Return exp(M) (..., n, n) of small M, to fourth order."""
-    one = np.eye(M.shape[-1])
-    return one + M @ (one + M @ (one / 2 + M @ (one / 6 + M / 24)))
 
 
 def _euler_slopes(states: Array) -> Array:

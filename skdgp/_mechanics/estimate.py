@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, RATE_LENGTHS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp._mechanics.engines import as_floats
 
@@ -18,7 +18,6 @@ QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 MOMENTS = ("Ixx", "Iyy", "Izz")
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
 PRODUCT = "Ixz"
-LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 PRESSURE = "dynamic pressure"
 FORCE = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
 POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {

@@ -12,11 +12,11 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
-    ACCELERATION_LENGTHS,
+    ALL_SURFACES,
     CHANNELS,
     EULER,
     HAT,
-    RATE_LENGTHS,
+    LENGTHS,
     THRUST_FORCES,
     THRUST_MOMENTS,
     TRUTH_SUFFIX,
@@ -31,7 +31,7 @@ from skdgp._mechanics.loads import Thrust, aerodynamic_loads, propulsion_loads
 from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
-CONTROLS = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", *PROPULSION, "gust")
+CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
 """Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
 DEFLECTION = np.pi / 4
 """Largest one of a control of a model that does not say what it was learned from."""
@@ -124,10 +124,9 @@ class Motion:
         if not name.endswith(HAT):
             return name, None
         name = name.removesuffix(HAT)
-        lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
-        if name not in lengths:
-            raise ValueError(f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(lengths)}.")
-        return name, getattr(self.aerodynamics, lengths[name]) or getattr(self.aircraft, lengths[name])
+        if name not in LENGTHS:
+            raise ValueError(f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(LENGTHS)}.")
+        return name, getattr(self.aerodynamics, LENGTHS[name]) or getattr(self.aircraft, LENGTHS[name])
 
     def mixed(self, controls: Mapping) -> dict:
         """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS, rate_factor
+from skdgp._flight.channels import COEFFICIENTS, HAT, LENGTHS, rate_factor
 from skdgp._flight.checks import check_columns, check_names, check_table
 from skdgp._flight.clock import check_clock
 from skdgp._flight.frames import euler_per_rotation
@@ -22,7 +22,6 @@ from skdgp._mechanics.jacobian import ANGLES, TURN, jacobian
 from skdgp._mechanics.motion import Motion
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics
 
-LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 UNKNOWN = 1e-10
 """Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
 NO_SHARE = 1e-6  # share of a regressor in such a combination below which it does not matter

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, RATE_LENGTHS, rate_factor
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp._mechanics.aircraft import Aircraft
 from skdgp._mechanics.estimate import errors_of_sizes
@@ -23,7 +23,6 @@ from skdgp.dynamics._trim import Trim
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 """Rates about the x and the z axis, which turn with the axes."""
-LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
 """Columns whose squares add up to that of ``std``."""
 NORMAL_95 = 1.959963984540054

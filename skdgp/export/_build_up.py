@@ -326,9 +326,6 @@ def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
         )
 
 
-# -- the terms ---------------------------------------------------------------------------------------------------
-
-
 class Points(NamedTuple):
     """Points X (n, d) at which functions are projected: samples, then mixtures; mean and deviation of all samples."""
 
@@ -415,9 +412,6 @@ def _needed(points: Vector, values: Matrix, least: float) -> list[int]:
     return sorted(needed)
 
 
-# -- sums of tables ----------------------------------------------------------------------------------------------
-
-
 class Axes(NamedTuple):
     """Regressors of a table, as columns, and their breakpoints."""
 
@@ -496,9 +490,6 @@ def _curvature(points):
     for row, (a, b) in enumerate(pairwise(steps)):
         D[row, row : row + 3] = [mean / a, -mean / a - mean / b, mean / b]
     return D.T @ D
-
-
-# -- the model ---------------------------------------------------------------------------------------------------
 
 
 class Posterior:

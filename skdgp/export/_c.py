@@ -76,9 +76,6 @@ def _template(name: str) -> str:
     return Path(__file__).with_name("c").joinpath(name).read_text(encoding="utf-8")
 
 
-# -- tables --------------------------------------------------------------------------------------------------------
-
-
 class _Rounded(NamedTuple):
     """A packed triangle of 32-bit numbers: entry (c, r) is row[c] * values * column[r]."""
 
@@ -166,8 +163,6 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
         8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True)
     )
 
-
-# -- texts ---------------------------------------------------------------------------------------------------------
 
 _VECTORS = (
     *("shift", "scale", "center", "output_scale", "deviation_scale", "prior_variance", "trend_center", "trend_scale"),
@@ -298,8 +293,6 @@ def _formulas(model) -> Iterator[str]:
             text = (f"({text})" if len(terms) > 1 else text) + rate * regressor.power
         yield f"    x[{k}] = (aero_real)({text}); /* {regressor.name} */"
 
-
-# -- C -------------------------------------------------------------------------------------------------------------
 
 _INT = "static const int"
 

@@ -177,9 +177,6 @@ def _inputs(facts: _Facts | BuildUp) -> Iterator[Element]:
         yield _variable(name, flown, element("isInput"), units=_unit(unit))
 
 
-# -- functions -------------------------------------------------------------------------------------------------
-
-
 def _functions(model: PortableModel, of_std: PortableModel, correlation: Matrix) -> Iterator[Element]:
     """Yield mean and deviation of every output, of the scaled regressors s = (x - shift) / scale - trend_center."""
     scaled, P = [f"s_{name}" for name in model.regressor_names], len(model.outputs)
@@ -258,9 +255,6 @@ def _apply(operator: str, *operands: Element | str | float) -> Element:
     return element("apply", Element(operator), *parts) if len(parts) > 1 else parts[0]
 
 
-# -- tables ----------------------------------------------------------------------------------------------------
-
-
 def _build_up(build: BuildUp) -> Iterator[Element]:
     tables = [(f"{name}_t{k}", table) for name in COEFFICIENTS for k, table in enumerate(build.tables[name])]
     for name in COEFFICIENTS:
@@ -311,9 +305,6 @@ def _table(name: str, table: Table) -> Element:
     )
     definition = element("functionDefn", grid, name=f"{name}_f")
     return element("function", *inputs, element("dependentVarRef", varID=name), definition, name=name)
-
-
-# -- both ------------------------------------------------------------------------------------------------------
 
 
 def _variable(name: str, *content: Element, units: str = "nd", **attributes: str) -> Element:

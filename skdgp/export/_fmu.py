@@ -166,9 +166,6 @@ def _identifier(form: str) -> str:
     return Path(FMU_FILES[form]).stem
 
 
-# -- variables -----------------------------------------------------------------------------------------------------
-
-
 def _coefficients(model: PortableModel) -> Iterator[_Variable]:
     """Yield the variables of the coefficients alone, in the order of their value references."""
     start = _starts(model)
@@ -230,9 +227,6 @@ def _starts(model: PortableModel) -> dict[str, float]:
     speed, alpha = float(np.clip(speed, SLOWEST_START, FASTEST_START)), start.get("alpha", 0.0)
     start |= {"u": speed * float(np.cos(alpha)), "w": speed * float(np.sin(alpha)), "theta": alpha, "airspeed": speed}
     return start | {"down": -altitude, "altitude": altitude, "density": density}
-
-
-# -- C -------------------------------------------------------------------------------------------------------------
 
 
 def _model_values(model: PortableModel, variables: list[_Variable], order: list[int] | None) -> dict[str, Any]:
@@ -322,9 +316,6 @@ def _platform(fmi: str) -> tuple[str, str] | None:
         return None
     name, suffix = system
     return (f"{machine}-{name}" if fmi == "3.0" else name.removesuffix("dows") + "64"), suffix
-
-
-# -- descriptions --------------------------------------------------------------------------------------------------
 
 
 def _description(

@@ -112,14 +112,13 @@ def _jsbsim(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functi
     return {"files": write_jsbsim(folder, model, aircraft, form=form, n_draws=draws)}
 
 
-def _derivatives(name: str, write: Callable, folder: Path, model: Any, aircraft: Aircraft) -> Facts:
+def _with_loss(name: str, write: Callable, folder: Path, model: Any, aircraft: Aircraft) -> Facts:
     loss = write(folder / name, model, aircraft)
     return {"files": [folder / name], "loss": loss.to_dict("index")}
 
 
 def _dave_ml(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions") -> Facts:
-    path = folder / "aero.dml"
-    return {"files": [path], "loss": write_dave_ml(path, model, aircraft, form=form).to_dict("index")}
+    return _with_loss("aero.dml", partial(write_dave_ml, form=form), folder, model, aircraft)
 
 
 ARRAY_FORMATS: dict[str, Callable[..., Facts]] = {
@@ -133,8 +132,8 @@ ARRAY_FORMATS: dict[str, Callable[..., Facts]] = {
 SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
     "build-up": _tables,
     "jsbsim": _jsbsim,
-    "ardupilot": partial(_derivatives, "plane.json", write_ardupilot),
-    "gazebo": partial(_derivatives, "model.sdf", write_gazebo),
+    "ardupilot": partial(_with_loss, "plane.json", write_ardupilot),
+    "gazebo": partial(_with_loss, "model.sdf", write_gazebo),
     "dave-ml": _dave_ml,
 }
 """Formats of a pipeline and its samples."""

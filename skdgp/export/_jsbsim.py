@@ -16,7 +16,7 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
+from skdgp._flight.channels import COEFFICIENTS, HAT, LENGTHS, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp._mechanics.aerodynamics import scaling_of
 from skdgp._mechanics.loads import CENTRED
@@ -31,7 +31,7 @@ FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
 CENTRE = (0.0, 0.0, 0.0)
 AXES = {"CX": "X", "CY": "Y", "CZ": "Z", "Cl": "ROLL", "Cm": "PITCH", "Cn": "YAW"}
-LENGTHS = {"Cl": ["metrics/bw-ft"], "Cm": ["metrics/cbarw-ft"], "Cn": ["metrics/bw-ft"]}
+REFERENCES = {"Cl": ["metrics/bw-ft"], "Cm": ["metrics/cbarw-ft"], "Cn": ["metrics/bw-ft"]}
 SURFACES = {
     "elevator": ("fcs/elevator-cmd-norm", "fcs/elevator-pos-rad"),
     "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
@@ -184,9 +184,6 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     )
 
 
-# -- functions -----------------------------------------------------------------------------------------------------
-
-
 class Cosines(NamedTuple):
     """Functions of a draw of the prior: sum_k w_ik cos(phase_k + omega_k . z); omega (k, d), phase (k,), w (6, k)."""
 
@@ -334,9 +331,6 @@ def _leaves(bundle: Any) -> Iterator[Any]:
         yield bundle
 
 
-# -- the aircraft --------------------------------------------------------------------------------------------------
-
-
 def _metrics(aircraft: Aircraft) -> Element:
     return element(
         "metrics",
@@ -419,13 +413,10 @@ def _controls(found: BuildUp | GaussianSum, properties: Sequence[str]) -> Elemen
     return element("flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces")
 
 
-# -- the aerodynamics ----------------------------------------------------------------------------------------------
-
-
 def _rate(regressor: str) -> str | None:
     """Return the rate of which a regressor is the non-dimensional form."""
     name = regressor.removesuffix(HAT)
-    return name if regressor.endswith(HAT) and name in RATE_LENGTHS | ACCELERATION_LENGTHS else None
+    return name if regressor.endswith(HAT) and name in LENGTHS else None
 
 
 def _source(regressor: str, lengths: tuple[float, float], aircraft: Aircraft, controls: Sequence[str]) -> list:
@@ -448,7 +439,7 @@ def _source(regressor: str, lengths: tuple[float, float], aircraft: Aircraft, co
 
 def _load(coefficient: str) -> Element:
     """Return the force or the moment of a coefficient."""
-    axis, lengths = AXES[coefficient], LENGTHS.get(coefficient, [])
+    axis, lengths = AXES[coefficient], REFERENCES.get(coefficient, [])
     factors = ["aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}"]
     load = _function(f"aero/{'moment' if lengths else 'force'}/{axis}", _apply("product", *factors))
     return element("axis", load, name=axis, **({} if lengths else {"unit": "LBS"}))

@@ -358,8 +358,6 @@ class PortableModel:
             found.update(np.ascontiguousarray(array, dtype="<f8"))
         return found.hexdigest()
 
-    # -- evaluation ------------------------------------------------------------------------------------
-
     def regressor_values(self, X: Any) -> Matrix:
         """Return regressors (n, d) of an array (n, d), or of a flight table by its columns.
 
@@ -525,9 +523,6 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
             ) from error
 
 
-# -- writing -----------------------------------------------------------------------------------------------------
-
-
 def _write(path, model) -> None:
     head = {
         "format": FORMAT,
@@ -551,9 +546,6 @@ def _write(path, model) -> None:
         digest = sha256_of(file, path.stat().st_size - DIGITS)
         file.seek(-DIGITS, os.SEEK_END)
         file.write(digest)
-
-
-# -- reading -----------------------------------------------------------------------------------------------------
 
 
 def _read(file: BinaryIO) -> PortableModel:

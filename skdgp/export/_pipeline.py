@@ -13,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._mechanics.aerodynamics import SCALERS, scaling_of
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
@@ -87,9 +87,6 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     )
 
 
-# -- regressors ------------------------------------------------------------------------------------------------
-
-
 def _inputs(pipeline):
     """Return the regressors, their shift and scale, and their smallest and largest values or None."""
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
@@ -114,10 +111,9 @@ def _inputs(pipeline):
 def _regressor(name, rates, controls, units) -> Regressor:
     """Return a regressor with the columns that the pipeline computes it from."""
     rate = name.removesuffix(HAT)
-    lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
-    if name.endswith(HAT) and rate in lengths and rates is not None:
+    if name.endswith(HAT) and rate in LENGTHS and rates is not None:
         power = 2 if rate in ACCELERATION_LENGTHS else 1
-        return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, lengths[rate])), power)
+        return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, LENGTHS[rate])), power)
     unit = units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
     if controls is not None and name in controls.controls:
         row = controls.mixing_[list(controls.controls).index(name)]
@@ -136,9 +132,6 @@ def _envelope(posterior, shift, scale, limits) -> LearnedRange:
     seen = X if limits is None else np.vstack([X, *limits])
     rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int))
     return LearnedRange(seen.min(axis=0), seen.max(axis=0), X[rows])
-
-
-# -- posteriors --------------------------------------------------------------------------------------------------
 
 
 def posterior_form(posterior: Any) -> dict[str, Any]:

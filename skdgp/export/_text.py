@@ -15,9 +15,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, RATE_LENGTHS
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS, HAT, LENGTHS
 
-RESERVED = {*CHANNELS, *COEFFICIENTS, *(f"{name}{HAT}" for name in RATE_LENGTHS | ACCELERATION_LENGTHS)}
+RESERVED = {*CHANNELS, *COEFFICIENTS, *(f"{name}{HAT}" for name in LENGTHS)}
 """Names with a meaning of their own: another column is never written under them."""
 
 

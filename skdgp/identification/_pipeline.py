@@ -16,7 +16,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, RATES, SENSOR_GUST, VANES
 from skdgp._flight.clock import flight_segments
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
@@ -33,8 +33,6 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
-LATERAL = frozenset(("beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder", "CY", "Cl", "Cn"))
-"""Regressors and coefficients whose sign changes in a mirror at the x-z plane."""
 LEAST_ROWS, MOST_ROWS = 5, 20000  # fewest rows for each term of the polynomial that is fitted, and most rows in all
 
 
@@ -310,11 +308,11 @@ def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFr
             f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator and aileron in place of "
             "single elevons: put ElevonSplitter() before RegressorSelector."
         )
-    lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in LATERAL]
+    lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in MIRRORED]
     X, Y = regressors.copy(), targets.copy()
     X[lateral] = -X[lateral]
     A = np.column_stack([np.ones(len(X)), regressors[lateral]])
-    for name in LATERAL & set(Y):
+    for name in MIRRORED & set(Y):
         known = Y[name].notna().to_numpy()
         straight = np.linalg.lstsq(A[known], Y[name].to_numpy()[known], rcond=None)[0][0]
         Y[name] = 2 * straight - Y[name]

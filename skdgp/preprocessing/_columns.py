@@ -14,12 +14,11 @@ import pandas as pd
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
-    ACCELERATION_LENGTHS,
     CHANNELS,
     ELEVONS,
     HAT,
+    LENGTHS,
     MIXED,
-    RATE_LENGTHS,
     REGRESSOR_SETS,
     SURFACES,
     TRUTH_SUFFIX,
@@ -187,7 +186,7 @@ class RateNondimensionalizer(TableTransformer):
         self.chord = chord
 
     def _fit_table(self, table):
-        self.rates_ = [name for name in RATE_LENGTHS | ACCELERATION_LENGTHS if name in table]
+        self.rates_ = [name for name in LENGTHS if name in table]
         if not self.rates_:
             check_columns(table, ["p", "q", "r"])
         self._non_dimensional(table)
@@ -207,9 +206,8 @@ class RateNondimensionalizer(TableTransformer):
                 f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
                 "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
             )
-        lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
         return {
-            name + HAT: rate_factor(name, getattr(self, lengths[name]), airspeed) * rate
+            name + HAT: rate_factor(name, getattr(self, LENGTHS[name]), airspeed) * rate
             for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)
         }
 

@@ -58,9 +58,6 @@ def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple
     return first, first + length
 
 
-# -- of one flight -----------------------------------------------------------------------------------------------
-
-
 def coefficient_figure(result: FlightResult, span, every: int, draw: bool) -> str:
     """Return measured and estimated coefficients: a chart of the flight, with ``draw`` pictures of the span, too."""
     band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
@@ -149,9 +146,6 @@ def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
     ]
 
 
-# -- pictures of the model ----------------------------------------------------------------------------------------
-
-
 def calibration_panel(values, mean, std) -> str:
     """Return one square panel: nominal against observed coverage."""
     return picture(
@@ -208,9 +202,6 @@ def path_panel(flights: dict) -> str:
         margins=(0.145, 0.985, 0.13, 0.97),
         located=True,
     )
-
-
-# -- charts --------------------------------------------------------------------------------------------------------
 
 
 class Series(NamedTuple):

@@ -16,7 +16,7 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.flights import start_marker
 from skdgp._display.page import DASH, THIN, can_draw, figure, key_of, number, percent, render_page, symbol, table, text
 from skdgp._display.style import CYCLE, PALETTE, display_unit, units_shown
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS, MIRRORED
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
@@ -49,7 +49,6 @@ HOW_TO_READ = (
     "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>"
 )
 N_WARNINGS = 3
-LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 STRONG = 0.3
 """Correlation of two outputs that is worth naming."""
@@ -210,7 +209,7 @@ def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]
     rows = []
     for coefficient in coefficients:
         for name, row in chosen[chosen["coefficient"] == coefficient].iterrows():
-            if (row["regressor"] in LATERAL_REGRESSORS) != across:
+            if (row["regressor"] in MIRRORED) != across:
                 continue
             open_sign = "std" in row and not row["lower"] * row["upper"] > 0
             beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])

@@ -11,8 +11,8 @@ from skdgp._compute.tables import column_names
 from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import STATE_NAMES
-from skdgp.dynamics._replay.replay import _coefficient_array
-from skdgp.dynamics._simulation.inputs import as_starts
+from skdgp.dynamics._inputs import as_starts
+from skdgp.dynamics._replay import _coefficient_array
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector

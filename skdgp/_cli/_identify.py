@@ -13,7 +13,7 @@ from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, Propeller
-from skdgp.dynamics._vehicle.estimate import KINDS
+from skdgp.dynamics._estimate import KINDS
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
 

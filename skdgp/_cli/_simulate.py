@@ -19,7 +19,7 @@ from skdgp._flight.checks import check_columns, check_names
 from skdgp.design import doublet
 from skdgp.dynamics import Air, SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
-from skdgp.dynamics._simulation.trajectory import REASONS
+from skdgp.dynamics._trajectory import REASONS
 from skdgp.identification import named_flights
 from skdgp.io import read_flight
 from skdgp.plotting import TrajectoryDisplay

@@ -166,10 +166,15 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
 
 
 def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
-    gaps = missing_rows(values)
-    if len(gaps) == 1 and len(gaps[0]) == len(values):
-        yield name, "missing", gaps[0], "has no value"
+    """Yield the gaps of a channel that usually has values there."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        yield name, "missing", np.arange(len(values)), "has no value"
         return
+    spacing = np.diff(np.r_[-1, known, len(values)])
+    wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
+    before = np.r_[-1, known][wide]
+    gaps = [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
     for rows in gaps:
         if len(rows) * step >= LONG_GAP:
             yield name, "missing", rows, f"has no value for {len(rows) * step:.3g} s"
@@ -284,17 +289,6 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         return []
     held_there = (long & (level == extreme) for extreme in (seen.min(), seen.max()))
     return [rows[np.repeat(at, runs.length)] for at in held_there if at.any()]
-
-
-def missing_rows(values: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each gap in a channel that usually has values there."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not known.size:
-        return [np.arange(len(values))]
-    spacing = np.diff(np.r_[-1, known, len(values)])
-    wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
-    before = np.r_[-1, known][wide]
-    return [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
 
 
 def usual_spacing(values: np.ndarray) -> float:

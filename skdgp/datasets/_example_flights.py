@@ -31,13 +31,13 @@ from skdgp._flight.channels import (
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.datasets._flight_plans import ALPHA, FLIGHT_PLANS, FlightControls, FlightPlan
 from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
-from skdgp.dynamics._air.air import GustyAir, LocalAir
-from skdgp.dynamics._air.dryden import dryden_gusts, low_altitude_turbulence
-from skdgp.dynamics._equations import rigid_body
-from skdgp.dynamics._equations.motion import Instant, Motion
-from skdgp.dynamics._simulation.inputs import Clock
-from skdgp.dynamics._simulation.simulate import Record, fly_record
-from skdgp.dynamics._simulation.trajectory import channels
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._air import GustyAir, LocalAir
+from skdgp.dynamics._inputs import Clock
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._simulate import Record, fly_record
+from skdgp.dynamics._trajectory import channels
+from skdgp.dynamics._turbulence import dryden_gusts, low_altitude_turbulence
 
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"

@@ -19,8 +19,8 @@ from skdgp._flight.checks import check_columns, check_names, check_table
 from skdgp._flight.clock import check_clock
 from skdgp._flight.frames import euler_per_rotation
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics
-from skdgp.dynamics._control.linearize import ANGLES, TURN, jacobian
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._linearize import ANGLES, TURN, jacobian
+from skdgp.dynamics._motion import Motion
 
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 UNKNOWN = 1e-10

@@ -17,25 +17,23 @@ from skdgp._flight.frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from skdgp.dynamics._air.air import Air
-from skdgp.dynamics._air.dryden import dryden_wind
-from skdgp.dynamics._air.turbulence import Turbulence
-from skdgp.dynamics._control.derivatives import stability_derivatives
-from skdgp.dynamics._control.linearize import LinearModel, linearize
-from skdgp.dynamics._control.trim import Trim, trim
-from skdgp.dynamics._equations.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._equations.inverse import aerodynamic_coefficients
-from skdgp.dynamics._equations.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
-from skdgp.dynamics._replay.replay import replay, replay_errors
-from skdgp.dynamics._simulation.inputs import FlightComputer
-from skdgp.dynamics._simulation.output_error import OutputError, fit_output_error
-from skdgp.dynamics._simulation.simulate import simulate
-from skdgp.dynamics._simulation.simulator import Simulator
-from skdgp.dynamics._simulation.trajectory import SimulationWarning, trajectory_bands
-from skdgp.dynamics._vehicle.aircraft import Aircraft
-from skdgp.dynamics._vehicle.engines import Propeller, ThrustLine
-from skdgp.dynamics._vehicle.estimate import ScaleFactor
-from skdgp.dynamics._vehicle.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._air import Air
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._engines import Propeller, ThrustLine
+from skdgp.dynamics._estimate import ScaleFactor
+from skdgp.dynamics._inputs import FlightComputer
+from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp.dynamics._output_error import OutputError, fit_output_error
+from skdgp.dynamics._replay import replay, replay_errors
+from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
+from skdgp.dynamics._simulate import Simulator, simulate
+from skdgp.dynamics._trajectory import SimulationWarning, trajectory_bands
+from skdgp.dynamics._trim import Trim, trim
+from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 
 __all__ = [
     "STATE_NAMES",

@@ -4,13 +4,21 @@ from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import BuildUp, Table, build_up, write_build_up
 from skdgp.export._c import write_c
 from skdgp.export._dave_ml import write_dave_ml
-from skdgp.export._file import PortableFileError, load_portable, save_portable
 from skdgp.export._fmu import write_fmu
 from skdgp.export._formats import FORMATS, export_model
 from skdgp.export._graphs import casadi_function, onnx_model
 from skdgp.export._gymnasium import gymnasium_env
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
+from skdgp.export._model import (
+    Block,
+    LearnedRange,
+    PortableFileError,
+    PortableModel,
+    Readout,
+    Regressor,
+    load_portable,
+    save_portable,
+)
 from skdgp.export._pipeline import portable_model
 
 __all__ = [

@@ -203,13 +203,8 @@ def _advanced_lift_drag(flown: _Flown) -> tuple[Element, Matrix]:
         if name != "CD":
             parts += [element(f"{key}a", weights[name][1]), element(f"{key}b", weights[name][2])]
         parts += [element(f"{key}{rate}", value) for rate, value in zip("pqr", weights[name][3:6], strict=True)]
-    settings: dict[str, Any] = {
-        "AR": flown.aspect,
-        "mac": aircraft.chord,
-        "eff": efficiency,
-        "area": aircraft.wing_area,
-    }
-    settings |= {"alpha_stall": flown.stall, "Cema_stall": weights["Cm"][1]}
+    settings: dict[str, Any] = {"AR": flown.aspect, "mac": aircraft.chord, "eff": efficiency}
+    settings |= {"area": aircraft.wing_area, "alpha_stall": flown.stall, "Cema_stall": weights["Cm"][1]}
     settings |= {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": LINK}
     settings |= {"num_ctrl_surfaces": str(len(surfaces))}
     parts += [element(tag, value) for tag, value in settings.items()]

@@ -36,9 +36,9 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.checks import check_choice
-from skdgp.dynamics._equations.motion import CONTROLS, IMPLICIT, STATES
-from skdgp.dynamics._simulation.simulate import FASTEST, SLOWEST, SPINNING
-from skdgp.dynamics._vehicle.loads import CENTRED, thrust_control
+from skdgp.dynamics._loads import CENTRED, thrust_control
+from skdgp.dynamics._motion import CONTROLS, IMPLICIT, STATES
+from skdgp.dynamics._simulate import FASTEST, SLOWEST, SPINNING
 from skdgp.export._c import _array, _braces, _names, _template, c_files
 from skdgp.export._model import PortableModel
 from skdgp.export._text import changes_text, check_distinct, element

@@ -18,11 +18,10 @@ from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import build_up, write_build_up
 from skdgp.export._c import C_FILES, c_bytes, write_c
 from skdgp.export._dave_ml import write_dave_ml
-from skdgp.export._file import save_portable
 from skdgp.export._fmu import FMU_FILES, write_fmu
 from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import PortableModel
+from skdgp.export._model import PortableModel, save_portable
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import loss_of, reduced_to_kb
 

@@ -10,9 +10,9 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_names
 from skdgp.dynamics import Aircraft, Simulator, Trim, as_aerodynamics, dryden_wind
-from skdgp.dynamics._air.dryden import CEILING
-from skdgp.dynamics._control.trim import DEFLECTION
-from skdgp.dynamics._vehicle.loads import Thrust
+from skdgp.dynamics._loads import Thrust
+from skdgp.dynamics._trim import DEFLECTION
+from skdgp.dynamics._turbulence import CEILING
 from skdgp.export._text import extra
 
 OBSERVED = ("airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "altitude")

@@ -15,17 +15,17 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import scaling_of
-from skdgp.dynamics._vehicle.loads import CENTRED
+from skdgp.dynamics._aerodynamics import scaling_of
+from skdgp.dynamics._loads import CENTRED
 from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form
 from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
-from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths, Waves
+from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -267,7 +267,7 @@ def gaussian_sums(
         return [mean]
     bundle = posterior.regressor.sample_paths(n_draws, random_state).bundle
     if not isinstance(bundle, MixedPaths):
-        bundle = MixedPaths.of_all([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))
+        bundle = MixedPaths([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))
     return [mean, *_drawn(mean, posterior, form, weights, trend, bundle)]
 
 
@@ -314,7 +314,10 @@ def _drawn(mean, posterior, form, weights, trend, bundle: MixedPaths) -> Iterato
                 elif isinstance(leaf, FeaturePaths):
                     gaussians.append([own[row] for own in leaf._weights])
                 else:
-                    waves.append(_prior_waves(leaf, row, (taken * regressor.scale_)[order], order))
+                    own = leaf.own[row, 0][:, :, None] * leaf.fed[:, None]
+                    of_prior = np.concatenate([leaf.shared[row], own.reshape(-1, len(order))])[:, order]
+                    of_prior = of_prior * (taken * regressor.scale_)[order]
+                    waves.append(Cosines(leaf.omega[row].T, leaf.phase[row, 0], of_prior.T))
             for i in np.flatnonzero(taken):
                 of_basis[member * P + i] += taken[i] * np.concatenate([own[i] for own in gaussians])
         frequencies, phases, of_waves = zip(*waves, strict=True)
@@ -329,13 +332,6 @@ def _leaves(bundle: Any) -> Iterator[Any]:
         yield from _leaves(bundle.second)
     else:
         yield bundle
-
-
-def _prior_waves(leaf: Waves, k: int, factors: Vector, order: list[int]) -> Cosines:
-    """Return the waves of path k, with the weights of the coefficients."""
-    own: Array = leaf.own[k, 0][:, :, None] * leaf.fed[:, None]
-    weights = np.concatenate([leaf.shared[k], own.reshape(-1, len(order))])
-    return Cosines(leaf.omega[k].T, leaf.phase[k, 0], factors[:, None] * weights[:, order].T)
 
 
 # -- the aircraft --------------------------------------------------------------------------------------------------

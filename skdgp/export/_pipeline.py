@@ -16,7 +16,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, RATE_LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._equations.aerodynamics import SCALERS, scaling_of
+from skdgp.dynamics._aerodynamics import SCALERS, scaling_of
 from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
 from skdgp.identification._pipeline import check_aircraft, regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs

@@ -15,8 +15,8 @@ from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCE
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import Aircraft, propulsive_loads
-from skdgp.dynamics._vehicle.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
-from skdgp.dynamics._vehicle.loads import dynamic_pressure, knows_speed
+from skdgp.dynamics._estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
+from skdgp.dynamics._loads import dynamic_pressure, knows_speed
 from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 

@@ -202,11 +202,12 @@ def maximize_features(start: SparsePosterior, scale: Vector, *, max_iter: int, s
     search then does not depend on the units of the regressors, and the scaling causes no rounding.
     """
     kernel, features = start.kernel, start.features
-    unit = features.theta_scale(np.exp2(np.round(np.log2(scale))))
+    unit = np.tile(np.exp2(np.round(np.log2(scale))), len(features.theta) // len(scale))
+    bounds = np.tile([-np.inf, np.inf], (len(unit), 1))
 
     def bound(theta):
         posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
         return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
 
-    best = maximize(bound, features.theta / unit, features.bounds / unit[:, None], max_iter=max_iter, stage=stage)
+    best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage=stage)
     return features.rebuild(kernel, unit * best.theta), best

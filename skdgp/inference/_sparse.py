@@ -76,13 +76,13 @@ class SparsePosterior(Single):
     def __getstate__(self):
         state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "measured")}
         if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
-            state["sums"] = self.sums.packed(self.features, self.kernel.n_outputs)
+            state["sums"] = self.sums.packed()
         return state
 
     def __setstate__(self, state):
         self.__dict__.update(state)
         if self.shares is None:
-            self.sums = self.sums.unpacked(self.features, self.kernel.n_outputs)
+            self.sums = self.sums.unpacked()
         self._begin()
 
     @property
@@ -94,11 +94,8 @@ class SparsePosterior(Single):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         if self.shares is not None:
-            self.sums, self.statistics = self._compute_sums(self.shares)
+            self.sums, self.statistics = compute_sums(self.kernel, self.features, self.noise, self.Lu, self.shares)
         self._condition()
-
-    def _compute_sums(self, shares):
-        return compute_sums(self.kernel, self.features, self.noise, self.Lu, shares)
 
     def _condition(self):
         """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b."""
@@ -122,21 +119,17 @@ class SparsePosterior(Single):
         with threads_for(self.size):
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
-    def _with(self, shares, statistics, sums, noise=None) -> SparsePosterior:
+    def _with(self, **state) -> SparsePosterior:
         """Return the posterior of other samples or with another noise, with the same features."""
-        new = object.__new__(SparsePosterior)
-        new.kernel, new.features, new.Lu, new.measured = self.kernel, self.features, self.Lu, self.measured
-        new.noise = self.noise if noise is None else noise
-        new.shares, new.statistics, new.sums = shares, statistics, sums
+        new, kept = object.__new__(SparsePosterior), ("kernel", "features", "Lu", "noise", "measured", "shares")
+        vars(new).update({name: getattr(self, name) for name in kept} | state)
         new._condition()
         return new
 
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
-        noise = np.asarray(noise, dtype=float)
-        return self._with(
-            self.shares, self.statistics, SampleSums.combine(self.features, noise, self.statistics), noise
-        )
+        sums = SampleSums.combine(self.features, noise, self.statistics)
+        return self._with(noise=np.asarray(noise, dtype=float), statistics=self.statistics, sums=sums)
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
@@ -169,18 +162,17 @@ class SparsePosterior(Single):
 
     def without_samples(self) -> SparsePosterior:
         """Return the same posterior without samples: it keeps only their sums and predicts the same."""
-        posterior = self._with(None, None, self.sums)
-        posterior.measured = None
-        return posterior
+        return self._with(shares=None, statistics=None, sums=self.sums, measured=None)
 
     def updated(self, data: Data) -> SparsePosterior:
         """Return the posterior with further values: their sums are added."""
-        sums, added = self._compute_sums(shares_of(data))
+        sums, added = compute_sums(self.kernel, self.features, self.noise, self.Lu, shares_of(data))
         sums = self.sums.plus(sums)
-        if self.shares is None:
-            return self._with(None, None, sums)
+        samples = self.samples()
+        if samples is None:
+            return self._with(statistics=None, sums=sums)
         total = added and [total_statistics(pair) for pair in zip(self.statistics, added, strict=True)]
-        return self._with(shares_of(data_from_shares(self.shares, len(data.X)).joined(data)), total, sums)
+        return self._with(shares=shares_of(samples.joined(data)), statistics=total, sums=sums)
 
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
         """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""
@@ -196,27 +188,60 @@ class SparsePosterior(Single):
 
     def bound_gradient(self) -> Vector:
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-        return bound_gradient(self)
+        Lu, identity = self.Lu, np.eye(self.size)
+        reduction = _unwhitened(Lu, identity - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
+        Wuu = 0.5 * (_unwhitened(Lu, 2 * identity - self.B_inverse - self.B) - np.outer(self.weights, self.weights))
+        state = self.kernel, self.features, self.noise, self.weights, reduction
+        total, diagonal, d_noise = map(sum, zip(*share_map(_share_slope, state, self.shares), strict=True))
+        total = total + self.features.gradient_uu(Wuu)
+        n = self.kernel.n_dims
+        return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
 
     @cached_property
-    def readout(self) -> Readout:
-        """The weights of means, computed at the first prediction."""
-        return Readout(self.kernel, self.features, self.weights)
+    def _readout(self):
+        """The function of Kfu of all outputs side by side (n, C), the columns of each, and the weights of means (C, P).
+
+        Like ``roots``, it is computed at the first prediction.
+        """
+        columns = [self.features.columns(i) for i in range(self.kernel.n_outputs)]
+        edges = np.cumsum([0, *map(len, columns)])
+        slices, weights = [slice(*ends) for ends in pairwise(edges)], np.zeros((edges[-1], len(columns)))
+        for i, (own, of_output) in enumerate(zip(slices, columns, strict=True)):
+            weights[own, i] = self.weights[of_output]
+        return self.features.rows(), slices, weights
 
     @cached_property
     def roots(self) -> list[np.ndarray]:
-        """The matrices of variances, computed at the first prediction of a standard deviation."""
+        """Lu^-T R of the features of each output, (c, c), with R R^T = I - B^-1.
+
+        With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V = |Kfu Lu^-T R|^2.
+        """
+        roots = []
         with threads_for(self.size):
-            return self.readout.roots(self.Lu, self.B_inverse)
+            for i in range(self.kernel.n_outputs):
+                columns = self.features.columns(i)
+                reduction = np.eye(len(columns)) - self.B_inverse[np.ix_(columns, columns)]
+                factor = sub_factor(self.Lu, columns)
+                roots.append(triangular_solve(factor, semidefinite_root(reduction), transposed=True))
+        return roots
 
     @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        readout = self.readout
-        evaluate = partial(readout.mean_and_variance, roots=self.roots) if return_variance else readout.mean
+        rows, slices, weights = self._readout
+        roots = self.roots if return_variance else []
+
+        def evaluate(X):
+            A = rows(X)
+            if not return_variance:
+                return A @ weights
+            explained = [explained_variance(A[:, own], root) for own, root in zip(slices, roots, strict=True)]
+            prior = [self.kernel.block_diag(i, X) for i in range(len(slices))]
+            return A @ weights, unexplained_variance(np.stack(prior, axis=1), np.stack(explained, axis=1))
+
         if len(Xs) <= ROWS:
             return evaluate(Xs)
-        parts = thread_map(lambda rows: evaluate(Xs[rows]), row_slices(len(Xs)))
+        parts = thread_map(lambda some: evaluate(Xs[some]), row_slices(len(Xs)))
         return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
 
     def term(self, kernel: Any) -> SparsePosterior:
@@ -227,8 +252,8 @@ class SparsePosterior(Single):
         which ``self.kernel.term(regressors)`` gives.
         """
         new, features = object.__new__(SparsePosterior), self.features.rebuild(kernel, self.features.theta)
-        readout = Readout(kernel, features, self.weights)
-        vars(new).update(vars(self) | {"kernel": kernel, "features": features, "readout": readout, "roots": self.roots})
+        vars(new).update(vars(self) | {"kernel": kernel, "features": features, "roots": self.roots})
+        vars(new).pop("_readout", None)
         return new
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
@@ -273,46 +298,6 @@ class SparsePosterior(Single):
         ]
         prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
         return mean, unexplained_variance(prior, np.stack(explained, axis=1))
-
-
-class Readout:
-    """Mean and variance of every output from the features it covaries with.
-
-    With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V. With I - B^-1 = R R^T for the features of
-    output i this is |Kfu Lu^-T R|^2, one matrix product and a sum of squares. The weights (K,) are Kuu^-1 times the
-    posterior mean of the features.
-    """
-
-    def __init__(self, kernel: Any, features: Any, weights) -> None:
-        self.kernel, self.rows = kernel, features.rows()
-        self.columns = [features.columns(i) for i in range(kernel.n_outputs)]
-        edges = np.cumsum([0, *map(len, self.columns)])
-        self.slices = [slice(a, b) for a, b in pairwise(edges)]
-        self.weights = np.zeros((edges[-1], kernel.n_outputs))
-        for i, (rows, columns) in enumerate(zip(self.slices, self.columns, strict=True)):
-            self.weights[rows, i] = weights[columns]
-
-    def roots(self, Lu, B_inverse) -> list[np.ndarray]:
-        """Return Lu^-T R of the features of each output, (c, c)."""
-        roots = []
-        for columns in self.columns:
-            reduction = -B_inverse[np.ix_(columns, columns)]
-            np.einsum("ii->i", reduction)[:] += 1.0
-            roots.append(triangular_solve(sub_factor(Lu, columns), semidefinite_root(reduction), transposed=True))
-        return roots
-
-    def mean(self, X: Matrix) -> np.ndarray:
-        """Return the mean at X (n, d), (n, P)."""
-        return self.rows(X) @ self.weights
-
-    def mean_and_variance(self, X: Matrix, roots) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and variance at X (n, d), (n, P) each."""
-        A = self.rows(X)
-        variance = np.empty((len(X), len(self.slices)))
-        for i, (columns, root) in enumerate(zip(self.slices, roots, strict=True)):
-            explained = explained_variance(A[:, columns], root)
-            variance[:, i] = unexplained_variance(self.kernel.block_diag(i, X), explained)
-        return A @ self.weights, variance
 
 
 def explained_variance(A, root: Matrix):
@@ -391,7 +376,7 @@ class SampleSums(NamedTuple):
     ``rest`` is log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound.
     """
 
-    outer: np.ndarray
+    outer: Any
     inner: np.ndarray
     rest: float
 
@@ -410,24 +395,16 @@ class SampleSums(NamedTuple):
         """Return the sums over these and the other values."""
         return SampleSums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
 
-    def packed(self, features, n_outputs) -> SampleSums:
-        """Return the sums with only the lower-triangular entries of ``outer`` that can differ from zero."""
-        return self._replace(outer=self.outer[_nonzero(features, n_outputs)])
+    def packed(self) -> SampleSums:
+        """Return the sums with ``outer`` as the bits of what is not zero in its lower triangle, and these values."""
+        lower = np.tril(self.outer)
+        return self._replace(outer=(np.packbits(lower != 0), lower[lower != 0]))
 
-    def unpacked(self, features, n_outputs) -> SampleSums:
+    def unpacked(self) -> SampleSums:
         """Return the sums with the full matrix ``outer``; the inverse of ``packed``."""
-        lower = np.zeros((features.size, features.size))
-        lower[_nonzero(features, n_outputs)] = self.outer
-        return self._replace(outer=lower + np.tril(lower, -1).T)
-
-
-def _nonzero(features, n_outputs):
-    """Return the mask of pairs of features that covary with a common output, in the lower triangle."""
-    pairs = np.zeros((features.size, features.size), dtype=bool)
-    for i in range(n_outputs):
-        columns = features.columns(i)
-        pairs[np.ix_(columns, columns)] = True
-    return np.tril(pairs)
+        (bits, values), lower = self.outer, np.zeros((len(self.inner),) * 2)
+        lower[np.unpackbits(bits, count=lower.size).reshape(lower.shape).astype(bool)] = values
+        return self._replace(outer=symmetric(lower))
 
 
 class Statistics(NamedTuple):
@@ -505,19 +482,6 @@ def _share_sums(kernel, features, noise, Lu, share):
 
 
 # -- the gradient of the bound ----------------------------------------------------------------------------------------
-
-
-def bound_gradient(posterior) -> np.ndarray:
-    """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-    a, kernel, features = posterior.weights, posterior.kernel, posterior.features
-    Lu, identity = posterior.Lu, np.eye(features.size)
-    reduction = _unwhitened(Lu, identity - posterior.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
-    Wuu = 0.5 * (_unwhitened(Lu, 2 * identity - posterior.B_inverse - posterior.B) - np.outer(a, a))
-    parts = share_map(_share_slope, (kernel, features, posterior.noise, a, reduction), posterior.shares)
-    total, diagonal, d_noise = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    total += features.gradient_uu(Wuu)
-    n = kernel.n_dims
-    return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
 
 
 def _unwhitened(Lu, M):

@@ -17,11 +17,10 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE,
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
-from skdgp.io._autopilot.autopilot import AUTOPILOTS, is_log, no_flight_because, on_one_clock, read_log
-from skdgp.io._autopilot.clock import gaps, sampling_rate
-from skdgp.io._autopilot.formats import Topic
-from skdgp.io._autopilot.servos import template
+from skdgp.io._autopilot import AUTOPILOTS, gaps, is_log, no_flight_because, on_one_clock, read_log, sampling_rate
+from skdgp.io._log import Topic
 from skdgp.io._read import PathLike, read_flight
+from skdgp.io._servos import template
 from skdgp.io._tables import FlightReadError, reading
 
 NEEDS = {

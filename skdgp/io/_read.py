@@ -16,7 +16,7 @@ from skdgp._flight.channels import CHANNELS
 from skdgp._flight.clock import check_clock, flight_codes, part_restarts
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
-from skdgp.io._autopilot.autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
+from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._mat import read_mat
 from skdgp.io._parquet import read_parquet

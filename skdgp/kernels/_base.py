@@ -51,6 +51,12 @@ class FreeParameter:
         """Number of entries of theta for this parameter."""
         return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
 
+    def elements(self, values: Array) -> Array:
+        """Return the value of each element, (n_elements, ...), from those of the entries of the array."""
+        found, free = np.empty((self.n_elements, *values.shape[self.index.ndim :])), self.index >= 0
+        found[self.index[free]] = values[free]
+        return found
+
 
 class MultiOutputKernel(Kernel):
     """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
@@ -261,16 +267,11 @@ class MultiOutputKernel(Kernel):
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
         K = np.block([[self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)] for i, Xi in enumerate(rows)])
-        return (K, self._dense_gradient(rows)) if eval_gradient else K
-
-    def _dense_gradient(self, rows):
-        """Return dK/dtheta, (N, N, n_theta), one entry of K at a time."""
-        points = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi]
-        one = np.ones((1, 1))
-        entries = np.array(
-            [[self.block_gradient(i, j, x, z, one) for j, z in points] if len(self.theta) else [] for i, x in points]
-        )
-        return entries.reshape(len(points), len(points), len(self.theta))
+        if not eval_gradient:
+            return K
+        points, one = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi], np.ones((1, 1))
+        entries = [self.block_gradient(i, j, x, z, one) for i, x in points for j, z in points]
+        return K, np.reshape(entries, (*K.shape, -1))
 
     def diag(self, X: Matrix) -> Vector:
         """Return the diagonal of ``kernel(X)``, (sum n_i,)."""
@@ -308,21 +309,14 @@ class MultiOutputKernel(Kernel):
     @property
     def theta(self):
         """Free hyperparameters, (n_theta,): the logarithms of positive parameters, and signed parameters themselves."""
-        parts = []
-        for f in self.free_parameters():
-            if f.n_elements:
-                part = np.empty(f.n_elements)
-                free = f.index >= 0
-                part[f.index[free]] = self._value(f.name)[free]
-                parts.append(np.log(part) if f.log else part)
-        return np.concatenate(parts) if parts else np.empty(0)
+        parts = [(f.elements(self._value(f.name)), f.log) for f in self.free_parameters() if f.n_elements]
+        return np.concatenate([np.empty(0), *(np.log(part) if log else part for part, log in parts)])
 
     @theta.setter
     def theta(self, theta: Vector | None):
         theta = np.asarray(theta, dtype=float)
-        expected = sum(f.n_elements for f in self.free_parameters())
-        if theta.shape != (expected,):
-            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
+        if theta.shape != (self.n_dims,):
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({self.n_dims},).")
         free, start, values = self.free_parameters(), 0, {}
         for f in free:
             if f.n_elements:
@@ -349,7 +343,7 @@ class MultiOutputKernel(Kernel):
     def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
         parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self.free_parameters() if f.n_elements]
-        return np.concatenate(parts) if parts else np.empty((0, 2))
+        return np.concatenate([np.empty((0, 2)), *parts])
 
     @property
     def n_dims(self) -> int:
@@ -398,7 +392,7 @@ class MultiOutputKernel(Kernel):
             if f.n_elements:
                 free = f.index >= 0
                 parts.append(np.bincount(f.index[free], weights=gradients[f.name][free], minlength=f.n_elements))
-        return np.concatenate(parts) if parts else np.empty(0)
+        return np.concatenate([np.empty(0), *parts])
 
 
 class Sum(_SklearnSum, MultiOutputKernel):
@@ -526,16 +520,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
         n = self.k1.n_dims
         return Sum(self.k1.clone_with_theta(theta[:n]), self.k2.clone_with_theta(theta[n:]))
 
-    @property
-    def bounds(self) -> Matrix:
-        """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
-        return np.concatenate([self.k1.bounds, self.k2.bounds])
-
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
-
-    def __repr__(self):
-        return f"{self.k1!r} + {self.k2!r}"
 
 
 class Zero(MultiOutputKernel):
@@ -591,10 +577,7 @@ def _pairs(f: FreeParameter) -> np.ndarray:
         )
     if bounds.shape == (2,):
         return np.tile(bounds, (f.n_elements, 1))
-    free = f.index >= 0
-    pairs = np.empty((f.n_elements, 2))
-    pairs[f.index[free]] = np.broadcast_to(bounds, (*f.index.shape, 2))[free]
-    return pairs
+    return f.elements(np.broadcast_to(bounds, (*f.index.shape, 2)))
 
 
 def as_shape(name: str, value: Any, shape) -> np.ndarray:

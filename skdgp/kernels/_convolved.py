@@ -26,7 +26,7 @@ from skdgp.kernels._pair import (
     signed_sum,
     weighted_sums,
 )
-from skdgp.kernels._prior_paths import PathBundle, ValuePaths, convolved_paths
+from skdgp.kernels._prior_paths import PathBundle, ValuePaths, Waves, draw_latents
 
 TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
 MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
@@ -156,12 +156,19 @@ class ConvolvedGaussian(MultiOutputKernel):
         w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
         feeds = self._feed_matrix(P)
-        M = len(feeds)
+        M, others = len(feeds), self._without_effect(d)
         if not (lengths > 0).all() or not np.isfinite(w).all():
             raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
-        lengths, others = as_shape("length_scale", lengths, (M, P, d)), self._without_effect(d)
+        lengths = as_shape("length_scale", lengths, (M, P, d))
         lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
-        check_equal_scales(self.covariance_type, lengths, feeds)
+        axis, fed = TIED_AXIS.get(self.covariance_type, 0), feeds[..., None] > 0
+        least, most = np.where(fed, lengths, np.inf).min(axis), np.where(fed, lengths, 0.0).max(axis)
+        if axis and (least < (1 - 1e-9) * most).any():
+            along = "regressors" if self.covariance_type == "spherical" else "outputs"
+            raise ValueError(
+                f"Got length scales that differ along the {along} with covariance_type={self.covariance_type!r}, but "
+                "expected equal ones: use covariance_type='diag', or give equal length scales."
+            )
         return {
             "feeds": feeds,
             "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
@@ -172,26 +179,35 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _without_effect(self, d):
         """Return the mask (d,) of regressors that the outputs do not depend on."""
-        others = np.zeros(d, dtype=bool)
-        if self.regressors is not None:
-            columns = np.asarray(self.regressors)
-            if (
-                columns.ndim != 1
-                or columns.dtype.kind not in "iu"
-                or not set(columns) <= set(range(d))
-                or not len(columns)
-            ):
-                raise ValueError(f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}.")
-            if self.covariance_type not in ("diag", "tied"):
-                raise ValueError(
-                    f"Got regressors with covariance_type={self.covariance_type!r}, but expected 'diag' or 'tied'."
-                )
-            others[:] = True
-            others[columns] = False
-        return others
+        if self.regressors is None:
+            return np.zeros(d, dtype=bool)
+        columns = np.asarray(self.regressors)
+        whole = columns.ndim == 1 and columns.dtype.kind in "iu" and len(columns) > 0
+        if not (whole and set(columns) <= set(range(d))):
+            raise ValueError(f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}.")
+        if self.covariance_type not in ("diag", "tied"):
+            raise ValueError(
+                f"Got regressors with covariance_type={self.covariance_type!r}, but expected 'diag' or 'tied'."
+            )
+        return ~np.isin(np.arange(d), columns)
 
     def _feed_matrix(self, P):
-        return feed_matrix(self.feeds, self.n_latent, self.private_latents, P)
+        """Return the matrix (M, P) that is one where a latent contributes to an output."""
+        if self.feeds is None:
+            feeds = np.concatenate([np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]])
+        else:
+            feeds = np.asarray(self.feeds, dtype=float)
+        if len(feeds) == 0:
+            raise ValueError(
+                "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
+                "n_latent, or set private_latents=True."
+            )
+        if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
+            raise ValueError(
+                f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one latent for every "
+                "output, and at least one output for every latent: raise n_latent, or set private_latents=True."
+            )
+        return feeds
 
     def _value(self, name):
         return self._cached("arrays", self._arrays)[name]
@@ -238,11 +254,10 @@ class ConvolvedGaussian(MultiOutputKernel):
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
             start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
-        axis = TIED_AXIS.get(self.covariance_type)
         if self.covariance_type == "spherical":
             start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
-        elif axis is not None:
-            mean = np.log(start["length_scale"]).mean(axis=axis, keepdims=True)
+        elif self.covariance_type == "tied":
+            mean = np.log(start["length_scale"]).mean(axis=1, keepdims=True)
             start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
         if others.any() and not singles and not coarse:
             start["amplitude"] *= ADDITIVE_AMPLITUDE
@@ -275,26 +290,14 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def coarse(self) -> MultiOutputKernel:
         if self.covariance_type in ("diag", "full") and self.length_scale is None and self._widths_from_data():
-            return ConvolvedGaussian(
-                self.n_latent,
-                private_latents=self.private_latents,
-                covariance_type="tied",
-                regressors=self.regressors,
-                feeds=self.feeds,
-                amplitude=self.amplitude,
-                amplitude_bounds=self.amplitude_bounds,
-                length_scale_bounds=self.length_scale_bounds,
-            )
+            default = {"shear": 0.0, "shift": 0.0, "shear_bounds": None, "shift_bounds": "fixed"}
+            return clone(self).set_params(covariance_type="tied", **default)
         return self
 
     def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
-        return ConvolvedGaussian(
-            0,
-            covariance_type=kind,
-            regressors=self.regressors,
-            length_scale_bounds=self.length_scale_bounds if self._widths_from_data() else None,
-        )
+        bounds = self.length_scale_bounds if self._widths_from_data() else None
+        return ConvolvedGaussian(0, covariance_type=kind, regressors=self.regressors, length_scale_bounds=bounds)
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
@@ -329,7 +332,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return rank_parts(self, X, scale, random_state)
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        return convolved_paths(self, n_paths, n_frequencies, random_state)
+        return Waves.combine(draw_latents(self, n_paths, n_frequencies, random_state), range(self.n_outputs))
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]
@@ -360,21 +363,13 @@ class ConvolvedGaussian(MultiOutputKernel):
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         matters = ~self._without_effect(d)
         shifted = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
-        amplitude_bounds = or_default(self.amplitude_bounds, (-1e3, 1e3))
+        length_bounds = None if self._widths_from_data() else self.length_scale_bounds
+        lengths = renumber(width[..., None] * d + per_feature, feeds[..., None] & matters)
+        shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
         free = [
-            FreeParameter("amplitude", renumber(filters, feeds), False, amplitude_bounds),
-            FreeParameter(
-                "length_scale",
-                renumber(width[..., None] * d + per_feature, feeds[..., None] & matters),
-                True,
-                (1e-3, 1e3) if self._widths_from_data() else self.length_scale_bounds,
-            ),
-            FreeParameter(
-                "shift",
-                renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters),
-                False,
-                or_default(self.shift_bounds, (-1e2, 1e2)),
-            ),
+            FreeParameter("amplitude", renumber(filters, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
+            FreeParameter("length_scale", lengths, True, or_default(length_bounds, (1e-3, 1e3))),
+            FreeParameter("shift", shifts, False, or_default(self.shift_bounds, (-1e2, 1e2))),
         ]
         if self.covariance_type == "full":
             index = renumber(filters[..., None] * pairs + np.arange(pairs), feeds[..., None])
@@ -576,39 +571,6 @@ class ConvolvedGaussian(MultiOutputKernel):
 def _middle(X):
     """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
     return np.add.reduce(X, axis=0) / max(len(X), 1)  # np.mean takes five times as long for few rows
-
-
-def feed_matrix(feeds: Any, n_latent: Any, private_latents: bool, P) -> np.ndarray:
-    """Return the matrix (M, P) that is one where a latent contributes to an output."""
-    if feeds is None:
-        feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P)[: P * bool(private_latents)]])
-    else:
-        feeds = np.asarray(feeds, dtype=float)
-    if len(feeds) == 0:
-        raise ValueError(
-            "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
-            "n_latent, or set private_latents=True."
-        )
-    if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
-        raise ValueError(
-            f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one latent for every output, "
-            "and at least one output for every latent: raise n_latent, or set private_latents=True."
-        )
-    return feeds
-
-
-def check_equal_scales(covariance_type: str, lengths, feeds: Any) -> None:
-    """Raise a ValueError if length scales (M, P, d) differ that must be equal for the covariance type."""
-    axis = TIED_AXIS.get(covariance_type)
-    if axis is None:
-        return
-    most = np.where(feeds[..., None] > 0, lengths, 0.0).max(axis=axis, keepdims=True)
-    if not np.allclose(np.where(feeds[..., None] > 0, lengths, most), most, rtol=1e-9, atol=0.0):
-        along = "regressors" if covariance_type == "spherical" else "outputs"
-        raise ValueError(
-            f"Got length scales that differ along the {along} with covariance_type={covariance_type!r}, but "
-            "expected equal ones: use covariance_type='diag', or give equal length scales."
-        )
 
 
 def common_scale(scales, X: Matrix) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels._pair import ExponentialRows
-from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, joint_paths
+from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, Waves, draw_latents
 
 JITTER = 1e-6  # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 CANDIDATES = 2400  # candidates of each latent in a ranking
@@ -26,11 +27,16 @@ NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the
 class Features(ABC):
     """K variables u that are jointly Gaussian with the outputs, with covariances Kuu (K, K) and Kfu.
 
-    ``theta`` holds variational parameters. They change the quality of the approximation, not the model.
+    ``theta`` holds the inducing inputs, one after another. They change the quality of the approximation, not the model.
     """
 
     kernel: Any  # a MultiOutputKernel; its module imports this one
     size: int
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+        return self.kernel.n_outputs
 
     def summands(self) -> list[Features]:
         """Return the features that are joined in these, which are not sums themselves."""
@@ -65,35 +71,23 @@ class Features(ABC):
 
     @abstractmethod
     def rebuild(self, kernel, theta) -> Features:
-        """Return the features of another kernel of the same shape, with other variational parameters."""
+        """Return the features of another kernel of the same shape, with other inducing inputs."""
 
     @abstractmethod
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
     def rows(self) -> Callable[[Matrix], Matrix]:
-        """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time.
-
-        Its attribute ``sizes`` (P,) is the number of columns of each output.
-        """
-        return FeatureRows(self)
+        """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time."""
+        return lambda X: np.hstack([self.Kfu(i, X) for i in range(self.n_outputs)])
 
     def paths(self, coefficients) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
-        return FeaturePaths(self, self.kernel.n_outputs, coefficients)
+        return FeaturePaths(self, coefficients)
 
     @property
     def theta(self) -> Vector:
-        """Variational parameters."""
-        return np.empty(0)
-
-    @property
-    def bounds(self) -> Matrix:
-        """Bounds on theta, (n, 2)."""
-        return np.empty((0, 2))
-
-    def theta_scale(self, scale) -> Vector:
-        """Return the scale of each entry of theta, for regressors of the scale ``scale`` (d,)."""
+        """Inducing inputs, flat; none by default."""
         return np.empty(0)
 
 
@@ -161,13 +155,6 @@ class PointFeatures(Features):
     def theta(self):
         return self.Z.ravel()
 
-    @property
-    def bounds(self):
-        return np.tile([-np.inf, np.inf], (self.Z.size, 1))
-
-    def theta_scale(self, scale):
-        return np.tile(scale, len(self.Z))
-
     def rebuild(self, kernel, theta):
         return PointFeatures(kernel, theta.reshape(self.Z.shape))
 
@@ -178,7 +165,7 @@ class LatentFeatures(Features):
     Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances are those of a
     ConvolvedGaussian with one further output for every block f of variables. There are two kinds of filter g_f:
 
-    - a window with variational length scales ``width`` (F, d): one block for all outputs of the latent;
+    - a window with length scales ``width`` (F, d): one block for all outputs of the latent;
     - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to this output. One window
       cannot represent outputs of different widths well, while this filter loses no information about its output.
 
@@ -246,72 +233,52 @@ class LatentFeatures(Features):
         return ExponentialRows(self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks])
 
     def gradient_fu(self, i, X, W):
-        P, start = self.kernel.n_outputs, 0
-        total, dZ = self._zeros()
-        for f in self._blocks[i]:
-            w = W[:, start : start + len(self.Z[f])]
-            start += len(self.Z[f])
-            entries, dZ[self._slice(f)] = self.joint.entry_gradients(i, P + f, X, self.Z[f], w, inputs=True)
-            _add_entries(total, entries)
-        return self._collect(total, dZ)
+        P, blocks = self.kernel.n_outputs, self._blocks[i]
+        columns = [slice(*edges) for edges in pairwise(np.cumsum([0, *(len(self.Z[f]) for f in blocks)]))]
+        return self._collect(
+            [
+                (f, self.joint.entry_gradients(i, P + f, X, self.Z[f], W[:, own], inputs=True))
+                for f, own in zip(blocks, columns, strict=True)
+            ]
+        )
 
     def gradient_uu(self, W):
-        P, (total, dZ) = self.kernel.n_outputs, self._zeros()
+        P, W = self.kernel.n_outputs, W - np.diag(np.diag(W))  # the diagonal of Kuu is constant
+        parts = []
         for f, g in self._block_pairs:
-            w = np.array(W[self._slice(f), self._slice(g)])
-            if f == g:
-                np.einsum("ii->i", w)[:] = 0.0  # the diagonal is constant
-            entries, slope = self.joint.entry_gradients(P + f, P + g, self.Z[f], self.Z[g], w, inputs=True)
-            dZ[self._slice(g)] += 2 * slope
-            _add_entries(total, entries)
-        return self._collect(total, dZ)
+            w = W[self._slice(f), self._slice(g)]
+            entries, by_input = self.joint.entry_gradients(P + f, P + g, self.Z[f], self.Z[g], w, inputs=True)
+            parts.append((g, (entries, 2 * by_input)))
+        return self._collect(parts)
+
+    def _collect(self, parts):
+        """Return the gradient by [kernel theta, Z] from those by entries of ``joint`` and inputs of a block each."""
+        P, names = self.kernel.n_outputs, ("amplitude", "length_scale", "shift", "shear")
+        total, dZ = {name: np.zeros_like(self.joint._value(name)) for name in names}, [np.zeros_like(z) for z in self.Z]
+        for f, (entries, by_input) in parts:
+            dZ[f] += by_input
+            for name in names:
+                total[name] += entries[name]
+        for f, i in enumerate(self.outputs or ()):  # blocks have the filters of these outputs
+            for name in names[1:]:
+                total[name][self.latents[f], i] += total[name][self.latents[f], P + f]
+        by_kernel = self.kernel.theta_gradient({name: entries[:, :P] for name, entries in total.items()})
+        return np.concatenate([by_kernel, *(z.ravel() for z in dZ)])
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
-        return joint_paths(self.joint, self.Z, JITTER, n_paths, n_frequencies, random_state)
-
-    def _zeros(self):
-        names = ("amplitude", "length_scale", "shift", "shear")
-        return {name: np.zeros_like(self.joint._value(name)) for name in names}, np.zeros((self.size, self._d))
-
-    @property
-    def _d(self):
-        return self.kernel.n_features
-
-    def _collect(self, total, dZ):
-        """Return the gradient by [kernel theta, log width, Z]; filters of outputs have no separate widths."""
-        P = self.kernel.n_outputs
-        by_entry = {name: entry[:, :P].copy() for name, entry in total.items()}
-        d_width = []
-        for f, m in enumerate(self.latents):
-            if self.outputs is None:
-                d_width.append(total["length_scale"][m, P + f])
-                continue
-            for name in ("length_scale", "shift", "shear"):
-                by_entry[name][m, self.outputs[f]] += total[name][m, P + f]
-        return np.concatenate([self.kernel.theta_gradient(by_entry), *d_width, dZ.ravel()])
-
-    def _log_width(self):
-        return np.empty(0) if self.width is None else np.log(self.width).ravel()
+        P, latents = self.kernel.n_outputs, draw_latents(self.joint, n_paths, n_frequencies, random_state)
+        parts = [Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(self.Z)]
+        u = np.concatenate(parts, axis=1)
+        u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
+        return Waves.combine(latents, range(P)), u
 
     @property
     def theta(self):
-        return np.concatenate([self._log_width(), *(z.ravel() for z in self.Z)])
-
-    @property
-    def bounds(self):
-        around = self._log_width()[:, None] + np.array([-7.0, 7.0])
-        return np.concatenate([around, np.tile([-np.inf, np.inf], (self.size * self._d, 1))])
-
-    def theta_scale(self, scale):
-        return np.concatenate([np.ones(len(self._log_width())), np.tile(scale, self.size)])
+        return np.concatenate([z.ravel() for z in self.Z])
 
     def rebuild(self, kernel, theta):
-        n = len(self._log_width())
-        width = None if self.width is None else np.exp(theta[:n]).reshape(self.width.shape)
-        stacked = theta[n:].reshape(self.size, self._d)
-        return LatentFeatures(
-            kernel, self.latents, [stacked[self._slice(f)] for f in range(len(self.Z))], width, self.outputs
-        )
+        Z = np.split(theta.reshape(self.size, -1), self._edges[1:-1])
+        return LatentFeatures(kernel, self.latents, Z, self.width, self.outputs)
 
 
 class TrendFeatures(Features):
@@ -332,10 +299,14 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        return TrendRows(self.kernel)
+        kernel, P = self.kernel, self.kernel.n_outputs
+        scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
+        center = kernel._value("center")
+        return lambda X: np.tile(np.column_stack([np.ones(len(X)), kernel.columns(X) - center]), P) * scales
 
     def Kfu_derivative(self, i, X):
-        return self.kernel.basis_derivative(i, X)
+        slopes = self.kernel.basis_slopes(i, X)
+        return np.broadcast_to(slopes, (len(slopes), len(X), self.n_weights))
 
     def gradient_fu(self, i, X, W):
         return self.kernel.basis_gradient(i, X, W)
@@ -361,6 +332,10 @@ class SumFeatures(Features):
         self.first, self.second = first, second
         self.size = first.size + second.size
 
+    @property
+    def n_outputs(self):
+        return self.first.n_outputs
+
     def summands(self):
         return [*self.first.summands(), *self.second.summands()]
 
@@ -377,7 +352,11 @@ class SumFeatures(Features):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
 
     def rows(self):
-        return SumRows(self.first.rows(), self.second.rows())
+        first, second = self.first.rows(), self.second.rows()
+        sizes = [[len(term.columns(i)) for term in (self.first, self.second)] for i in range(self.n_outputs)]
+        place = np.repeat([0, 1] * len(sizes), np.ravel(sizes))  # for each output its columns of both terms
+        order = np.argsort(np.argsort(place, kind="stable"))
+        return lambda X: np.take(np.hstack([first(X), second(X)]), order, axis=1)
 
     def Kfu_derivative(self, i, X):
         return np.concatenate([self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2)
@@ -407,63 +386,9 @@ class SumFeatures(Features):
     def theta(self):
         return np.concatenate([self.first.theta, self.second.theta])
 
-    @property
-    def bounds(self):
-        return np.concatenate([self.first.bounds, self.second.bounds])
-
-    def theta_scale(self, scale):
-        return np.concatenate([self.first.theta_scale(scale), self.second.theta_scale(scale)])
-
     def rebuild(self, kernel, theta):
         n = len(self.first.theta)
         return SumFeatures(self.first.rebuild(kernel.k1, theta[:n]), self.second.rebuild(kernel.k2, theta[n:]))
-
-
-class FeatureRows:
-    """Kfu of all outputs, side by side."""
-
-    def __init__(self, features):
-        self.features = features
-        self.sizes = np.array([len(features.columns(i)) for i in range(features.kernel.n_outputs)])
-
-    def __call__(self, X) -> Matrix:
-        """Return all columns at X (n, d), (n, C)."""
-        return np.hstack([self.features.Kfu(i, X) for i in range(len(self.sizes))])
-
-
-class TrendRows:
-    """The scaled basis functions (1, phi(x) - c) of the trend of every output."""
-
-    def __init__(self, kernel):
-        self.columns = kernel.columns
-        self.center = kernel._value("center")
-        self.scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
-        self.sizes = np.full(kernel.n_outputs, kernel.n_weights)
-
-    def __call__(self, X) -> np.ndarray:
-        """Return all columns at X (n, d), (n, C)."""
-        basis = np.column_stack([np.ones(len(X)), self.columns(X) - self.center])
-        return np.tile(basis, len(self.sizes)) * self.scales
-
-
-class SumRows:
-    """Kfu of a sum: for each output the columns of the first term, then those of the second."""
-
-    def __init__(self, first, second):
-        self.first, self.second = first, second
-        self.sizes = first.sizes + second.sizes
-        parts = [np.split(np.arange(rows.sizes.sum()), np.cumsum(rows.sizes)[:-1]) for rows in (first, second)]
-        offset = first.sizes.sum()
-        self.order = np.concatenate([np.concatenate([a, offset + b]) for a, b in zip(*parts, strict=True)])
-
-    def __call__(self, X) -> np.ndarray:
-        """Return all columns at X (n, d), (n, C)."""
-        return np.take(np.hstack([self.first(X), self.second(X)]), self.order, axis=1)
-
-
-def _add_entries(total, entries):
-    for name, entry in entries.items():
-        total[name] += entry
 
 
 # -- placement of inducing variables -------------------------------------------------------------------

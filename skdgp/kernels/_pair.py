@@ -191,9 +191,6 @@ class ExponentialRows:
     """
 
     def __init__(self, joint, columns):
-        self.sizes = np.array(
-            [sum(len(Z) * len(joint._pair(i, j)[1]) for j, Z in pairs) for i, pairs in enumerate(columns)]
-        )
         self.joint = joint
         self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
         d = joint.n_features

@@ -105,6 +105,21 @@ class Trend(MultiOutputKernel):
     (P,), ``slope_scale`` (P, K), ``center`` (K,) and bounds of the first two.
     """
 
+    def __init__(
+        self,
+        intercept_scale: Any = None,
+        slope_scale: Any = None,
+        center: Any = None,
+        *,
+        intercept_scale_bounds: Any = None,
+        slope_scale_bounds: Any = None,
+    ) -> None:
+        self.intercept_scale = intercept_scale
+        self.slope_scale = slope_scale
+        self.center = center
+        self.intercept_scale_bounds = intercept_scale_bounds
+        self.slope_scale_bounds = slope_scale_bounds
+
     @abstractmethod
     def columns(self, X: Matrix) -> np.ndarray:
         """Return phi(X), (n, K)."""
@@ -179,21 +194,19 @@ class Trend(MultiOutputKernel):
 
     def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, K + 1) that maps the standardised weights of output i to its trend at X."""
-        return np.column_stack([np.full(len(X), self._scales(i)[0]), self._scaled_columns(i, X)])
+        columns = (self.columns(X) - self._value("center")) * self._value("slope_scale")[i]
+        return np.column_stack([np.full(len(X), self._value("intercept_scale")[i]), columns])
 
-    def basis_derivative(self, i: int, X: Matrix) -> Array:
-        """Return dbasis / dX, (d, n, K + 1)."""
-        slopes = self._scaled_slopes(i, X)
-        padded = np.concatenate([np.zeros((*slopes.shape[:2], 1)), slopes], axis=2)
-        return np.broadcast_to(padded, (len(slopes), len(X), self.n_weights))
+    def basis_slopes(self, i: int, X: Matrix) -> Array:
+        """Return dbasis / dX, (d, n, K + 1), or (d, 1, K + 1) if it is constant."""
+        return np.pad(self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)])
 
     def basis_gradient(self, i: int, X: Matrix, W: Matrix) -> Vector:
         """Return sum(W * dbasis / dtheta), (n_theta,)."""
-        by_column = (W * self.basis(i, X)).sum(axis=0)
-        return self._by_entry(i, by_column[0], by_column[1:])
+        return self._by_weight(i, (W * self.basis(i, X)).sum(axis=0))
 
     def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
-        return self._by_entry(i, 2 * w.sum() * self._scales(i)[0] ** 2, 2 * w @ self._scaled_columns(i, Xi) ** 2)
+        return self._by_weight(i, 2 * w @ self.basis(i, Xi) ** 2)
 
     def features(self, Z: Matrix) -> Any:
         return TrendFeatures(self)
@@ -220,10 +233,11 @@ class Trend(MultiOutputKernel):
         intercept, slope = self._value("intercept_scale"), self._value("slope_scale")
         return clone(self).set_params(intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept)
 
-    def _by_entry(self, i, by_intercept, by_slope):
-        intercept, slope = np.zeros(self.n_outputs), np.zeros((self.n_outputs, self.n_weights - 1))
-        intercept[i], slope[i] = by_intercept, by_slope
-        return self.theta_gradient({"intercept_scale": intercept, "slope_scale": slope})
+    def _by_weight(self, i, slopes):
+        """Return d/dtheta from derivatives (K + 1,) by the logarithms of the scales of output i."""
+        entries = np.zeros((self.n_outputs, self.n_weights))
+        entries[i] = slopes
+        return self.theta_gradient({"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]})
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         phi = self.columns(X)
@@ -235,45 +249,35 @@ class Trend(MultiOutputKernel):
                 y[rows] -= basis[rows] @ np.linalg.lstsq(basis[rows], y[rows], rcond=None)[0]
         return residual
 
-    def _scales(self, i):
-        return self._value("intercept_scale")[i], self._value("slope_scale")[i]
-
-    def _scaled_columns(self, i, X):
-        return (self.columns(X) - self._value("center")) * self._scales(i)[1]
-
-    def _scaled_slopes(self, i, X):
-        return self.column_slopes(X) * self._scales(i)[1]
-
     def couples(self, i: int, j: int) -> bool:
         return i == j
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         if i != j:
             return np.zeros((len(Xi), len(Xj)))
-        return self._scaled_columns(i, Xi) @ self._scaled_columns(i, Xj).T + self._scales(i)[0] ** 2
+        return self.basis(i, Xi) @ self.basis(i, Xj).T
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return (self._scaled_columns(i, Xi) ** 2).sum(axis=1) + self._scales(i)[0] ** 2
+        return (self.basis(i, Xi) ** 2).sum(axis=1)
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         shape = (np.shape(Xi)[1], len(Xi), len(Xj))
         if i != j:
             return np.zeros(shape)
-        return np.broadcast_to(self._scaled_slopes(i, Xi) @ self._scaled_columns(i, Xj).T, shape)
+        return np.broadcast_to(self.basis_slopes(i, Xi) @ self.basis(i, Xj).T, shape)
 
     def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
         if i != j:
             return np.zeros(np.shape(Xi))
-        return np.broadcast_to((self._scaled_slopes(i, Xi) @ (w @ self._scaled_columns(i, Xj))).T, np.shape(Xi))
+        return np.broadcast_to((self.basis_slopes(i, Xi) @ (w @ self.basis(i, Xj))).T, np.shape(Xi))
 
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        return np.broadcast_to((self._scaled_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
+        return np.broadcast_to((self.basis_slopes(i, Xi) ** 2).sum(axis=2).T, np.shape(Xi))
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)
-        by_slope = np.einsum("ak,ak->k", self._scaled_columns(i, Xi), W @ self._scaled_columns(i, Xj))
-        return self._by_entry(i, 2 * W.sum() * self._scales(i)[0] ** 2, 2 * by_slope)
+        return self._by_weight(i, 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj)))
 
     def free_parameters(self) -> list[FreeParameter]:
         return self._cached("free", self._free_parameters)
@@ -315,21 +319,6 @@ class LinearTrend(Trend):
     array([[1., 1.],
            [1., 5.]])
     """
-
-    def __init__(
-        self,
-        intercept_scale: Any = None,
-        slope_scale: Any = None,
-        center: Any = None,
-        *,
-        intercept_scale_bounds: Any = None,
-        slope_scale_bounds: Any = None,
-    ) -> None:
-        self.intercept_scale = intercept_scale
-        self.slope_scale = slope_scale
-        self.center = center
-        self.intercept_scale_bounds = intercept_scale_bounds
-        self.slope_scale_bounds = slope_scale_bounds
 
     @property
     def n_features(self) -> int:
@@ -397,12 +386,9 @@ class BasisTrend(Trend):
         intercept_scale_bounds: Any = None,
         slope_scale_bounds: Any = None,
     ) -> None:
+        bounds = {"intercept_scale_bounds": intercept_scale_bounds, "slope_scale_bounds": slope_scale_bounds}
+        super().__init__(intercept_scale, slope_scale, center, **bounds)
         self.transformer = transformer
-        self.intercept_scale = intercept_scale
-        self.slope_scale = slope_scale
-        self.center = center
-        self.intercept_scale_bounds = intercept_scale_bounds
-        self.slope_scale_bounds = slope_scale_bounds
 
     @property
     def n_features(self) -> int:

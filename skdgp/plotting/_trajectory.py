@@ -14,7 +14,7 @@ from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import EULER
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
-from skdgp.dynamics._simulation.trajectory import path_quantiles
+from skdgp.dynamics._trajectory import path_quantiles
 from skdgp.plotting._display import Display
 
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")

@@ -12,10 +12,9 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.turns import airspeed_from_turns
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
-from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer
+from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
 from skdgp.preprocessing._lag import LagCorrector
-from skdgp.preprocessing._selector import RegressorSelector
 from skdgp.preprocessing._smoother import FlightSmoother
 
 __all__ = [

@@ -1,20 +1,42 @@
-"""ElevonSplitter: elevator and aileron from elevons, and other mixings. RateNondimensionalizer."""
+"""ElevonSplitter, RateNondimensionalizer and RegressorSelector: from columns of a flight to the regressors."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from difflib import get_close_matches
 from numbers import Real
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import pandas as pd
 
-from skdgp._compute.sklearn_compat import Interval
-from skdgp._flight.channels import ACCELERATION_LENGTHS, ELEVONS, HAT, MIXED, RATE_LENGTHS, rate_factor
+from skdgp._compute.sklearn_compat import Interval, StrOptions
+from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import (
+    ACCELERATION_LENGTHS,
+    CHANNELS,
+    ELEVONS,
+    HAT,
+    MIXED,
+    RATE_LENGTHS,
+    REGRESSOR_SETS,
+    SURFACES,
+    TRUTH_SUFFIX,
+    rate_factor,
+)
 from skdgp._flight.checks import check_columns, numeric
+from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._table import TableTransformer, with_columns
 
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
+OPTIONAL = ("throttle", *SURFACES)
+MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
+    ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
+)
+"""The step that adds a column."""
+LARGEST = 1e60  # regressor; squares of larger numbers overflow
+STILL = 1e-9  # a regressor that varies by less than this fraction of itself is constant
 
 
 class ElevonSplitter(TableTransformer):
@@ -190,3 +212,192 @@ class RateNondimensionalizer(TableTransformer):
             name + HAT: rate_factor(name, getattr(self, lengths[name]), airspeed) * rate
             for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)
         }
+
+
+class RegressorSelector(TableTransformer):
+    """Select the regressors of a flight table, by the name of a set or by column names.
+
+    ================= ========================================================================================
+    ``quasi-steady``  alpha, beta, p, q, r, elevator, aileron, rudder, throttle
+    ``classical``     alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder, throttle
+    ``paper``         ax, ay, az, p, q, r, p_dot, q_dot, r_dot, alpha_dot, beta_dot, throttle, elevator,
+                      aileron, rudder (Hemakumara & Sukkarieh 2011, eq 22)
+    ================= ========================================================================================
+
+    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): such a model has
+    good scores, but cannot be simulated. In most flights alpha_dot nearly equals q, and beta_dot -r cos alpha, so data
+    hardly separate their effects (Klein & Morelli 2006, section 5.1). Hence ``"quasi-steady"``, which merges them.
+
+    In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls that the aircraft
+    does not have (throttle, elevator, aileron, rudder, but not all surfaces) are left out and listed in ``absent_``.
+    All other columns are needed. Raises ValueError if a column is missing (with the nearest name) or not numeric, or
+    has NaN or infinite values in ``transform``.
+
+    Parameters
+    ----------
+    regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
+        Named set, or columns in order.
+    extra : sequence of str, default=()
+        Columns to add to a named set, such as ``["airspeed"]``.
+
+    Attributes
+    ----------
+    regressors_ : list of str
+        The selected columns, in order; ``transform`` needs these.
+    absent_ : list of str
+        Controls of the named set that the table does not have.
+    data_min_, data_max_ : ndarray (d,)
+        Range of each regressor over the rows of ``fit`` that have a target.
+    ranges_ : dict of str to tuple of float
+        Range of each flight channel of the table over these rows.
+
+    Warns
+    -----
+    FlightDataWarning
+        In ``fit`` with targets, if a regressor is constant over the rows with targets, or there are no more such rows
+        than regressors.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> flight = pd.DataFrame({"time": [0.0], "flight": ["a"], "alpha": [0.1], "q": [0.2], "elevator": [0.0]})
+    >>> RegressorSelector(["alpha", "elevator"]).fit_transform(flight)
+       alpha  elevator
+    0    0.1       0.0
+    """
+
+    in_simulation = "regressors"
+    _parameter_constraints: dict = {
+        "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
+        "extra": [list, tuple, np.ndarray],
+    }
+
+    def __init__(self, regressors: Any = "quasi-steady", *, extra: Sequence[str] = ()) -> None:
+        self.regressors = regressors
+        self.extra = extra
+
+    def fit(self, X: Any, y: Any = None) -> Self:
+        """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
+        super().fit(X, y)
+        if self._passes:
+            return self
+        values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
+        targeted = y is not None and len(y) == len(X)
+        if targeted:
+            observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
+        values = values[observed & np.isfinite(values).all(axis=1)]
+        if targeted and len(values):
+            _warn_of_little_information(values, self.regressors_)
+        channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
+        known = {str(name): kept for name, column in channels if len(kept := column[observed].dropna())}
+        self.ranges_ = {name: (float(kept.min()), float(kept.max())) for name, kept in known.items()}
+        self.data_min_ = values.min(axis=0) if len(values) else None
+        self.data_max_ = values.max(axis=0) if len(values) else None
+        return self
+
+    def _has_known_column(self, X):
+        listed = not isinstance(self.regressors, str)
+        return super()._has_known_column(X) or (listed and isinstance(X, pd.DataFrame))
+
+    def _fit_table(self, table):
+        self.absent_ = []
+        chosen = self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
+        chosen += [name for name in self.extra if name not in chosen]
+        twice = sorted({name for name in chosen if chosen.count(name) > 1})
+        if twice or not chosen:
+            raise ValueError(f"Got regressors {chosen}, but expected at least one, each once (twice: {twice}).")
+        check_columns(table, chosen)
+        numeric(table, chosen)
+        truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
+        if truth:
+            warnings.warn(
+                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them only to "
+                "score, or to measure the effect of sensor noise.",
+                stacklevel=3,
+            )
+        self.regressors_ = chosen
+
+    def _transform_table(self, table):
+        _check_made(table, self.regressors_)
+        check_columns(table, self.regressors_)
+        values = numeric(table, self.regressors_)
+        _check_finite(values, self.regressors_, table)
+        return pd.DataFrame(values, columns=self.regressors_, index=table.index)
+
+    def _columns_out(self, names):
+        return self.regressors_
+
+    def _from_set(self, table):
+        names = list(REGRESSOR_SETS[self.regressors])
+        _check_made(table, names)
+        names = [name + HAT if name + HAT in table else name for name in names]
+        words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
+        missing = [name for name in OPTIONAL if name in names and name not in table]  # or misspelt
+        self.absent_ = [name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)]
+        if all(surface in self.absent_ for surface in SURFACES):
+            check_columns(table, SURFACES)
+        return [name for name in names if name not in self.absent_]
+
+
+def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
+    """Raise ValueError, with the step that adds it, if a column is missing."""
+    if all(name in table or name + HAT in table for name in names):
+        return
+    check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
+    missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
+    if missing:
+        raise ValueError(
+            f"The flight lacks {sorted(missing)}, but these regressors need them: put {set(missing.values()).pop()} "
+            "before RegressorSelector in the pipeline, or name other regressors."
+        )
+    if set(ELEVONS) <= set(table.columns) and "elevator" in names and "elevator" not in table:
+        raise ValueError(
+            "The flight has elevons but no elevator and aileron: put ElevonSplitter() before RegressorSelector in "
+            "the pipeline, or name elevon_left and elevon_right as regressors."
+        )
+
+
+def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
+    """Warn if a regressor is constant, or there are no more rows than regressors."""
+    constant = [name for name, v in zip(names, values.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
+    words = (
+        f"In the training flights {constant} never change, so the model cannot learn their effects. Fly manoeuvres "
+        "that move them, or leave them out of the regressors."
+    )
+    if len(values) <= len(names):
+        words = (
+            f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected at least "
+            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or fewer columns."
+        )
+    if constant or len(values) <= len(names):
+        warnings.warn(words, FlightDataWarning, stacklevel=3)
+
+
+def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None:
+    """Raise ValueError, with the measured columns that cause it, if a regressor is NaN or infinite."""
+    holes = ~(np.abs(values) < LARGEST)
+    if not holes.any():
+        return
+    computed = {name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows}
+    measured = {name: rows for each in computed for name, rows in _sources(each, table).items()}
+    remedy = "leave out isolated rows between gaps, which have no rate of change"
+    if measured:
+        remedy = (
+            "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, "
+            f"as python -m skdgp identify does: keep = np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
+            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave out an empty column"
+        )
+    raise ValueError(
+        f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "
+        f"{measured or computed}), but expected finite ones: {remedy}."
+    )
+
+
+def _sources(name: str, table: pd.DataFrame) -> dict[str, int]:
+    """Return the number of missing values of the measured columns that a regressor is computed from."""
+    rate = name.removesuffix(HAT)
+    sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
+    sources += ELEVONS if name in MIXED else ()
+    holes = {source: ~(np.abs(numeric(table, [source])) < LARGEST) for source in sources if source in table}
+    found = {source: int(where.sum()) for source, where in holes.items() if where.any()}
+    return {source: n for source, n in found.items() if source in ELEVONS} or found

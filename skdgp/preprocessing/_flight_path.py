@@ -20,21 +20,24 @@ from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.preprocessing._force_vanes import force_vanes, with_force_vanes
-from skdgp.preprocessing._path_equations import (
+from skdgp.preprocessing._path import (
     CONSTANTS,
+    GUSTS,
     INERTIAL,
     MEAN_WIND,
     MIN_AIRSPEED,
     NEEDED,
+    NOISE,
     SENSORS,
+    Estimate,
     FlightPath,
     Log,
     air_data_rates,
+    estimate,
     first_guess,
     flight_logs,
     missing_channels,
 )
-from skdgp.preprocessing._path_estimate import GUSTS, NOISE, Estimate, estimate
 from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, has_values, with_columns, wrapped_near
 

@@ -14,7 +14,7 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
 from skdgp._flight.channels import ELEVONS, RATES, VANES
 from skdgp._flight.checks import numeric
 from skdgp._flight.frames import air_data
-from skdgp.preprocessing._path_equations import MIN_AIRSPEED, FlightPath, Log
+from skdgp.preprocessing._path import MIN_AIRSPEED, FlightPath, Log
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
 FORCES = {"alpha": "az", "beta": "ay"}
@@ -60,7 +60,11 @@ def force_vanes(table: pd.DataFrame, flights: Iterable[tuple[Indices, Log, Fligh
         if has_values(table, name) or not parts:
             continue
         others = [other for other in OTHERS[name] if all(has_values(part, other) for part, *_ in parts)]
-        pieces = [_piece(part, log, path, name, others) for part, log, path in parts]
+        pieces = []
+        for part, log, path in parts:
+            values = interpolate_missing(log.time, _terms(part, force, others))
+            angle = air_data(path.air_velocity())[1 + VANES.index(name)]
+            pieces.append((log.time, log.segment, np.insert(values, 1, angle, axis=1)))
         flow = np.concatenate([_density(part) * log.air[:, 0] for part, log, _ in parts])
         slopes, std, cutoff = _fast_slopes(pieces, float(np.nanmean(flow)))
         if std < MAX_STD and slopes[0] < 0:
@@ -78,12 +82,6 @@ def with_force_vanes(table: pd.DataFrame, vanes: dict[str, ForceVane]) -> pd.Dat
             force, *others = _terms(table, vane.force, [*vane.others]).T
             new[name] = (force - vane.zero - np.array([*vane.others.values()]) @ others) / vane.slope
     return table.assign(**new)
-
-
-def _piece(part: pd.DataFrame, log: Log, path: FlightPath, name: str, others: Sequence[str]) -> Piece:
-    values = interpolate_missing(log.time, _terms(part, FORCES[name], others))
-    angle = air_data(path.air_velocity())[1 + VANES.index(name)]
-    return log.time, log.segment, np.insert(values, 1, angle, axis=1)
 
 
 def _terms(table: pd.DataFrame, force: str, others: Sequence[str]) -> Matrix:

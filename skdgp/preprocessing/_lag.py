@@ -28,7 +28,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
 from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
-from skdgp.preprocessing._path_equations import NEEDED
+from skdgp.preprocessing._path import NEEDED
 from skdgp.preprocessing._table import TableTransformer, has_values, interpolate_missing, with_columns, wrapped_near
 
 GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}
@@ -110,8 +110,7 @@ class LagCorrector(TableTransformer):
         if isinstance(self.lags, str):
             check_columns(table, INERTIAL)
             flights = flights_of(table)
-            surfaces = surface_lag(flights)
-            found = {"air": air_lag(flights, surfaces.lag), "surfaces": surfaces} | dict.fromkeys(KINEMATIC, UNKNOWN)
+            found = _lags_of_motion(flights) | dict.fromkeys(KINEMATIC, UNKNOWN)
             if flights and has_values(table, *NEEDED):
                 of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
                 found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
@@ -251,23 +250,18 @@ def flights_of(table: pd.DataFrame) -> Flights:
     return [flight for flight in flights if flight]
 
 
-def surface_lag(flights: Flights) -> Lag:
-    """Return the lag of surfaces: angular acceleration / V^2 from surfaces, rates / V and specific force / V^2."""
+def _lags_of_motion(flights: Flights) -> dict[str, Lag]:
+    """Return the lags of vanes and surfaces by their groups, by the two local linear models of `LagCorrector`."""
 
-    def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
+    def moments(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
         return segment.acceleration, np.hstack([segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force])
 
-    return _profile_estimate(flights, ALL_SURFACES, equation)
-
-
-def air_lag(flights: Flights, surfaces: float) -> Lag:
-    """Return the lag of vanes: alpha, beta from specific force / V^2, rates / V and surfaces of a known lag."""
-
-    def equation(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        moved = segment.filtered(ALL_SURFACES, surfaces)
+    def angles(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
+        moved = segment.filtered(ALL_SURFACES, surfaces.lag)
         return segment.filtered(VANES, lag), np.hstack([segment.force, segment.rate, moved])
 
-    return _profile_estimate(flights, VANES, equation)
+    surfaces = _profile_estimate(flights, ALL_SURFACES, moments)
+    return {"air": _profile_estimate(flights, VANES, angles), "surfaces": surfaces}
 
 
 def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation) -> Lag:

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.stats import norm
 
 from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
-from skdgp._display.flights import START_MARKERS, ground_path, named_flights, start_marker
+from skdgp._display.flights import START_MARKERS, ground_path, named_flights
 from skdgp._display.html import THIN, figure, number, symbol, text
 from skdgp._display.style import display_unit, draw_curve, mark_samples, tidy
 from skdgp._display.svg import WIDTH, picture, strip
@@ -38,6 +38,7 @@ TICK = 1e-4
 """Resolution of time [s]."""
 LEVELS = 65_534
 """Steps between the smallest and the largest value of a column: 0.002 % of its range."""
+START_SIGNS = dict(zip(START_MARKERS, "●■▲◆▼★", strict=True))  # letters that look like markers of paths
 MOST_VALUES = 1_500_000
 """Values that the charts of one page hold: those of an hour at 40 Hz take some three megabytes."""
 
@@ -196,11 +197,6 @@ def envelope_panels(display: EnvelopeDisplay) -> list[str]:
         )
         for pair in display.pairs
     ]
-
-
-def start_sign(k: int) -> str:
-    """Return the letter that looks like the marker at the begin of the k-th flight's path."""
-    return dict(zip(START_MARKERS, "●■▲◆▼★", strict=True))[start_marker(k)]
 
 
 def path_panel(flights: dict) -> str:

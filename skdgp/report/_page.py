@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
+from skdgp._display.flights import start_marker
 from skdgp._display.html import (
     DASH,
     THIN,
@@ -46,6 +47,18 @@ _THRESHOLDS = (
     f"states: root mean square errors of at most {THRESHOLDS.error:g} of the spread of each state, or 3 times the "
     f"noise of its sensor. Design a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for "
     "the derivatives by the controls and the frequencies of the fast modes."
+)
+HOW_TO_READ = (
+    '<div class="note">'
+    "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides tails, and grows "
+    "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error over the "
+    "standard deviation of the values; 1 is no better than their mean.</p>"
+    "<p><b>NLPD</b>: negative log predictive density, in nats per value; small when estimates are close and "
+    "say so. <b>95 % coverage</b>: share of the values inside the band of 1.96 standard deviations; 95 when "
+    "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model learned.</p>"
+    "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. Lateral: "
+    "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
+    "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>"
 )
 N_WARNINGS = 3
 LATERAL_REGRESSORS = {"beta", "p", "r", "beta_dot", "p_dot", "r_dot", "ay", "aileron", "rudder"}
@@ -107,7 +120,7 @@ def _body(content: ReportContent) -> str:
         parts.append(envelope(content.envelope))
     if flown_tables(content):
         parts.append(flown(content, every, draw))
-    return "\n".join([*parts, how_to_read()])
+    return "\n".join([*parts, _section("How to read the numbers", HOW_TO_READ)])
 
 
 def _section(title: str, *parts: str, classes: str = "") -> str:
@@ -436,7 +449,7 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
     positions = {"north", "east"}, {"v_north", "v_east"}
     tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
     if tracked and draw:
-        key = [(_color(k), name, figures.start_sign(k)) for k, name in enumerate(tracked)]
+        key = [(_color(k), name, figures.START_SIGNS[start_marker(k)]) for k, name in enumerate(tracked)]
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
         if any("north" not in table.columns for table in tracked.values()):
             caption += " Without recorded positions: integrated from the velocities, from the origin."
@@ -460,23 +473,6 @@ def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
         twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
         tables[f"{name} no. {twins + 1}" if twins else name] = flight
     return tables
-
-
-def how_to_read() -> str:
-    """Return what the numbers mean."""
-    return _section(
-        "How to read the numbers",
-        '<div class="note">'
-        "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides tails, and grows "
-        "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error over the "
-        "standard deviation of the values; 1 is no better than their mean.</p>"
-        "<p><b>NLPD</b>: negative log predictive density, in nats per value; small when estimates are close and "
-        "say so. <b>95 % coverage</b>: share of the values inside the band of 1.96 standard deviations; 95 when "
-        "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model learned.</p>"
-        "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. Lateral: "
-        "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
-        "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>",
-    )
 
 
 def _color(k: int) -> str:

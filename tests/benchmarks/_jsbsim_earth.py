@@ -16,7 +16,7 @@ from skdgp.dynamics import (
     rigid_body_derivative,
     rk4,
 )
-from skdgp.dynamics._equations.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
+from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 

@@ -15,7 +15,7 @@ from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brum
 from skdgp.datasets._example_flights import MEASURED, TRUTH, _columns, fly_plans, measure
 from skdgp.datasets._flight_plans import COMMANDS, FLIGHT_PLANS
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._motion import Motion
 
 NAMES = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle")
 """Regressors of the set "classical", rates non-dimensional."""

@@ -23,7 +23,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
 from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._motion import Motion
 from skdgp.model_selection import thin_targets
 
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0

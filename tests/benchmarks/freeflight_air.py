@@ -54,9 +54,9 @@ from skdgp.dynamics import (
     euler_to_quaternion,
     simulate,
 )
-from skdgp.dynamics._air.turbulence import _spectrum
-from skdgp.dynamics._equations import aerodynamics
-from skdgp.dynamics._simulation import wind as simulated_wind
+from skdgp.dynamics import _aerodynamics as aerodynamics
+from skdgp.dynamics import _wind as simulated_wind
+from skdgp.dynamics._turbulence import _spectrum
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
 

@@ -5,8 +5,8 @@ import pytest
 
 from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body
-from skdgp.dynamics._air.air import GustyAir, LocalAir
-from skdgp.dynamics._air.dryden import Gusts
+from skdgp.dynamics._air import GustyAir, LocalAir
+from skdgp.dynamics._turbulence import Gusts
 
 STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15]
 CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}

@@ -7,7 +7,7 @@ import pytest
 
 from skdgp.design import Limits, Wavetrain, doublet, input_bands, multisine, three_two_one_one, wavetrain
 from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
-from skdgp.dynamics._control.linearize import Matrices
+from skdgp.dynamics._linearize import Matrices
 
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 

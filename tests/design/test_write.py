@@ -22,7 +22,7 @@ from skdgp.design import (
     write_csv,
     write_px4,
 )
-from skdgp.io._autopilot.dataflash import mixing_of
+from skdgp.io._dataflash import mixing_of
 
 LIMITS = {
     "elevator": Limits(0.05, rate=0.6), "aileron": Limits(0.1, rate=1.0), "rudder": Limits(0.15),

@@ -15,7 +15,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._motion import Motion
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp.dynamics import euler_to_quaternion
-from skdgp.dynamics._equations.error_covariance import (
+from skdgp.dynamics._error_covariance import (
     STATES,
     error_covariances,
     standard_deviations,

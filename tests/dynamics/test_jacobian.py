@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body, quaternion_rate
-from skdgp.dynamics._air.air import LocalAir
-from skdgp.dynamics._control.linearize import ERRORS, OUTPUTS, jacobian
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._linearize import ERRORS, OUTPUTS, jacobian
+from skdgp.dynamics._motion import Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
 AIR = LocalAir(WIND, WIND_RATE)

@@ -16,8 +16,8 @@ from skdgp.dynamics import (
     rk4_step,
     trim,
 )
-from skdgp.dynamics._control.linearize import ALL_STATES
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._linearize import ALL_STATES
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from skdgp.dynamics import LinearModel
-from skdgp.dynamics._control.linearize import Matrices
+from skdgp.dynamics._linearize import Matrices
 
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 # Boeing 747-100 at Mach 0.8 and 40,000 ft, in feet: Etkin & Reid 1996, equations 6.2,1 and 6.7,1.

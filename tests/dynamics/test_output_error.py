@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skdgp.dynamics import Aerodynamics, Aircraft, fit_output_error, simulate
-from skdgp.dynamics._equations.aerodynamics import Drift
+from skdgp.dynamics._aerodynamics import Drift
 
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator"]

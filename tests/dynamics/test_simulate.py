@@ -24,7 +24,7 @@ from skdgp.dynamics import (
     standard_density,
     trajectory_bands,
 )
-from skdgp.dynamics._equations.aerodynamics import Drift
+from skdgp.dynamics._aerodynamics import Drift
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
 NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")

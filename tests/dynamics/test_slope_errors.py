@@ -6,9 +6,8 @@ import pytest
 from skdgp._flight.frames import air_data_slopes
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.dynamics import Aerodynamics, Air, air_velocity, euler_to_quaternion
-from skdgp.dynamics._control.linearize import jacobian
-from skdgp.dynamics._control.slope_errors import SHARES, Lag, lag_of
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._linearize import SHARES, Lag, jacobian, lag_of
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
 SLOPES = np.zeros((6, 7))

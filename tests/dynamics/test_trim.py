@@ -5,7 +5,7 @@ import pytest
 
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, simulate, trim
-from skdgp.dynamics._equations.motion import Motion
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")

@@ -11,11 +11,10 @@ from sklearn.pipeline import Pipeline
 from skdgp._flight.channels import WIND
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Simulator, Turbulence, as_aerodynamics, dryden_wind, simulate
-from skdgp.dynamics._air.dryden import dryden_gusts, dryden_system
-from skdgp.dynamics._air.turbulence import _spectrum
-from skdgp.dynamics._equations.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
-from skdgp.dynamics._equations.motion import Motion
-from skdgp.dynamics._simulation.wind import drift_in, without_rotation
+from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._turbulence import _spectrum, dryden_gusts, dryden_system
+from skdgp.dynamics._wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05

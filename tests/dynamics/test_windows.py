@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from skdgp.dynamics._replay.replay import restart_windows
+from skdgp.dynamics._replay import restart_windows
 
 
 @pytest.mark.parametrize("horizon", [0.05, 0.3, 1.0, 100.0, np.inf])

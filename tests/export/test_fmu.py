@@ -14,7 +14,7 @@ import pytest
 from skdgp._cli import main
 from skdgp._flight.channels import CHANNELS
 from skdgp.dynamics import Aerodynamics, Aircraft, FlightComputer, Propeller, ThrustLine, simulate
-from skdgp.dynamics._equations.aerodynamics import Mixing
+from skdgp.dynamics._aerodynamics import Mixing
 from skdgp.export import Block, LearnedRange, PortableModel, Readout, Regressor, save_portable, write_fmu
 from skdgp.export._fmu import BASE_UNITS, COMPILERS
 

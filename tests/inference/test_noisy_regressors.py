@@ -113,6 +113,13 @@ class TestSparse:
         np.testing.assert_allclose(together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7)
 
 
+def test_a_file_without_samples_keeps_what_outputs_have_in_common(noisy):
+    small = sparse(noisy).without_samples()
+    again = pickle.loads(pickle.dumps(small))
+    for mine, theirs in zip(again.predict(NEW, True), small.predict(NEW, True), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-10)
+
+
 @pytest.mark.parametrize("make", [lambda p: ExactPosterior(p.kernel, p.noise, p.data), sparse])
 def test_later_samples_are_as_good_as_earlier_ones(noisy, make):
     whole = make(noisy)

@@ -41,7 +41,7 @@ class TestBound:
         assert exact - bounds[2] < 0.02 * (exact - bounds[0])
 
     def test_gradient_by_everything(self, problem, assert_gradient):
-        """By kernel, noise, and the features' own inputs and widths."""
+        """By kernel, noise, and the inducing inputs."""
         posterior = sparse(problem)
         features = posterior.features
         n, P = problem.kernel.n_dims, 3

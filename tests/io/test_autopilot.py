@@ -7,7 +7,8 @@ import pytest
 from skdgp._flight.channels import CHANNELS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight, read_flights
-from skdgp.io._autopilot import dataflash, ulog
+from skdgp.io import _dataflash as dataflash
+from skdgp.io import _ulog as ulog
 from skdgp.preprocessing import FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")

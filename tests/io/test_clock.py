@@ -6,7 +6,7 @@ import pytest
 from skdgp._flight.frames import without_sign_changes
 from skdgp.dynamics import euler_to_quaternion, quaternion_to_euler
 from skdgp.io import Topic
-from skdgp.io._autopilot.clock import clock_parts, resample, sampling_rate, uniform_clock
+from skdgp.io._autopilot import clock_parts, resample, sampling_rate, uniform_clock
 
 
 def topic(time, order=None):

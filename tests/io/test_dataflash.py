@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skdgp.io import FlightReadError
-from skdgp.io._autopilot.dataflash import DEFINITIONS, read_dataflash
+from skdgp.io._dataflash import DEFINITIONS, read_dataflash
 
 
 @pytest.fixture

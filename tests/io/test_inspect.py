@@ -8,11 +8,11 @@ import pytest
 
 from skdgp._cli import main
 from skdgp._flight.channels import REGRESSOR_SETS
-from skdgp.dynamics._equations import inverse as _inverse
+from skdgp.dynamics import _inverse
 from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
-from skdgp.preprocessing import _path_equations
+from skdgp.preprocessing import _path
 
 SERVOS = {
     name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
@@ -44,7 +44,7 @@ class TestNeeds:
         assert self.alternatives("coefficients") == {*_inverse.NEEDED, "thrust_x", "propeller_speed"}
 
     def test_reconstruction(self):
-        assert set(NEEDS["reconstruction"]) == set(_path_equations.NEEDED)
+        assert set(NEEDS["reconstruction"]) == set(_path.NEEDED)
 
     def test_regressors(self):
         made = {"airspeed", "elevon_left", "elevon_right", "reconstruction"}

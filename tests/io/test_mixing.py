@@ -9,7 +9,7 @@ import pytest
 from skdgp._cli._plan import _writers
 from skdgp.design import Wavetrain, doublet, write_ardupilot_lua
 from skdgp.io import FlightReadError, read_flight, servo_outputs
-from skdgp.io._autopilot.servos import Mixture, read_servos
+from skdgp.io._servos import Mixture, read_servos
 
 
 def servo(n, low=-0.4, high=0.4, trim=1500, **more):

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from skdgp.io import EQUIVALENT, QUATERNION
-from skdgp.io._autopilot import dataflash, ulog
-from skdgp.io._autopilot.servos import read_servos
+from skdgp.io import _dataflash as dataflash
+from skdgp.io import _ulog as ulog
+from skdgp.io._servos import read_servos
 
 PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
 

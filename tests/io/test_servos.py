@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skdgp.io import FlightReadError, read_flight, servo_template
-from skdgp.io._autopilot.autopilot import read_log
-from skdgp.io._autopilot.servos import read_servos
+from skdgp.io._autopilot import read_log
+from skdgp.io._servos import read_servos
 
 ENDS = {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
 

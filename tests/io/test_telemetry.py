@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from skdgp.io import FlightReadError, inspect_log, read_flight
-from skdgp.io._autopilot.ulog import read_ulog
+from skdgp.io._ulog import read_ulog
 
 
 class TestFlightReview:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skdgp.io import FlightReadError, Log
-from skdgp.io._autopilot.ulog import HEADER_SIZE, read_ulog
+from skdgp.io._ulog import HEADER_SIZE, read_ulog
 
 HEADER = b"ULog\x01\x12\x35\x01" + bytes(8)
 

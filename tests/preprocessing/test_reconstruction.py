@@ -12,19 +12,20 @@ from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import air_data
 from skdgp.preprocessing import FlightDataWarning, FlightPathReconstruction, FlightSmoother
-from skdgp.preprocessing._path_equations import (
+from skdgp.preprocessing._path import (
     CONSTANTS,
     NEEDED,
     PLACE,
     SENSORS,
     Equations,
+    Prior,
     air_data_rates,
     first_guess,
     flight_logs,
     measurement_equations,
     process_equations,
+    solve,
 )
-from skdgp.preprocessing._path_estimate import Prior, solve
 
 GRAVITY = 9.80665
 SHEET = {
@@ -258,7 +259,7 @@ class TestHonesty:
     def test_windows_leave_no_seam(self, monkeypatch):
         table = flown(20.0, lags={"alpha": 0.1, "beta": 0.1})
         whole = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
-        monkeypatch.setattr("skdgp.preprocessing._path_estimate.WINDOW", 120)
+        monkeypatch.setattr("skdgp.preprocessing._path.WINDOW", 120)
         parts = FlightPathReconstruction(calibrate=["vane_lag"]).fit(table)
         assert parts.sensors_["vane_lag"] == pytest.approx(whole.sensors_["vane_lag"], rel=1e-6)
         assert parts.error_std_ == pytest.approx(whole.error_std_, rel=1e-6)

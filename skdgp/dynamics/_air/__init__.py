@@ -1,1 +1,0 @@
-"""The air that an aircraft flies in: wind, gusts, density."""

@@ -1,0 +1,283 @@
+"""The aircraft: mass, inertia, geometry and propulsion."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from difflib import get_close_matches
+from functools import cached_property
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skdgp._compute.files import parse_json, read_json, read_toml
+from skdgp._compute.typing import Array
+from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
+from skdgp.dynamics._estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Aircraft:
+    """Mass, inertia, reference lengths and thrust line of an aircraft.
+
+    Raises ValueError if a size is not positive and finite, or the inertia is not symmetric and positive definite.
+    Warns if one principal moment of inertia exceeds the sum of the other two, which no real body's does.
+
+    Parameters
+    ----------
+    name : str
+        For titles and tables.
+    mass : float
+        [kg].
+    inertia : array-like of shape (3, 3)
+        Inertia tensor about the centre of gravity in body axes (x forward, y right, z down) [kg m^2]. Off the
+        diagonal stand MINUS the products of inertia: ``inertia[0][2] = -Ixz``.
+    wing_area, span, chord : float
+        Reference area S [m^2], span b and chord c [m] of the coefficients.
+    thrust_line : ThrustLine or mapping, optional
+        Position and direction of the engine's force; without it, through the centre of gravity and forward.
+    propeller : Propeller or mapping, optional
+        Thrust as a function of propeller speed and airspeed, for flights without thrust columns; or a mapping of the
+        parameters of `Propeller.from_size`, such as diameter and pitch.
+    deviations : mapping of str to ScaleFactor or mapping, optional
+        Errors of the sizes, by their cause: :func:`skdgp.dynamics.stability_derivatives` says what they do. A pair
+        (value, standard deviation) for mass, wing_area, span or chord, or (matrix, three standard deviations of Ixx,
+        Iyy, Izz) for inertia, adds its own.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import Aircraft
+    >>> glider = Aircraft(name="glider", mass=2.0, inertia=[[0.2, 0, -0.01], [0, 0.3, 0], [-0.01, 0, 0.4]],
+    ...                   wing_area=0.5, span=2.0, chord=0.25)
+    >>> glider
+    Aircraft('glider', 2 kg, S 0.5 m^2, b 2 m, c 0.25 m)
+    >>> Aircraft.from_dict(glider.to_dict()) == glider
+    True
+    """
+
+    name: str = "aircraft"
+    mass: float
+    inertia: Array
+    wing_area: float
+    span: float
+    chord: float
+    thrust_line: ThrustLine | None = None
+    propeller: Propeller | None = None
+    deviations: Mapping[str, ScaleFactor] | None = None
+
+    def __post_init__(self):
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise ValueError(f"Got name={self.name!r}, but expected a line of text.")
+        factors = dict(self.deviations or {})
+        for name in QUANTITIES:
+            value, std = value_and_std(name, getattr(self, name))
+            object.__setattr__(self, name, value)
+            if std:
+                factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "told")
+        pair: Any = self.inertia
+        if isinstance(pair, (list, tuple)) and len(pair) == 2 and np.shape(pair[1]) == (3,):
+            inertia = _inertia(pair[0])
+            relative = (as_floats(pair[1]) / np.diag(inertia)).tolist()
+            for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
+                factors[name] = ScaleFactor(std, {moment: 1.0}, "told")
+        else:
+            inertia = _inertia(pair)
+        for name, each in factors.items():
+            if isinstance(each, Mapping):
+                factors[name] = _build(ScaleFactor, each, f"deviations of {name}")
+        object.__setattr__(self, "inertia", inertia)
+        object.__setattr__(self, "deviations", factors or None)
+        for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
+            part: Any = getattr(self, name)
+            if isinstance(part, Mapping) and kind is Propeller and "pitch" in part:
+                check_keys(part, list(signature(Propeller.from_size).parameters), ["diameter"], name)
+                part = Propeller.from_size(**part)
+            elif isinstance(part, Mapping):
+                part = _build(kind, part, name)
+            elif part is not None and not isinstance(part, kind):
+                raise TypeError(f"Got {type(part).__name__} for {name}, but expected {kind.__name__} or a mapping.")
+            object.__setattr__(self, name, part)
+
+    @cached_property
+    def inertia_inverse(self) -> np.ndarray:
+        """The inverse of the inertia tensor, (3, 3) [1/(kg m^2)]."""
+        return np.linalg.inv(self.inertia)
+
+    @property
+    def moment_lengths(self) -> Array:
+        """Lengths (b, c, b) [m] that go with Cl, Cm, Cn."""
+        return np.array([self.span, self.chord, self.span])
+
+    @classmethod
+    def estimate(
+        cls,
+        mass: float | Sequence[float],
+        span: float | Sequence[float],
+        *,
+        kind: str = "conventional",
+        wing_area: float | Sequence[float] | None = None,
+        aspect_ratio: float | Sequence[float] | None = None,
+        chord: float | Sequence[float] | None = None,
+        length: float | Sequence[float] | None = None,
+        inertia: Any = None,
+        name: str = "aircraft",
+        thrust_line: ThrustLine | Mapping | None = None,
+        propeller: Propeller | Mapping | None = None,
+    ) -> Aircraft:
+        """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the rest may be.
+
+        Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design, equations 16.52 to
+        16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b + l) / 4)^2. What is missing of wing area,
+        chord and length follows from usual ratios of the kind. A pair is a value and its standard deviation. Raises
+        ValueError as `Aircraft` does, and if the kind is unknown, or wing area and aspect ratio are both given.
+
+        Parameters
+        ----------
+        mass, span : float or pair
+            [kg], [m].
+        kind : {"conventional", "flying wing", "delta", "motor glider", "twin"}
+            "conventional" has one propeller and a tail, "twin" two propellers on the wing; "delta" is a long one of
+            small aspect ratio.
+        wing_area, aspect_ratio, chord, length : float or pair, optional
+            [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
+        inertia : array-like of shape (3, 3), or pair, optional
+            Where it was measured.
+        name, thrust_line, propeller
+            As of `Aircraft`.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Aircraft
+        >>> uav = Aircraft.estimate(mass=(3.2, 0.05), span=1.6, chord=0.22)
+        >>> uav, uav.inertia.diagonal().round(3).tolist()
+        (Aircraft('aircraft', 3.2 kg, S 0.352 m^2, b 1.6 m, c 0.22 m), [0.128, 0.175, 0.244])
+        >>> [f"{cause} {each.std:.2g}" for cause, each in uav.deviations.items()]
+        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of inertia 0.07',
+         'mass 0.016']
+        """
+        found = estimated(mass, span, kind, inertia, wing_area, aspect_ratio, chord, length)
+        return cls(**{"name": name, "thrust_line": thrust_line, "propeller": propeller} | found)
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
+        """Read the aircraft from a file that ends in .json or .toml."""
+        path, readers = Path(path), {".json": cls.from_json, ".toml": cls.from_toml}
+        if not path.exists():
+            raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
+        if path.suffix.lower() not in readers:
+            raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
+        return readers[path.suffix.lower()](path)
+
+    @classmethod
+    def from_json(cls, path: str | Path) -> Aircraft:
+        """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
+        if isinstance(path, str) and path.lstrip().startswith("{"):
+            return cls.from_dict(parse_json(path, "the JSON text is not valid"), what="the JSON text")
+        return cls.from_dict(read_json(path), what=str(path))
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Aircraft:
+        """Read the aircraft from a TOML file whose keys are the parameters of this class."""
+        return cls.from_dict(read_toml(path), what=str(path))
+
+    @classmethod
+    def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
+        """Return the aircraft of a mapping of the parameters of this class, or with ``kind`` of `estimate`.
+
+        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
+        """
+        if isinstance(values, Mapping) and "kind" in values:
+            check_keys(values, list(signature(cls.estimate).parameters), ["mass", "span"], what)
+            return cls.estimate(**values)
+        return _build(cls, values, what)
+
+    def to_dict(self) -> dict:
+        """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
+        return _plain(self)
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """Return the aircraft as JSON text, and write it to ``path`` when one is given."""
+        text = json.dumps(self.to_dict(), indent=1) + "\n"
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
+    def __eq__(self, other: object) -> bool:
+        return self.to_dict() == other.to_dict() if isinstance(other, Aircraft) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.to_json())
+
+    def __repr__(self) -> str:
+        return (
+            f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
+            f"c {self.chord:g} m)"
+        )
+
+
+def _inertia(value: ArrayLike) -> Array:
+    inertia = as_floats(value)
+    if inertia.shape != (3, 3) or not np.isfinite(inertia).all():
+        raise ValueError(
+            f"Got inertia {value!r}, but expected 3 x 3 numbers, finite [kg m^2]: "
+            "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]]."
+        )
+    if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):
+        raise ValueError(
+            f"Got inertia {inertia.tolist()} which is not symmetric: write each product of inertia in both "
+            "places, inertia[i][j] = inertia[j][i]."
+        )
+    inertia = 0.5 * (inertia + inertia.T)
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 0:
+        raise ValueError(
+            f"Got inertia {inertia.tolist()} which is not positive definite (principal moments "
+            f"{moments.round(6).tolist()} kg m^2): check units (kg m^2) and signs (inertia[0][2] = -Ixz)."
+        )
+    if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
+        warnings.warn(
+            f"Principal moments of inertia {moments.round(6).tolist()} kg m^2: the largest exceeds the "
+            "sum of the others, which no distribution of mass can do. Check the measurement and the signs.",
+            stacklevel=4,
+        )
+    inertia.setflags(write=False)
+    return inertia
+
+
+def _build(kind: type, values: Mapping, what: str) -> Any:
+    """Return ``kind(**values)``, with errors that name missing keys and the nearest to unknown ones."""
+    if not isinstance(values, Mapping):
+        raise ValueError(f"Got {type(values).__name__} in {what}, but expected named values (key: value).")
+    known = [field.name for field in fields(kind)]
+    required = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    check_keys(values, known, required, what)
+    return kind(**values)
+
+
+def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], what: str) -> None:
+    """Raise ValueError if a key is unknown, with the nearest known one, or a required one is missing."""
+    for key in values:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"known keys are {known}."
+            raise ValueError(f"Got unknown key {key!r} in {what}: {hint}")
+    missing = [name for name in required if name not in values]
+    if missing:
+        remedy = f" Give them, or kind = one of {list(KINDS)} to estimate them." if "inertia" in required else ""
+        raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
+
+
+def _plain(value: Any) -> Any:
+    """Return dataclasses as dictionaries without their Nones, arrays and tuples as lists."""
+    if hasattr(value, "__dataclass_fields__"):
+        items = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {key: _plain(item) for key, item in items.items() if item is not None}
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return np.asarray(value).tolist() if isinstance(value, (np.ndarray, tuple)) else value

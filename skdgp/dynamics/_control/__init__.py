@@ -1,1 +1,0 @@
-"""Trim, linear models, stability derivatives."""

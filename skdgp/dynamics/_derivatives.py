@@ -1,0 +1,279 @@
+"""Stability and control derivatives of a model at a flight condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, RATE_LENGTHS, rate_factor
+from skdgp._flight.checks import check_choice
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._estimate import errors_of_sizes
+from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
+from skdgp.dynamics._loads import Thrust
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._trim import Trim
+
+ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
+TURNED = (("p", "r"), ("p_dot", "r_dot"))
+"""Rates about the x and the z axis, which turn with the axes."""
+LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
+PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
+"""Columns whose squares add up to that of ``std``."""
+NORMAL_95 = 1.959963984540054
+
+
+def stability_derivatives(
+    model: Any,
+    aircraft: Aircraft,
+    point: Trim | Sequence[Trim] | ArrayLike,
+    controls: Mapping[str, ArrayLike] | None = None,
+    *,
+    axes: str = "body",
+    n_paths: int = 200,
+    random_state: Seed = 0,
+    thrust: Thrust = "auto",
+    air: Any = None,
+) -> pd.DataFrame:
+    r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
+
+    Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`, :math:`rb/2V`,
+    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model has (Stevens, Lewis & Johnson 2016,
+    section 2.3). Lift and drag are
+
+    .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
+        C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
+
+    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and the rates p and r are
+    in them. Raises ValueError if axes are unknown, or the model is not defined there.
+
+    Parameters
+    ----------
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
+    point : Trim, array-like of shape (13,), or several of them
+        Trims, or states (`STATE_NAMES`) with their ``controls``.
+    controls : mapping of str to float or array-like of shape (n,), optional
+    axes : {"body", "stability"}
+        "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
+    n_paths : int
+        Number of posterior functions that give the standard deviations, each with a relative error of
+        1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
+    random_state : int, RandomState instance or None
+        Of the paths.
+    thrust, air
+        As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the loads.
+
+    Returns
+    -------
+    DataFrame
+        A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``), with columns
+        ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``, ``regressor``, and ``per``, the unit of
+        the regressor. Several points have an outer level ``point``, and columns ``airspeed``, ``alpha``, ``beta``.
+        Of a model learned from flights, ``std`` is the root of the sum of the squares of
+
+        - ``std_posterior``: over functions drawn from the posterior,
+        - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
+        - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, what third
+          powers change, and how far noise of the regressors may flatten a slope,
+        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative. ``std_unmerged`` is without
+          it: what more flights of the same kind lower, and what :func:`skdgp.design.plan` plans for.
+
+        ``n_effective`` is the number of independent samples that would determine the slope as well. Compact models
+        lack ``std_random``, ``std_method`` and ``n_effective``.
+
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make of the values, and
+        ``aircraft`` names the largest of them. They are shared, and not part of ``std``: trim, modes and simulations
+        with the same aircraft do not depend on them. Compare derivatives with those of another source by both.
+
+    Notes
+    -----
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
+    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli 2006, section 5.1; docs/control.md).
+    ``std_merged`` is for derivatives by alpha_dot of 0 +- .4 times those by q, as of a tail in the downwash, and by
+    beta_dot of 0 +- .2 times those by r.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, stability_derivatives
+    >>> def linear(X):
+    ...     alpha, q, elevator = X.T
+    ...     zero = 0 * alpha
+    ...     return np.stack([-0.04 + 0.3 * alpha, zero, -0.3 - 4.5 * alpha - 0.4 * elevator, zero,
+    ...                      0.02 - 0.6 * alpha - 0.12 * q - elevator, zero], axis=-1)
+    >>> glider = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
+    >>> state = np.array([0, 0, -100, 20, 0, 0, 1, 0, 0, 0, 0, 0, 0])
+    >>> table = stability_derivatives(Aerodynamics(linear, ["alpha", "q", "elevator"]), glider, state,
+    ...                               {"elevator": 0.0}, thrust=None)
+    >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
+    {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
+    """
+    check_choice("axes", axes, ROWS)
+    motion = Motion(model, aircraft, thrust=thrust, air=air)
+    states, controls, single = _points(motion, point, controls)
+    now = motion.at(states, controls)
+    check_settled(now)
+    X, frame = now.regressors, _Frame(motion, now, axes)
+    values = frame(now.coefficients, motion.aerodynamics.gradient(X))
+    if not np.isfinite(values).all():
+        raise ValueError("Got coefficients or slopes that are not finite: the model is not defined there.")
+    parts: dict[str, Array] = {}
+    if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
+        parts = _deviations(motion, now, frame, n_paths, random_state)
+    tables = [frame.table(values[k], {name: part[k] for name, part in parts.items()}) for k in range(len(states))]
+    if aircraft.deviations:
+        _add_errors_of_aircraft(tables, motion, now, frame)
+    if single:
+        return tables[0]
+    for k, table in enumerate(tables):
+        for place, name in enumerate(("airspeed", "alpha", "beta")):
+            table.insert(place, name, float(getattr(now, name)[k]))
+    return pd.concat(tables, keys=range(len(tables)), names=["point", None])
+
+
+def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed) -> dict[str, Array]:
+    """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
+    X, model = now.regressors, motion.aerodynamics
+    drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
+    posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    if model.slope_errors is None:
+        return {"std_posterior": posterior}
+    errors = model.slope_errors(X)
+    scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
+    lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)
+    source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
+    parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
+    if errors is None:
+        return parts
+    random, white = (frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None]))
+    share = np.divide(white, random, out=np.full_like(white, np.nan), where=random > 0) ** 2
+    parts |= {"std_random": random, "std_method": frame.errors(errors.method)}
+    return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
+
+
+def _add_errors_of_aircraft(tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame) -> None:
+    """Add what errors of the aircraft's sizes make of the values, and the largest of these errors."""
+    aircraft, deviations = motion.aircraft, motion.aircraft.deviations or {}
+    slopes = motion.aerodynamics.gradient(now.regressors)
+    values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
+    errors = errors_of_sizes(deviations, aircraft.inertia, tuple(motion.regressors), values)
+    each = np.abs([frame(one[..., 0], one[..., 1:]) for one in errors])
+    causes = np.array(list(deviations))
+    for k, table in enumerate(tables):
+        by_cause = each[:, k].reshape(len(causes), -1)
+        table["std_aircraft"] = np.sqrt(np.sum(by_cause**2, axis=0))
+        table["aircraft"] = np.where(by_cause.any(axis=0), causes[by_cause.argmax(axis=0)], "")
+
+
+class _Frame:
+    """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
+
+    def __init__(self, motion: Motion, now: Instant, axes: str):
+        self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
+        self.turn = _axes(now.alpha, self.rows, self.stability)
+        self.columns = list(motion.regressors)
+        self.scale = np.stack([_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1)
+        self.added: list[str] = []
+        if self.stability:
+            have = set(self.columns)
+            self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
+        self.columns += self.added
+        self.units = motion.aerodynamics.units
+
+    def __call__(self, coefficients: Array, slopes: Array) -> Array:
+        """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
+        C = self.turn @ coefficients[..., None]
+        S = self.turn @ (slopes * self.scale[:, None, :])
+        S = np.concatenate([S, np.zeros((*S.shape[:-1], len(self.added)))], axis=-1)
+        if "alpha" in self.columns:
+            lift, drag, k = (*(self.rows.index(name) for name in ("CL", "CD")), self.columns.index("alpha"))
+            S[..., lift, k] -= C[..., drag, 0]
+            S[..., drag, k] += C[..., lift, 0]
+        if self.stability:
+            sin, cos = np.sin(self.alpha)[:, None], np.cos(self.alpha)[:, None]
+            for pair in TURNED:
+                if set(pair) <= set(self.columns):
+                    x, z = map(self.columns.index, pair)
+                    about_x, about_z = S[..., x].copy(), S[..., z].copy()
+                    S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
+        return np.concatenate([C, S], axis=-1)
+
+    def errors(self, errors: Array, apart: bool = False) -> Array:
+        """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or those of each."""
+        parts = np.abs([self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)])
+        return parts if apart else np.sqrt(np.sum(parts**2, axis=0))
+
+    def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:
+        """Return the table of one point, of values and parts of their deviations (rows, 1 + columns)."""
+        names = ["", *self.columns]
+        pairs = [(row, name) for row in self.rows for name in names]
+        table = pd.DataFrame({"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs])
+        columns = {name: part.ravel() for name, part in parts.items()}
+        if columns:
+            table["std"] = np.sqrt(sum(columns[name] ** 2 for name in PARTS if name in columns))
+            table["lower"] = table["value"] - NORMAL_95 * table["std"]
+            table["upper"] = table["value"] + NORMAL_95 * table["std"]
+        table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
+        table["per"] = [self.units.get(name, _unit(name)) for _, name in pairs]
+        if "merged" in columns:
+            sources = columns.pop("merged").astype(int)
+            merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
+            unmerged = np.sqrt(sum(columns[name] ** 2 for name in PARTS[:-1] if name in columns))
+            table = table.assign(**columns, std_unmerged=unmerged, merged=merged)
+        return table
+
+
+def _points(
+    motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
+) -> tuple[Array, dict[str, Array], bool]:
+    """Return states (n, 13), controls by name (n,), and whether it is a single point."""
+    if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
+        found = [flight_point(motion, one, controls) for one in point]
+    elif isinstance(point, Trim) or np.ndim(point) == 1:
+        found = [flight_point(motion, point, controls)]
+        return found[0][0][None], {name: np.array([value]) for name, value in found[0][1].items()}, True
+    else:
+        n = len(point)
+        given = {name: np.broadcast_to(value, n) for name, value in (controls or {}).items()}
+        each = [{name: values[k] for name, values in given.items()} if given else None for k in range(n)]
+        found = [flight_point(motion, state, one) for state, one in zip(point, each, strict=True)]
+    names = found[0][1]
+    return np.stack([state for state, _ in found]), {n: np.array([c[n] for _, c in found]) for n in names}, False
+
+
+def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
+    """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
+    sin, cos = np.sin(alpha), np.cos(alpha)
+    parts: dict[str, dict[str, Any]] = {name: {name: 1.0} for name in COEFFICIENTS}
+    parts |= {"CL": {"CX": sin, "CZ": -cos}, "CD": {"CX": -cos, "CZ": -sin}}
+    if stability:
+        parts |= {"Cl": {"Cl": cos, "Cn": sin}, "Cn": {"Cl": -sin, "Cn": cos}}
+    turn = np.zeros((len(alpha), len(rows), 6))
+    for k, row in enumerate(rows):
+        for name, part in parts[row].items():
+            turn[:, k, COEFFICIENTS.index(name)] = part
+    return turn
+
+
+def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
+    """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
+    name = motion.regressors[k]
+    if name not in LENGTHS:
+        return np.ones_like(airspeed)
+    return motion.factor(k, airspeed) / rate_factor(name, getattr(motion.aircraft, LENGTHS[name]), airspeed)
+
+
+def _merged(row: str, name: str, source: int) -> str:
+    """Return the derivative that a derivative may hold a share of, by 0 for none or the number of a lag."""
+    lag = ["", *LAGS][source]
+    return f"{row}_{LAGS[lag] if name == lag else lag}" if lag else ""
+
+
+def _unit(name: str) -> str:
+    return "rad" if name in LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""

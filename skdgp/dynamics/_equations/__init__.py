@@ -1,1 +1,0 @@
-"""Equations of motion and aerodynamics."""

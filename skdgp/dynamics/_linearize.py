@@ -1,0 +1,615 @@
+r"""Linear models: the matrices A, B, C, D with names and standard deviations, the modes, and errors of slopes.
+
+Most flights do not tell alpha_dot from q and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them
+gives their effect to the regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads
+of the model cause without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
+:math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
+:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot.
+The square of :math:`C_q` is that of the model plus that of its deviation by method: where gusts make it vanish,
+:math:`C_{\dot\alpha}` need not vanish.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.linalg import eig
+from scipy.optimize import linear_sum_assignment
+from sklearn.utils import check_random_state
+
+from skdgp._compute.typing import Array, Seed
+from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION, RATE_LENGTHS
+from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.checks import check_names
+from skdgp._flight.frames import (
+    air_data_slopes,
+    air_velocity,
+    cross,
+    cross_matrix,
+    euler_per_rotation,
+    quaternion_rate,
+    quaternion_to_euler,
+)
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._error_covariance import ERRORS
+from skdgp.dynamics._loads import Thrust, thrust_control
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES
+
+LAGS = {"alpha_dot": "q", "beta_dot": "r"}
+"""Rates of change, and the rates whose slopes theirs are shares of."""
+SHARES = np.array([0.4, 0.2])
+ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
+OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
+STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
+ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
+ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
+LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+"""States of the modes along and across the plane of symmetry."""
+TURN, SPIN = slice(6, 9), slice(9, 12)
+"""Places in `ERRORS`."""
+ANGLES = slice(1, 3)
+"""Places of alpha and beta in `OUTPUTS`."""
+POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
+"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of themselves."""
+WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
+"""Of the central difference of fourth order."""
+
+
+class Jacobian(NamedTuple):
+    """Derivatives at states (...), by the state errors `ERRORS` and by an error added to the coefficients."""
+
+    state: Array
+    """d error_dot / d error, (..., 12, 12)."""
+    controls: Array
+    """(..., 12, k)."""
+    coefficients: Array
+    """(..., 12, 6)."""
+    outputs_state: Array
+    """d outputs / d error, of `OUTPUTS`, (..., 6, 12)."""
+    outputs_controls: Array
+    """(..., 6, k)."""
+    instant: Instant
+
+
+def jacobian(
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    *,
+    inputs: Sequence[str] = (),
+    air: LocalAir | None = None,
+    lag: Lag | None = None,
+) -> Jacobian:
+    r"""Return the derivatives of an aircraft's motion at states (..., 13).
+
+    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of regressors
+    :math:`X = G(x, u, C)`, which depend on C where they follow from the loads (alpha_dot, ax, ...). So
+
+    .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
+
+    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
+    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
+    these are the first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
+    """
+    state = np.asarray(state, dtype=float)
+    instant = motion.at(state, controls, air)
+    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
+    slopes = motion.aerodynamics.gradient(instant.regressors)
+    n = len(ERRORS) + len(inputs)
+    change: np.ndarray = slopes @ G[..., :n]
+    gain: np.ndarray = np.eye(6)
+    if motion.is_implicit:
+        gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
+        change = gain @ change
+    if lag is not None:
+        rate = _error_rate(F[..., :n] + F[..., n:] @ change, state)
+        change = change + gain @ lag.slopes @ (lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n])
+    rate, output = _error_rate(F[..., :n] + F[..., n:] @ change, state), H[..., :n] + H[..., n:] @ change
+    return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+
+
+def _error_rate(rate: Array, state: Array) -> Array:
+    """Return the derivatives of error_dot (..., 12, n) with those of the attitude, which are exact."""
+    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
+    return rate
+
+
+def check_settled(instant: Instant) -> None:
+    """Raise ValueError if the fixed point of the implicit regressors was not found."""
+    if not np.all(instant.settled):
+        raise ValueError(
+            "The coefficients depend so strongly on the accelerations they cause that the motion is not determined: "
+            "learn a model without accelerations, as RegressorSelector() does."
+        )
+
+
+def _mechanics(
+    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: LocalAir | None
+) -> tuple[Array, Array, Array]:
+    """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
+    frozen: Any = copy.copy(motion)
+    if air is not None:
+        parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
+        air = LocalAir(*parts)
+    n_inputs, shape = len(inputs), state.shape[:-1]
+    controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
+    steps = np.full((*shape, 18 + n_inputs), FRACTION)
+    steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
+        POSITION_STEP,
+        FRACTION * instant.airspeed[..., None],
+        ANGLE_STEP,
+    )
+    for k, name in enumerate(inputs):
+        steps[..., 12 + k] = FRACTION * (1.0 + np.abs(controls[name]))
+    slopes = np.zeros(())
+    for move, weight in WEIGHTS.items():
+        moves = move * steps[..., None] * np.eye(steps.shape[-1])
+        C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
+        frozen.aerodynamics = lambda X, C=C: C
+        moved = {name: np.repeat(value[..., None], steps.shape[-1], axis=-1) for name, value in controls.items()}
+        for k, name in enumerate(inputs):
+            moved[name] = moved[name] + moves[..., 12 + k]
+        slopes = slopes + weight * _responses(frozen.at(_shifted(state, moves[..., :12]), moved, air), motion)
+    slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
+    d = len(motion.regressors)
+    return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]
+
+
+def _shifted(state: Array, errors: Array) -> Array:
+    """Return the states (..., 13) with errors (..., m, 12), as (..., m, 13)."""
+    shifted = np.repeat(state[..., None, :], errors.shape[-2], axis=-2)
+    shifted[..., :6] += errors[..., :6]
+    shifted[..., RATES] += errors[..., SPIN]
+    shifted[..., ATTITUDE] += quaternion_rate(shifted[..., ATTITUDE], errors[..., TURN])
+    return shifted
+
+
+def _responses(instant: Instant, motion: Motion) -> Array:
+    """Return error_dot, zero for the attitude, which `jacobian` has exactly, then regressors and outputs."""
+    rate = np.zeros((*instant.derivative.shape[:-1], 12))
+    rate[..., :6], rate[..., SPIN] = instant.derivative[..., :6], instant.derivative[..., RATES]
+    seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
+    return np.concatenate([rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1)
+
+
+class Matrices(NamedTuple):
+    """A, B, C, D: tables, or arrays with the paths as first axis."""
+
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
+
+    Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs.
+    """
+
+    A: pd.DataFrame
+    B: pd.DataFrame
+    C: pd.DataFrame
+    D: pd.DataFrame
+    state: Array
+    """Of the flight, (13,)."""
+    controls: dict[str, float]
+    paths: Matrices | None = None
+    """A, B, C, D of each path of the posterior, (n_paths, ...)."""
+
+    @property
+    def states(self) -> list[str]:
+        """Names of the states."""
+        return list(self.A.columns)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs."""
+        return list(self.B.columns)
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the outputs."""
+        return list(self.C.index)
+
+    @property
+    def std(self) -> Matrices:
+        """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
+        if self.paths is None:
+            raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) has them.")
+        pairs = zip(self.paths, self._tables(), strict=True)
+        return Matrices(*(pd.DataFrame(path.std(axis=0, ddof=1), mean.index, mean.columns) for path, mean in pairs))
+
+    def select(self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> LinearModel:
+        """Return the part with these states, inputs and outputs; what is left out stands still."""
+        for asked, have, what in (
+            (states, self.states, "states"), (inputs, self.inputs, "inputs"), (outputs, self.outputs, "outputs")
+        ):  # fmt: skip
+            check_names(asked, have, f"{what} of the linear model")
+        blocks = _block_names(list(states), list(inputs), list(outputs))
+        pairs = list(zip(self._tables(), blocks, strict=True))
+        A, B, C, D = (table.loc[rows, columns] for table, (rows, columns) in pairs)
+        paths = None
+        if self.paths is not None:
+            places = [[axis.get_indexer(pd.Index(names)) for axis, names in zip(table.axes, block, strict=True)]
+                      for table, block in pairs]  # fmt: skip
+            each = zip(self.paths, places, strict=True)
+            paths = Matrices(*(values[:, rows][:, :, columns] for values, (rows, columns) in each))
+        return LinearModel(A, B, C, D, self.state, self.controls, paths)
+
+    def longitudinal(self) -> LinearModel:
+        """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
+        return self._without(ACROSS, {"aileron", "rudder"})
+
+    def lateral(self) -> LinearModel:
+        """Return the motion across the plane of symmetry, v p r phi, with all inputs but elevator and thrust."""
+        return self._without(ALONG, {"elevator", "thrust", "throttle", "propeller_speed"})
+
+    def modes(self) -> pd.DataFrame:
+        r"""Return a row for each mode: its name, how fast it is, how it is damped.
+
+        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation factors
+        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode. A pair that has split into two
+        real roots keeps its name with a number; a roll and a spiral that have become one oscillation are the
+        "roll-spiral". Position and heading are left out.
+
+        Returns
+        -------
+        DataFrame
+            Columns ``eigenvalue`` [1/s], ``frequency`` [rad/s], undamped, ``damping``, ``time_constant`` [s], negative
+            where it diverges, ``time_to_half``, ``time_to_double``, ``period`` [s], infinite where there is none. With
+            paths also ``frequency_std``, ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which
+            hold 95 % of the paths: the upper one is infinite where some do not decay.
+        """
+        return _mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
+
+    def to_scipy(self) -> Any:
+        """Return it as :class:`scipy.signal.StateSpace`, which has no names."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(*(table.to_numpy() for table in self._tables()))
+
+    def to_control(self) -> Any:
+        """Return it as :class:`control.StateSpace` of python-control, with names; raises ImportError without it."""
+        try:
+            import control
+        except ImportError as error:
+            raise ImportError(
+                'to_control() needs python-control, which is not installed: run pip install "skdgp[control]".'
+            ) from error
+        tables = (table.to_numpy() for table in self._tables())
+        return control.ss(*tables, states=self.states, inputs=self.inputs, outputs=self.outputs)
+
+    def _tables(self) -> tuple[pd.DataFrame, ...]:
+        return self.A, self.B, self.C, self.D
+
+    def _without(self, names: set[str], inputs: set[str]) -> LinearModel:
+        return self.select(
+            [name for name in self.states if name not in names],
+            [name for name in self.inputs if name not in inputs],
+            [name for name in self.outputs if name not in names],
+        )
+
+
+def linearize(
+    model: Any,
+    aircraft: Aircraft,
+    point: Any,
+    controls: Mapping[str, float] | None = None,
+    *,
+    states: Sequence[str] = STATES,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    n_paths: int = 0,
+    random_state: Seed = 0,
+    thrust: Thrust = "auto",
+    air: Any = None,
+) -> LinearModel:
+    """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
+
+    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit function theorem.
+    Air is at rest; in steady wind the same holds for the motion relative to the air. Raises ValueError if a name is
+    unknown, the airspeed is zero, or the model is not defined there.
+
+    Parameters
+    ----------
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
+    point : Trim or array-like of shape (13,)
+        A trim, or a state (`STATE_NAMES`) with its ``controls``.
+    controls : mapping of str to float, optional
+    states : sequence of str
+        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand still. With
+        ``"down"`` the density changes with height.
+    inputs : sequence of str, optional
+        By default the model's controls and the one that sets the thrust.
+    outputs : sequence of str, optional
+        Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
+    n_paths : int
+        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
+        the modes; with the other errors that :func:`skdgp.dynamics.stability_derivatives` names.
+    random_state : int, RandomState instance or None
+        Of the paths.
+    thrust, air
+        As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
+
+    Returns
+    -------
+    LinearModel
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
+    >>> def linear(X):
+    ...     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     return np.stack([-0.03 - 0.06 * lift**2 + lift * alpha, -0.5 * beta + 0.1 * rudder, -lift,
+    ...                      -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * aileron, 0.02 - 0.6 * alpha - 9 * q - elevator,
+    ...                      0.08 * beta - 0.03 * p - 0.1 * r - 0.06 * rudder], axis=-1)
+    >>> names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+    >>> model = Aerodynamics(linear, names)
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> linearised = linearize(model, aircraft, trim(model, aircraft, 20.0))
+    >>> linearised.modes()[["frequency", "damping"]].round(2)
+                  frequency  damping
+    short period      10.11     0.76
+    phugoid            0.46     0.10
+    Dutch roll         4.98     0.25
+    roll              19.51     1.00
+    spiral             0.05    -1.00
+    """
+    motion = Motion(model, aircraft, thrust=thrust, air=air)
+    state, controls = flight_point(motion, point, controls)
+    engine = thrust_control(aircraft, thrust)
+    known = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
+    chosen_inputs = known if inputs is None else list(inputs)
+    check_names(chosen_inputs, controls, "controls of this flight, of which the inputs are chosen,")
+    check_names(states, ALL_STATES, "states")
+    chosen_outputs = list(dict.fromkeys([*states, *OUTPUTS])) if outputs is None else list(outputs)
+    check_names(chosen_outputs, (*ALL_STATES, *OUTPUTS), "outputs")
+    chosen = list(states), chosen_inputs, chosen_outputs
+    paths = None
+    if check_paths(n_paths):
+        paths = _matrices(*_drawn(motion, state, controls, n_paths, random_state), controls, *chosen)
+    blocks = zip(_matrices(motion, state, None, controls, *chosen), _block_names(*chosen), strict=True)
+    A, B, C, D = (pd.DataFrame(values, rows, columns) for values, (rows, columns) in blocks)
+    return LinearModel(A, B, C, D, state, controls, paths)
+
+
+def _block_names(states: list[str], inputs: list[str], outputs: list[str]) -> list[tuple[list[str], list[str]]]:
+    """Return the names of rows and columns of A, B, C, D."""
+    return [(states, states), (states, inputs), (outputs, states), (outputs, inputs)]
+
+
+def check_paths(n_paths: int) -> int:
+    """Return the number of paths, none or enough to have a spread."""
+    if n_paths < 0 or n_paths == 1:
+        raise ValueError(f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread.")
+    return n_paths
+
+
+def flight_point(motion: Motion, point: Any, controls: Mapping | None) -> tuple[Array, dict[str, float]]:
+    """Return state (13,) and controls of a trim, or of a state and its controls."""
+    if isinstance(point, Sequence) and any(hasattr(one, "state") for one in point):
+        raise TypeError(f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims].")
+    state = np.array(getattr(point, "state", point), dtype=float)
+    controls = getattr(point, "controls", None) if controls is None else controls
+    if state.shape != (13,) or not np.isfinite(state).all():
+        raise ValueError(
+            f"Got a point of shape {state.shape} or with values that are not finite, but expected a Trim or a state of "
+            "13 finite numbers (STATE_NAMES)."
+        )
+    if controls is None:
+        raise ValueError(f"Got a state without controls, but expected controls={{name: value}} of {motion.controls}.")
+    if not np.linalg.norm(state[3:6]) > 0:
+        raise ValueError("Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho V^2 / 2.")
+    return state, {name: float(value) for name, value in motion.mixed(controls).items()}
+
+
+def _drawn(
+    motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
+) -> tuple[Motion, Array, Lag | None]:
+    """Return the motion of functions drawn from the posterior, its states, and what alpha_dot and beta_dot change."""
+    model, drawn, lag = motion.aerodynamics, copy.copy(motion), None
+    drawn.aerodynamics = model.sample(n_paths, random_state)
+    if model.slope_errors is not None:
+        now = motion.at(state, controls)
+        errors = model.slope_errors(now.regressors[None])
+        scatter = 0.0 if errors is None else np.linalg.norm(errors.method[0], axis=-1)
+        lag = lag_of(motion, now, model.gradient(now.regressors), scatter)
+        added, lag = draw_errors(errors, lag, n_paths, random_state)
+        slopes: Any = drawn.aerodynamics._gradient
+        drawn.aerodynamics._gradient = lambda X: slopes(X) + added[:, None]
+    return drawn, np.broadcast_to(state, (n_paths, 13)), lag
+
+
+def _matrices(
+    motion: Motion, state: Array, lag: Lag | None, controls: Mapping, states: list, inputs: list, outputs: list
+) -> Matrices:
+    found = jacobian(motion, state, controls, inputs=inputs, lag=lag)
+    check_settled(found.instant)
+    if not np.isfinite(found.state).all():
+        raise ValueError("Got slopes of the model that are not finite at this point: it is not defined there.")
+    rate, change = _in_euler_angles(found.state, state)
+    rows, all_outputs = [ALL_STATES.index(name) for name in states], (*ALL_STATES, *OUTPUTS)
+    seen = [all_outputs.index(name) for name in outputs]
+    C = np.concatenate([np.broadcast_to(np.eye(12), rate.shape), found.outputs_state @ change], axis=-2)
+    B = np.array(found.controls)
+    D = np.concatenate([np.zeros_like(B), found.outputs_controls], axis=-2)
+    return Matrices(rate[..., rows, :][..., rows], B[..., rows, :], C[..., seen, :][..., rows], D[..., seen, :])
+
+
+def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
+    """Return A of the states with Euler angles, and d error / d state, of A of the states with small rotations."""
+    phi, theta, _ = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
+    _, q, r = np.moveaxis(state[..., RATES], -1, 0)
+    per_rotation = euler_per_rotation(phi, theta)
+    change = np.zeros_like(rate) + np.eye(12)
+    change[..., TURN, TURN] = np.linalg.inv(per_rotation)
+    rate = rate @ change
+    rate[..., TURN, :] = 0.0
+    rate[..., TURN, SPIN] = per_rotation
+    # The Euler angles' rates, (p + tan(theta) yaw, pitch, sec(theta) yaw), by phi and theta.
+    yaw, pitch = q * np.sin(phi) + r * np.cos(phi), q * np.cos(phi) - r * np.sin(phi)
+    tan, sec = np.tan(theta), 1.0 / np.cos(theta)
+    rate[..., 6, 6], rate[..., 6, 7] = tan * pitch, yaw * sec**2
+    rate[..., 7, 6] = -yaw
+    rate[..., 8, 6], rate[..., 8, 7] = pitch * sec, yaw * sec * tan
+    return rate, change
+
+
+def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
+    r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
+    core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family] or states
+    rows = [states.index(name) for name in core]
+    A = A[np.ix_(rows, rows)]
+    eigenvalues, left, right = eig(A, left=True)
+    share = np.abs(left.conj() * right)
+    named = _named(_units(eigenvalues), share / share.sum(axis=0), core, eigenvalues)
+    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named))
+    if paths is None:
+        return table
+    drawn = np.linalg.eigvals(paths[:, rows][:, :, rows])  # each in the order of those that they lie nearest to
+    spread = [one[linear_sum_assignment(np.abs(eigenvalues[:, None] - one))[1]] for one in drawn]
+    found = np.array([[_values(values[list(unit)]) for unit in named.values()] for values in spread])
+    decay = np.quantile(found[..., 2], [0.025, 0.975], axis=0)
+    table["frequency_std"], table["damping_std"] = found[..., 0].std(axis=0, ddof=1), found[..., 1].std(axis=0, ddof=1)
+    table["time_constant_lower"], table["time_constant_upper"] = _inverse(decay[1]), _inverse(decay[0])
+    table.loc[decay[0] <= 0, "time_constant_upper"] = np.inf
+    table.loc[decay[1] <= 0, "time_constant_lower"] = -np.inf
+    return table
+
+
+def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
+    """Return pairs of conjugate eigenvalues, that of positive imaginary part first, and single real ones."""
+    units: list[tuple[int, ...]] = []
+    for k, value in enumerate(eigenvalues):
+        if value.imag > 0:
+            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
+        elif value.imag == 0:
+            units.append((k,))
+    return units
+
+
+def _named(
+    units: list[tuple[int, ...]], share: Array, states: list[str], eigenvalues: Array
+) -> dict[str, tuple[int, ...]]:
+    """Return the units by name, of the shares that the states have in each eigenvalue."""
+
+    def moving(names, unit):
+        return share[np.ix_([states.index(name) for name in names], unit)].sum()
+
+    def split(units, names, size):
+        every = (chosen for number in range(1, size + 1) for chosen in combinations(units, number))
+        whole = (chosen for chosen in every if sum(map(len, chosen)) == size)  # units that hold so many eigenvalues
+        return max(whole, key=lambda chosen: sum(moving(names, unit) for unit in chosen))
+
+    named: dict[str, tuple[int, ...]] = {}
+    rest = list(units)
+    if set(LONGITUDINAL) <= set(states):
+        along = split(rest, LONGITUDINAL, 4)
+        rest = [unit for unit in rest if unit not in along]
+        short = split(along, ("w", "q"), 2)
+        named |= _numbered("short period", short, eigenvalues)
+        named |= _numbered("phugoid", [unit for unit in along if unit not in short], eigenvalues)
+    if set(LATERAL) <= set(states):
+        dutch = split(rest, ("v", "r"), 2)
+        others = sorted((unit for unit in rest if unit not in dutch), key=lambda unit: -moving(("p",), unit))
+        named |= _numbered("Dutch roll", dutch, eigenvalues)
+        named |= dict(zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True))
+        rest = []
+    return named or _numbered("mode", rest, eigenvalues)
+
+
+def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
+    """Return the one unit by its name; several with numbers, the fastest first."""
+    units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
+    return {name: units[0]} if len(units) == 1 else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
+
+
+def _values(eigenvalues: np.ndarray) -> tuple[float, float, float]:
+    """Return frequency, damping and rate of decay of one root, or of two as s^2 + 2 zeta omega s + omega^2."""
+    decay = float(-eigenvalues.real.mean())
+    frequency = float(np.sqrt(np.abs(np.prod(eigenvalues)))) if len(eigenvalues) == 2 else float(abs(eigenvalues[0]))
+    return frequency, decay / frequency if frequency > 0 else 0.0, decay
+
+
+def _row(eigenvalues: np.ndarray) -> dict[str, Any]:
+    frequency, damping, decay = _values(eigenvalues)
+    return {
+        "eigenvalue": eigenvalues[0],
+        "frequency": frequency,
+        "damping": damping,
+        "time_constant": float(_inverse(decay)),
+        "time_to_half": float(np.log(2.0) * _inverse(max(decay, 0.0))),
+        "time_to_double": float(np.log(2.0) * _inverse(max(-decay, 0.0))),
+        "period": float(2.0 * np.pi * _inverse(abs(eigenvalues[0].imag))),
+    }
+
+
+def _inverse(values: Any) -> np.ndarray:
+    values = np.asarray(values, dtype=float)
+    return np.divide(1.0, values, out=np.full(values.shape, np.inf), where=values != 0)
+
+
+class Lag(NamedTuple):
+    """What alpha_dot and beta_dot may change of C: slopes @ (missing * rates - relation @ regressors)."""
+
+    slopes: Array
+    """One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)."""
+    relation: Array
+    """S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d)."""
+    missing: Array
+    """Whether they are no regressors, (2, 1)."""
+
+    @property
+    def errors(self) -> Array:
+        """Errors of the slopes of C, (..., 6, d, 2)."""
+        return -np.einsum("...ij,...jk->...ikj", self.slopes, self.relation)
+
+
+def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0) -> Lag:
+    """Return what alpha_dot and beta_dot may change at a flight, by the slopes (..., 6, d) of the model.
+
+    ``scatter`` is the standard deviation of these slopes by method.
+    """
+    velocity = air_velocity(now.airspeed, now.alpha, now.beta)
+    pressure = 0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass
+    acceleration = np.asarray(pressure)[..., None, None] * slopes[..., :3, :]
+    by_rate = np.zeros((*slopes.shape[:-1], 2))
+    own = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
+    size = np.copysign(np.hypot(slopes, scatter), slopes)
+    for k, name in enumerate(motion.regressors):
+        if name not in RATE_LENGTHS:
+            continue
+        unit = np.broadcast_to(1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed))  # of the regressor [rad/s]
+        if name in LAGS:
+            own[..., list(LAGS).index(name), k] = unit
+            continue
+        acceleration[..., k] -= cross(np.eye(3)["pqr".index(name)] * np.ones_like(velocity), velocity) * unit[..., None]
+        if name in LAGS.values():
+            by_rate[..., list(LAGS.values()).index(name)] = size[..., k] / unit[..., None]
+    missing = np.array([[name not in motion.regressors] for name in LAGS])
+    return Lag(SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing)
+
+
+def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:
+    """Return draws of the errors of slopes at one flight, (n_paths, 6, d), and of the lag, with paths first."""
+    seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+    rng = np.random.default_rng(seed)
+    lag_drawn = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
+    drawn = np.zeros((n_paths, *lag.errors.shape[:-1]))
+    for part in () if errors is None else (errors.random[0], errors.method[0]):
+        drawn += np.moveaxis(part @ rng.standard_normal((part.shape[-1], n_paths)), -1, 0)
+    return drawn, lag_drawn

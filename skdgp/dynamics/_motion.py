@@ -1,0 +1,244 @@
+"""Loads and accelerations of an aircraft at given states."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
+from skdgp._flight.channels import (
+    ACCELERATION_LENGTHS,
+    CHANNELS,
+    EULER,
+    HAT,
+    RATE_LENGTHS,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+    TRUTH_SUFFIX,
+    rate_factor,
+)
+from skdgp._flight.checks import check_names
+from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._air import LocalAir, as_air
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
+
+PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
+CONTROLS = ("elevator", "aileron", "rudder", "elevon_left", "elevon_right", *PROPULSION, "gust")
+"""Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
+IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
+"""Channels that follow from the loads, and so from the coefficients that they may be regressors of."""
+STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
+MOST_ITERATIONS = 60
+MEMORY = 4
+"""Changes that Anderson's method mixes."""
+RIDGE, TINY = 1e-12, 1e-300
+TOLERANCE = 1e-10
+"""Of the implicit regressors, each over 1 + its size."""
+
+
+class Instant(NamedTuple):
+    """Loads, accelerations and coefficients at states (..., 13)."""
+
+    derivative: Array
+    """Of the state, (..., 13)."""
+    coefficients: Array
+    """(..., 6)."""
+    regressors: Array
+    """(..., d)."""
+    airspeed: Array
+    alpha: Array
+    beta: Array
+    density: Array
+    force: Array
+    """All but gravity, body axes, (..., 3) [N]."""
+    moment: Array
+    implicit: Array | None
+    """The regressors of `IMPLICIT`, (..., 8), where the model has any."""
+    settled: Array | bool
+    """Whether the fixed point of the implicit regressors was found."""
+
+
+class Motion:
+    """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
+
+    The parameters are those of `skdgp.dynamics.simulate`; of the air, density and gravity count. With ``lagged`` the
+    implicit regressors are the guess passed to `at`, instead of the fixed point.
+
+    Attributes
+    ----------
+    regressors : tuple of str
+        The names of the model's regressors without suffixes, in its order.
+    controls : tuple of str
+        Those of them that are controls: neither state nor motion.
+    """
+
+    def __init__(
+        self, model: Any, aircraft: Aircraft, *, thrust: Thrust = "auto", air: Any = None, lagged: bool = False
+    ):
+        self.aerodynamics: Aerodynamics = as_aerodynamics(model)
+        self.lagged = lagged
+        if not isinstance(aircraft, Aircraft):
+            raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
+        air = as_air(air)
+        self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
+        self._density = air.density
+        span, chord = self.aerodynamics.span, self.aerodynamics.chord
+        own = [aircraft.span, aircraft.chord]
+        if span is not None and chord is not None and not np.isclose([span, chord], own, rtol=0.01).any():
+            warnings.warn(
+                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
+                f"{aircraft!r} has others: is this the aircraft that the model was learned from?",
+                stacklevel=3,
+            )
+        self._plan = [self._source(name) for name in self.aerodynamics.regressors]
+        self.regressors = tuple(name for name, *_ in self._plan)
+        self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
+        if unknown := [name for name in self.controls if name in CHANNELS and name not in CONTROLS]:
+            raise ValueError(
+                f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt along a flight: "
+                f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
+            )
+        self._needs_angles = any(name in EULER for name in self.regressors)
+        self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
+        self.is_implicit = bool(self._implicit)  # the coefficients depend on what follows from them
+        self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
+
+    def factor(self, k: int, airspeed: Array) -> Array | float:
+        """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
+        name, length = self._plan[k]
+        return rate_factor(name, length, airspeed) if length else 1.0
+
+    def _source(self, full: str) -> tuple[str, float | None]:
+        """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
+        name = full.removesuffix(TRUTH_SUFFIX)
+        if not name.endswith(HAT):
+            return name, None
+        name = name.removesuffix(HAT)
+        lengths = RATE_LENGTHS | ACCELERATION_LENGTHS
+        if name not in lengths:
+            raise ValueError(f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(lengths)}.")
+        return name, getattr(self.aerodynamics, lengths[name]) or getattr(self.aircraft, lengths[name])
+
+    def mixed(self, controls: Mapping) -> dict:
+        """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
+        if not isinstance(controls, Mapping):
+            raise TypeError(f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}.")
+        controls = dict(controls)
+        mixing = self.aerodynamics.mixing
+        lacking = [name for name in self.controls if name not in controls]
+        if lacking and mixing is not None and all(name in controls for name in mixing.surfaces):
+            values = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
+            made = {n: sum(a * v for a, v in zip(row, values, strict=True)) for n, row in zip(*mixing[1:], strict=True)}
+            controls |= {name: made[name] for name in lacking if name in made}
+        check_names(self.controls, controls, "controls")
+        return controls
+
+    def at(
+        self,
+        state: Array,
+        controls: Mapping,
+        air: LocalAir | None = None,
+        implicit: Array | None = None,
+        drift: Array | float = 0.0,
+    ) -> Instant:
+        """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
+
+        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call. ``drift`` (..., 6)
+        is added to the coefficients.
+        """
+        velocity = state[..., VELOCITY]
+        wind = None
+        if air is not None:
+            wind = ned_to_body(state[..., ATTITUDE], air.wind)
+            velocity = velocity - wind
+        airspeed, alpha, beta = air_data(velocity)
+        altitude = -state[..., 2]
+        density = self._density(altitude) if callable(self._density) else self._density
+        if density is None:  # that of the standard atmosphere, NaN outside of it
+            density = standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
+        X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
+        others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
+        if not self._implicit:
+            return self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
+        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
+        tried: list[tuple[Array, Array]] = []
+        for _ in range(MOST_ITERATIONS):
+            for k, place in zip(self._implicit, self._follows, strict=True):
+                X[..., k] = guess[..., place] * self.factor(k, airspeed)
+            now = self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
+            result = self._follow(state, now, velocity, wind, air)
+            if self.lagged:
+                return now._replace(implicit=result)
+            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
+            settled = np.abs(off).max(axis=-1) < TOLERANCE
+            if np.all(settled | ~np.isfinite(off).all(axis=-1)):
+                break
+            guess = _anderson(tried, result, off)
+        return now._replace(implicit=result, settled=settled)
+
+    def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
+        """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
+        values = {"airspeed": airspeed, "alpha": alpha, "beta": beta, "density": density, "altitude": altitude}
+        if self._needs_angles:
+            values |= dict(zip(EULER, np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0), strict=True))
+        rates = state[..., RATES] if air is None or air.rotation is None else state[..., RATES] - air.rotation
+        values |= {"p": rates[..., 0], "q": rates[..., 1], "r": rates[..., 2]}
+        values |= {"u": state[..., 3], "v": state[..., 4], "w": state[..., 5]}
+        X = np.empty((*state.shape[:-1], len(self._plan)))
+        for k, name in enumerate(self.regressors):
+            if name not in IMPLICIT:
+                X[..., k] = (values[name] if name in values else controls[name]) * self.factor(k, airspeed)
+        return X
+
+    def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
+        """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
+        C = self._coefficients(X) + drift
+        force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
+        force, moment = force + others[0], moment + others[1]
+        derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
+        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
+
+    def _coefficients(self, X: Array) -> Array:
+        """Return the model's coefficients, NaN where a state has diverged: models refuse what is not finite."""
+        if np.isfinite(X).all():
+            return self.aerodynamics(X)
+        finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
+
+    def _follow(self, state, now: Instant, velocity, wind, air) -> Array:
+        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""
+        acceleration = now.derivative[..., VELOCITY]
+        if wind is not None:  # a wind that is constant over the earth turns against the aircraft in body axes
+            acceleration = acceleration + cross(state[..., RATES], wind)
+            if air.wind_rate is not None:
+                acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
+        implicit = np.empty((*state.shape[:-1], len(IMPLICIT)))
+        implicit[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[..., 0]
+        implicit[..., 2:5] = now.derivative[..., RATES]
+        implicit[..., 5:] = now.force / self.aircraft.mass
+        return implicit
+
+
+def _anderson(tried: list[tuple[Array, Array]], result: Array, off: Array) -> Array:
+    """Return the next guess from the last ones, (result, off) each: the mixture whose residual vanishes to first order.
+
+    Anderson (1965), over the last `MEMORY` changes, for each trajectory by itself.
+    """
+    tried.append((result, off))
+    del tried[: -MEMORY - 1]
+    if len(tried) == 1:
+        return result
+    changes, steps = ([b[i] - a[i] for a, b in pairwise(tried)] for i in (1, 0))
+    D, F = np.stack(changes, axis=-1), np.stack(steps, axis=-1)
+    normal = np.swapaxes(D, -1, -2) @ D
+    normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[..., None, None] * np.eye(len(changes))
+    mixture = np.linalg.solve(normal, np.swapaxes(D, -1, -2) @ off[..., None])
+    return result - (F @ mixture)[..., 0]

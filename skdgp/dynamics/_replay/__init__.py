@@ -1,1 +1,0 @@
-"""Predicted coefficients integrated to states."""

@@ -1,1 +1,0 @@
-"""Simulation of an aircraft with a learned model."""

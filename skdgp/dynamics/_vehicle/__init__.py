@@ -1,1 +1,0 @@
-"""The aircraft: mass and geometry, propeller, thrust."""

@@ -1,0 +1,530 @@
+"""Conversion of autopilot logs to flight tables: sources of columns by rules, one clock, flights.
+
+Single time stamps may be wrong; the median of neighbouring messages in the file hardly ever is.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from numbers import Real
+from operator import itemgetter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import butter, sosfiltfilt
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.clock import GAP
+from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_sign_changes
+from skdgp._flight.smoothing import differentiate
+from skdgp.io._dataflash import read_dataflash
+from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
+from skdgp.io._servos import Mixture, Servo, full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._tables import FlightReadError
+from skdgp.io._tlog import read_tlog
+from skdgp.io._ulog import read_topic_tables, read_ulog
+
+BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
+RESTART_STEP = 5.0  # a clock that goes back by more than this was restarted [s]; messages out of order are less late
+STAMP_MARGIN = 5.0  # distance of valid stamps from the medians of a part [s]
+LARGEST_STEP = 60.0  # longest step between medians that widens this margin [s]
+FILTER_ORDER = 4
+CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
+LEAST_RATIO = 1.2  # ratio of rates from which a channel is low-passed
+LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
+MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
+LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
+AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
+    ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
+}  # fmt: skip
+"""Readers of logs by suffix; another format is one more entry."""
+RATE_CUTOFF = 0.2  # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
+AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0  # of the slowest airspeed set, or without one this [m/s]: airborne above it
+CLEAR = 0.5  # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
+LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0  # slower for less than this is still flight [s]; faster for less is none [s]
+LONGEST_EDGE = 1.0  # channels begin and end within this of each other [s]
+NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+LEAST_RATE = 5.0  # a source slower than this [Hz] gives way to a faster one further down
+HIGHEST_RATE = 50.0  # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
+
+
+class Origin(NamedTuple):
+    """The description of the source of a column, and its sampling rate [Hz]."""
+
+    words: str
+    rate: float
+
+
+class Source(NamedTuple):
+    """The source of columns, and its valid samples."""
+
+    columns: tuple[str, ...]
+    name: str
+    time: Vector
+    values: Matrix
+    note: str = ""
+
+    @property
+    def rate(self) -> float:
+        """The usual rate [Hz]."""
+        return sampling_rate(self.time)
+
+
+class Part(NamedTuple):
+    """Part of a log between two restarts of its clock."""
+
+    topics: dict[str, Topic]
+    sources: list[Source]
+    table: pd.DataFrame
+    segments: list[slice]
+
+
+class FlightLog(NamedTuple):
+    """A log resampled to one clock: its parts, the origin of each column, and remarks."""
+
+    log: Log
+    parts: list[Part]
+    origin: dict[str, Origin]
+    speed: float
+    remarks: list[str]
+
+
+def is_log(path: object) -> bool:
+    """Return whether this is the path of a log of an autopilot: with its suffix, or a folder of topics."""
+    return isinstance(path, str | os.PathLike) and (Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir())
+
+
+def read_log(path: Path) -> Log:
+    """Return a log of an autopilot as it is."""
+    if not path.exists():
+        raise FileNotFoundError(f"Got {path}, but there is no such file.")
+    return read_topic_tables(path) if path.is_dir() else AUTOPILOTS[path.suffix.lower()](path)
+
+
+def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
+    """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
+    _check_options(rate, airborne, imu_position)
+    turned = reversed_of(servos)
+    entries = read_servos(servos) if turned is None else {}
+    with np.errstate(all="ignore"):  # what is damaged may hold any number
+        log = read_log(path)
+        servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
+        topics, remarks = clock_parts(log.topics)
+        slowest = log.slowest_airspeed
+        speed = AIRBORNE_SHARE * slowest if 0 < slowest < 200 else AIRBORNE_SPEED
+        speed = speed if isinstance(airborne, bool) else float(airborne)  # [m/s], above which it is airborne
+        parts: list[Part] = []
+        origin: dict[str, Origin] = {}
+        useless: list[str] = []
+        found = [(some, *find_sources(log, some, servos)) for some in topics]
+        for some, sources, unused in [each for each in found if each[1]] or found[:1]:
+            useless += unused
+            clock, chosen = follow(sources, rate)
+            table, where = to_table(sources, clock, chosen)
+            if imu_position is not None:
+                table = at_centre_of_gravity(table, imu_position, chosen)
+            if not set(SPECIFIC_FORCE) & set(table):
+                table, where = with_specific_force(table, where)
+            origin |= where
+            parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
+    return FlightLog(log, parts, origin, speed, remarks)
+
+
+def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
+    """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
+    if airborne is False:
+        pieces = [part.table for part in flown.parts if len(part.table)]
+    else:
+        pieces = [trimmed(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
+    if not pieces:
+        longest = max((part.table for part in flown.parts), key=len, default=pd.DataFrame())
+        why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
+        raise FlightReadError(
+            f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
+            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
+        )
+    names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
+    return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)
+
+
+def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataFrame:
+    """Move specific force from the accelerometer to the centre of gravity.
+
+    f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the accelerometer (Klein & Morelli
+    2006, Aircraft System Identification, equation 10.12).
+    """
+    if not {*SPECIFIC_FORCE, *RATES} <= set(table.columns):
+        return table
+    try:
+        accelerations = _rates_of_change(table, RATES, rate)
+    except ValueError as error:
+        raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
+    arm, omega = np.asarray(position, float), table[list(RATES)].to_numpy()
+    extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
+    force = table[list(SPECIFIC_FORCE)].to_numpy() - extra
+    return table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+
+
+def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> Matrix:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+        return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
+
+
+def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g), where it has both.
+
+    It is for logs without an accelerometer of use, and carries what the velocity does: little above a fifth of its
+    rate.
+    """
+    if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
+        return table, origin
+    rate = min(origin[name].rate for name in EARTH_VELOCITY)
+    try:
+        change = _rates_of_change(table, EARTH_VELOCITY, rate)
+    except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
+        return table, origin
+    change[:, 2] -= STANDARD_GRAVITY
+    attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
+    force = np.einsum("nji,nj->ni", attitude, change)
+    words = Origin("velocity and attitude, as no accelerometer is of use", rate)
+    table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(SPECIFIC_FORCE, words)
+
+
+def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
+    """Return the rows of each flight: airspeed above a speed, and not reported as landed.
+
+    Without an airspeed the speed over ground is used, unless the vehicle has no wings. What rolls on its wheels after
+    it was reported as landed does not fly yet.
+    """
+    fast = _speed(table, log) > speed
+    landed = _landed(table["time"].to_numpy(), log, topics)
+    if landed is not None:
+        fast &= ~landed
+    time, rows = table["time"].to_numpy(), np.flatnonzero(fast)
+    parts = np.split(rows, np.flatnonzero(np.diff(time[rows]) >= LONGEST_DIP) + 1)
+    ends = [(_lift_off(table, landed, int(part[0]), int(part[-1])), int(part[-1])) for part in parts if len(part)]
+    return [slice(a, b + 1) for a, b in ends if time[b] - time[a] >= SHORTEST_FLIGHT]
+
+
+def _lift_off(table, landed, first: int, last: int) -> int:
+    """Return the first row of a flight that is clear of the ground on which it was reported as landed before."""
+    before = np.flatnonzero(landed[:first]) if landed is not None and "down" in table else np.empty(0)
+    if not len(before):
+        return first
+    height = table["down"].to_numpy()[before[-1]] - table["down"].to_numpy()[first : last + 1]
+    return first + int((height > CLEAR).argmax())  # 0 where it is never: the height is not to be believed
+
+
+def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight without rows at its ends, up to a second of them, where slow channels have no value."""
+    time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
+    known = known[:, known.any(axis=0)]
+    begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
+    begin = begins[begins <= time[0] + LONGEST_EDGE].max()
+    end = ends[ends >= time[-1] - LONGEST_EDGE].min()
+    return flight[(time >= begin) & (time <= end)]
+
+
+def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
+    """Return why a log holds no flight."""
+    reasons = []
+    if log.vehicle in NOT_FLYING_ON_WINGS:
+        reasons.append(f"the vehicle is a {log.vehicle}")
+    if "airspeed" not in table:
+        reasons.append("there is no valid airspeed")
+    highest = np.nanmax(_speed(table, log), initial=-np.inf)
+    if np.isfinite(highest):
+        what = "airspeed" if "airspeed" in table else "ground speed"
+        reasons.append(f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)")
+    return ", ".join(reasons)
+
+
+def _speed(table, log):
+    if "airspeed" in table:
+        return table["airspeed"].to_numpy()
+    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
+        return np.full(len(table), np.nan)
+    return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
+
+
+def _landed(time, log, topics):
+    """Return whether the autopilot reported to be landed, (n,), or None where it does not say."""
+    name, field, value = log.landed or ("", "", 0.0)
+    if field not in topics.get(name, ()):
+        return None
+    last = np.searchsorted(topics[name].time, time, side="right") - 1
+    return (topics[name][field] == value)[np.maximum(last, 0)]
+
+
+def _gap_remarks(parts):
+    """Yield a remark on the longest gap of each topic that has some."""
+    for part in parts:
+        for source in {source.name.split(".")[0]: source for source in part.sources}.values():
+            if found := gaps(source.time):
+                begin, length = max(found, key=lambda gap: gap[1])
+                name = f"{source.name} ({' '.join(source.columns)})"
+                yield f"{name} has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
+
+
+def _check_options(rate, airborne, imu_position):
+    if rate is not None and not (_is_positive(rate) and rate <= 1000):
+        raise FlightReadError(f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000.")
+    if not isinstance(airborne, bool) and not _is_positive(airborne):
+        raise FlightReadError(f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s.")
+    if imu_position is not None:
+        position = np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise FlightReadError(
+                f"Got imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
+                "accelerometer in body axes [m]."
+            )
+
+
+def _is_positive(value):
+    return isinstance(value, Real) and not isinstance(value, bool) and float(value) > 0
+
+
+def find_sources(
+    log: Log, topics: dict[str, Topic], servos: Mapping[str, Servo | Mixture]
+) -> tuple[list[Source], list[str]]:
+    """Return the source of each group of columns, and remarks on those that are of no use."""
+    part = replace(log, topics=topics)
+    candidates: dict[tuple[str, ...], list[Source]] = {}
+    useless = []
+    for rule in log.rules:
+        source = _source(part, rule)
+        if source is None:
+            continue
+        low, high = zip(*(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True)
+        wrong = ((source.values < low) | (source.values > high)).any(axis=1)
+        if len(source.time) < 2:
+            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
+        elif (share := wrong.mean()) > RARE:  # fewer are faults of a sensor
+            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is impossible")
+        else:
+            candidates.setdefault(rule.columns, []).append(source)
+    found = [
+        next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
+        for columns, sources in candidates.items()
+        if not servos.keys() & set(columns)
+    ]
+    for surface in (_surface(part, name, servo) for name, servo in servos.items()):
+        if len(surface.time) > 1:
+            found.append(surface)
+        else:
+            useless.append(f"{surface.name} sends no pulse, so there is no {surface.columns[0]}")
+    return found, list(dict.fromkeys(useless))
+
+
+def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
+    """Return the clock of the table and its rate [Hz]: those of the gyros, or the next best source."""
+    by_column = {name: source for source in sources for name in source.columns}
+    leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
+    leader = leader or max(sources, key=lambda source: source.rate, default=None)
+    if leader is None:
+        raise FlightReadError(
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
+        )
+    rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
+    try:
+        clock = uniform_clock(leader.time, rate)
+    except ValueError as error:
+        raise FlightReadError(f"{leader.name}: {error} Is the clock of the log sound?") from error
+    return clock, rate
+
+
+def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
+    columns: dict[str, Vector] = {"time": clock}
+    origin: dict[str, Origin] = {}
+    for source in sources:
+        names, turns = source.columns, source.columns == QUATERNION
+        values = without_sign_changes(source.values) if turns else source.values
+        values = resample(source.time, values, clock, rate)
+        if turns:
+            known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
+            names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
+        for name, column in zip(names, values.T, strict=True):
+            columns[name] = column
+            origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
+    if "density" not in columns and "altitude" in columns:
+        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
+        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
+    if EQUIVALENT in columns:
+        equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
+        dense = "density" in columns
+        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
+        note = "equivalent; true by density" if dense else "equivalent, taken for true: density unknown"
+        origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
+    table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
+    table = table.where(np.isfinite(table))
+    return table, {name: origin[name] for name in table.columns if name in origin}
+
+
+def _source(log, rule: Rule) -> Source | None:
+    name = log.find(rule.topic)
+    topic = log.topics.get(name)
+    if topic is None or not all(field in topic for field in rule.fields):
+        return None
+    values = rule.convert(topic.columns(rule.fields))
+    known = np.isfinite(values).all(axis=1)
+    for field in rule.valid:
+        known &= topic[field] > 0 if field in topic else True
+    first, last = rule.fields[0], rule.fields[-1]
+    is_array = first != last and first.endswith("[0]")
+    words = f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)  # q[0..3], GyrX GyrY GyrZ
+    return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
+
+
+def _surface(log, name, servo: Servo | Mixture) -> Source:
+    values = np.sum([w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0)
+    known = np.isfinite(values)
+    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in servo.parts)
+    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    channels = [each.channel for _, each in servo.parts]
+    time = log.topics[channels[0].partition(".")[0]].time  # parts are fields of one topic
+    return Source((name,), " ".join(channels), time[known], values[known][:, None], note)
+
+
+def _channel(log, name, channel: str) -> Vector:
+    """Return the values of a channel; raise FlightReadError if the log has none such."""
+    topic, _, field = channel.partition(".")
+    if field not in log.topics.get(topic, ()):
+        fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
+        raise FlightReadError(
+            f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
+            f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
+        )
+    return log.topics[topic][field]
+
+
+def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
+    """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
+    order = np.concatenate([topic.order for topic in topics.values()])
+    rows = np.argsort(order, kind="stable")
+    order, time = order[rows], np.concatenate([topic.time for topic in topics.values()])[rows]
+    edges = [0, *_restarts(time), len(time)]
+    parts: list[dict[str, Topic]] = []
+    remarks: list[str] = []
+    dropped: dict[str, int] = {}
+    disordered = 0
+    for first, last in pairwise(edges):
+        steady = _steady(time[first:last])
+        margin = STAMP_MARGIN + min(np.abs(np.diff(steady)).max(initial=0.0), LARGEST_STEP)
+        part = {}
+        for name, topic in topics.items():
+            inside = (topic.order >= order[first]) & (topic.order <= order[last - 1])
+            valid = inside & (topic.time >= steady.min() - margin) & (topic.time <= steady.max() + margin)
+            here = topic.select(valid)
+            disordered += int((np.diff(here.time) < 0).sum())
+            here = here.select(np.unique(here.time, return_index=True)[1])
+            dropped[name] = dropped.get(name, 0) + int(inside.sum() - valid.sum())
+            if len(here):
+                part[name] = here
+        parts.append(part)
+    if len(parts) > 1:
+        steps = ", ".join(f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4])
+        remarks.append(f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight of its own")
+    if n_dropped := sum(dropped.values()):
+        most, name = max(zip(dropped.values(), dropped, strict=True), key=itemgetter(0))
+        remarks.append(f"{n_dropped} of {len(time)} messages have a time that cannot be ({most} of {name})")
+    if disordered:
+        remarks.append(f"{disordered} messages stand out of order in time, and were sorted")
+    return parts, remarks
+
+
+def _steady(time):
+    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
+    size = min(BLOCK_SIZE, len(time))
+    centres = np.median(time[: len(time) // size * size].reshape(-1, size), axis=1)
+    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and 1.15.3 returns 0.
+    return np.median(sliding_window_view(np.pad(centres, 2, mode="edge"), 5), axis=1)
+
+
+def _restarts(time) -> list[int]:
+    """Return the messages with which a clock that was set back begins."""
+    steady, found = _steady(time), []
+    for block in np.flatnonzero(np.diff(steady) < -RESTART_STEP).tolist():
+        window = slice(max(block - 3, 0) * BLOCK_SIZE, (block + 5) * BLOCK_SIZE)
+        later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
+        found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
+    return sorted(set(found) - {len(time)})
+
+
+def sampling_rate(time: Vector) -> float:
+    """Return the usual rate [Hz] of increasing times, NaN of less than two."""
+    return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else np.nan
+
+
+def gaps(time: Vector) -> list[tuple[float, float]]:
+    """Return beginnings and lengths [s] of the gaps between increasing times that are worth a remark."""
+    step = np.diff(time)
+    if not len(step):
+        return []
+    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))]
+
+
+def uniform_clock(time: Vector, rate: float) -> Vector:
+    """Return the multiples of 1 / rate [s] within the runs of a channel; ValueError if far more than samples."""
+    step = np.diff(time)
+    edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
+    starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
+    first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
+    counts = np.maximum(last - first + 1, 0).astype(int)
+    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate / sampling_rate(time)):
+        raise ValueError(
+            f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock without so many gaps."
+        )
+    return np.concatenate([a + np.arange(n) for a, n in zip(first, counts, strict=True)]) / rate
+
+
+def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
+    """Return channels (n, k), sampled at increasing times (n,) [s], on another clock (m,) of ``rate`` [Hz], (m, k).
+
+    Rows that are not finite count as not sampled; gaps, and rows before the first and after the last sample, are NaN.
+    Each run of samples without a gap (2.5 usual steps) is taken by itself. If it is faster than the new rate it passes
+    a Butterworth low-pass forwards and backwards, which has no delay (Gustafsson 1996, Determining the initial states
+    in forward-backward filtering); then it is interpolated linearly.
+    """
+    result = np.full((len(clock), values.shape[1]), np.nan)
+    known = np.isfinite(values).all(axis=1)
+    time, values = time[known], values[known]
+    if len(time) < 2:
+        return result
+    step = np.diff(time)
+    edges = np.r_[0, np.flatnonzero(step > GAP * np.median(step)) + 1, len(time)]
+    tolerance = 1e-6 / rate
+    begins = np.searchsorted(clock, time[edges[:-1]] - tolerance)
+    ends = np.searchsorted(clock, time[edges[1:] - 1] + tolerance, side="right")
+    for a, b, begin, end in zip(edges[:-1], edges[1:], begins, ends, strict=True):
+        if b - a > 1 and end > begin:
+            run = _low_passed(time[a:b], values[a:b], rate)
+            for j in range(values.shape[1]):
+                result[begin:end, j] = np.interp(clock[begin:end], time[a:b], run[:, j])
+    return result
+
+
+def _low_passed(time, values, rate):
+    """Return a run without the frequencies that the new rate cannot carry."""
+    n, old_rate = len(time), (len(time) - 1) / (time[-1] - time[0])
+    if old_rate < LEAST_RATIO * rate:
+        return values
+    even = np.linspace(time[0], time[-1], n)
+    sections = butter(FILTER_ORDER, CUTOFF * rate, fs=old_rate, output="sos")
+    padding = min(n - 1, round(4 * old_rate / rate) + 27)
+    columns = [np.interp(even, time, column) for column in values.T]
+    passed = sosfiltfilt(sections, np.column_stack(columns), axis=0, padlen=padding)
+    return np.column_stack([np.interp(time, even, column) for column in passed.T])

@@ -1,1 +1,0 @@
-"""Logs of autopilots: PX4 ULog and ArduPilot DataFlash."""

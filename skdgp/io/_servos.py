@@ -1,0 +1,366 @@
+"""Servo files (TOML): pulse widths to surface angles, to controls of any mixing, and back; templates."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import make_interp_spline
+
+from skdgp._compute.files import read_toml
+from skdgp._compute.typing import Vector
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
+from skdgp._flight.checks import check_columns
+from skdgp.io._log import Log, ServoChannel
+from skdgp.io._tables import FlightReadError
+
+MOVED = (*ALL_SURFACES, "throttle")
+PAIRS = {
+    "vtail": {"elevator": (0.5, 0.5), "rudder": (0.5, -0.5)},
+    "flaperon": {"aileron": (0.5, -0.5)},
+    "aileron": {"aileron": (0.5, -0.5)},
+    "elevator": {"elevator": (0.5, 0.5)},
+    "rudder": {"rudder": (0.5, 0.5)},
+}
+"""Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
+The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns down: nose left."""
+ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}  # columns of their own in a flight table
+MIXING = "mixing"
+KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+FULL_THROW = "full throw"
+"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1; with
+", reversed rudder" after it, some of the other sign than the autopilot's parameters say."""
+REVERSED = ", reversed "
+NUMBER = r"(\d+\.?\d*|\.\d+)"
+THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
+NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
+TEMPLATE = """\
+# Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
+# elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
+# Signs follow the autopilot's own: move each stick, look, and set reversed where the sign above does not hold.
+# Instead of min, trim, max, deflection: points = [[1100, -0.35], [1500, 0.0], [1900, 0.30]].
+"""
+
+
+class Servo(NamedTuple):
+    """The channel that moves a surface, and the angles of the surface at some values of the channel."""
+
+    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
+    inputs: tuple[float, ...]  # values of the channel, increasing
+    angles: tuple[float, ...]  # of the surface there [rad]; straight lines between them and beyond
+
+    def deflection(self, values: Vector) -> Vector:
+        """Return angles [rad] of values of the channel; NaN where no pulse was sent."""
+        if self.inputs[0] >= NO_PULSE:
+            values = np.where(values < NO_PULSE, np.nan, values)
+        return make_interp_spline(self.inputs, self.angles, k=1)(values)
+
+    @property
+    def parts(self) -> tuple[tuple[float, Servo], ...]:
+        """The servo as a `Mixture` has it."""
+        return ((1.0, self),)
+
+    def output(self, angles: Vector) -> Vector:
+        """Return the values of the channel that give angles [rad]; FlightReadError if some belong to several values."""
+        sign = np.sign(self.angles[-1] - self.angles[0])
+        rising = sign * np.array(self.angles)
+        if not (np.diff(rising) > 0).all():
+            raise FlightReadError(
+                f"Got angles {list(self.angles)} of {self.channel}, but expected them to rise or fall throughout: "
+                "each angle must have one value of the channel."
+            )
+        return make_interp_spline(rising, self.inputs, k=1)(sign * np.asarray(angles, dtype=float))
+
+
+class Mixture(NamedTuple):
+    """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
+
+    parts: tuple[tuple[float, Servo], ...]
+
+
+class Throw(NamedTuple):
+    """The angle of a surface at full throw [rad], and its deviation; the autopilot's parameters name its servos."""
+
+    angle: float
+    std: float = 0.0
+
+
+def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw | Mixture]:
+    r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
+
+    ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
+    ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
+    its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
+    full throw, ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that the
+    autopilot's parameters name.
+
+    Surfaces that make controls together are ``[vtail_left]`` and ``[vtail_right]``, or flaperon, aileron, elevator,
+    rudder in place of vtail (`PAIRS`), or have any name and weights in ``[mixing]``, as in
+    ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of angles. Raises FlightReadError if the file
+    is no TOML, or a surface or number makes no sense.
+
+    Examples
+    --------
+    >>> read_servos({"rudder": {"channel": "RCOU.C4", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.3}})
+    {'rudder': Servo(channel='RCOU.C4', inputs=(1100.0, 1500.0, 1900.0), angles=(-0.3, 0.0, 0.3))}
+    """
+    if servos is None:
+        return {}
+    if isinstance(servos, (str, Path)):
+        try:
+            servos = read_toml(servos)
+        except ValueError as error:
+            raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
+    weights, found = _weights(servos), {}
+    mixed = {name for parts in weights.values() for name in parts}
+    each = {name: _servo(name, entry, (*MOVED, *mixed)) for name, entry in servos.items() if name != MIXING}
+    for control, parts in weights.items():
+        mixture = [(weight, servo) for name, weight in parts.items() if isinstance(servo := each.get(name), Servo)]
+        if len(mixture) < len(parts) or control in each:
+            raise FlightReadError(
+                f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of these in the servo "
+                f"file, and none of the {control} itself."
+            )
+        if len({servo.channel.partition(".")[0] for _, servo in mixture}) > 1:
+            raise FlightReadError(f"Got channels of several topics for the {control}, but expected those of one.")
+        found[control] = Mixture(tuple(mixture))
+    return {name: servo for name, servo in each.items() if name not in mixed} | found
+
+
+def _weights(servos: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the weights of surfaces in the controls that they make, by the file or by their names."""
+    told = servos.get(MIXING, {})
+    if not isinstance(told, Mapping) or not all(
+        control in SURFACES and isinstance(parts, Mapping) and parts and all(map(_is_number, parts.values()))
+        for control, parts in told.items()
+    ):
+        raise FlightReadError(
+            f"Got mixing = {told!r}, but expected weights of surfaces for some of {list(SURFACES)}, as in "
+            "rudder = {fin = 0.5, nose = -0.5}."
+        )
+    weights = {control: {name: float(weight) for name, weight in parts.items()} for control, parts in told.items()}
+    for pair, controls in PAIRS.items():
+        sides = [f"{pair}_left", f"{pair}_right"]
+        if set(sides) <= set(servos) and not any(set(sides) & set(parts) for parts in weights.values()):
+            weights |= {control: dict(zip(sides, parts, strict=True)) for control, parts in controls.items()}
+    return weights
+
+
+def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -> pd.DataFrame:
+    """Return the values of the channels of servos that turn surfaces as a table says.
+
+    The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls, so the two surfaces
+    of an aileron turn by the same angle to either side.
+
+    Parameters
+    ----------
+    table : DataFrame
+        ``time`` [s] and elevator, aileron, rudder, elevons [rad], throttle, as of a flight or of
+        :meth:`skdgp.design.Wavetrain.table` with its trim.
+    servos : path or mapping
+        Of :func:`read_flight`, with a channel for each surface. Elevons take elevator and aileron where the table has
+        no elevons.
+
+    Returns
+    -------
+    DataFrame
+        ``time``, and a column for each channel, in its unit; beyond its ends by straight lines, so limit the inputs.
+
+    Raises
+    ------
+    FlightReadError
+        If the file makes no sense, gives a throw, has angles of several values, or cannot make the controls.
+    ValueError
+        If the table lacks a control.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from skdgp.io import servo_outputs
+    >>> servo = {"min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
+    >>> tail = {"vtail_left": servo | {"channel": "RCOU.C2"}, "vtail_right": servo | {"channel": "RCOU.C4"}}
+    >>> servo_outputs(pd.DataFrame({"time": [0.0], "elevator": [0.1], "rudder": [0.1]}), tail)
+       time  RCOU.C2  RCOU.C4
+    0   0.0   1700.0   1500.0
+    """
+    found = read_servos(servos)
+    if throws := [name for name, each in found.items() if isinstance(each, Throw)]:
+        raise FlightReadError(f"Got a throw of the {throws[0]}, but expected its channel: write its servo in full.")
+    controls = {name: each.parts for name, each in found.items() if not isinstance(each, Throw)}
+    elevons = [controls[name][0][1] for name in ELEVONS if name in controls]
+    if len(elevons) == len(ELEVONS) and not set(ELEVONS) & set(table):
+        controls = {name: parts for name, parts in controls.items() if name not in ELEVONS}
+        controls |= {name: tuple(zip(weights, elevons, strict=True)) for name, weights in ELEVON_WEIGHTS.items()}
+    check_columns(table, ["time", *controls])
+    channels = {servo.channel: servo for parts in controls.values() for _, servo in parts}
+    matrix = np.array([[sum(w for w, s in parts if s.channel == c) for c in channels] for parts in controls.values()])
+    if np.linalg.matrix_rank(matrix) < len(matrix):
+        raise FlightReadError(
+            f"Got {len(channels)} servos for {list(controls)}, but expected some that move each of these by itself: "
+            "look at the weights."
+        )
+    angles = table[list(controls)].to_numpy(float) @ np.linalg.pinv(matrix).T
+    outputs = {channel: servo.output(angle) for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)}
+    return pd.DataFrame({"time": table["time"].to_numpy(float), **outputs})
+
+
+def reversed_of(servos: Any) -> tuple[str, ...] | None:
+    """Return the surfaces of other sign that servos in parts of the full throw have; None of a servo file.
+
+    Raises FlightReadError if one is no surface.
+
+    Examples
+    --------
+    >>> reversed_of("full throw, reversed rudder aileron"), reversed_of("full throw"), reversed_of("servo.toml")
+    (('rudder', 'aileron'), (), None)
+    """
+    if not isinstance(servos, str) or servos.partition(REVERSED)[0] != FULL_THROW:
+        return None
+    names = servos.partition(REVERSED)[2].split()
+    if strange := set(names) - set(ALL_SURFACES):
+        raise FlightReadError(f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}.")
+    return tuple(names)
+
+
+def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mixture]:
+    """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
+
+    Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
+    aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
+    """
+    if not log.mixing:
+        _check_names_servos(log)
+    own = {name: each for name, each in log.servos.items() if not (log.mixing and name in ELEVONS)}  # these are mixed
+    found: dict[str, Servo | Mixture] = {name: _full_throw(name, channel) for name, channel in own.items()}
+    for name, parts in log.mixing.items():
+        found[name] = Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
+    return {name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()}
+
+
+def with_throws(servos: Mapping[str, Servo | Throw | Mixture], log: Log) -> dict[str, Servo | Mixture]:
+    """Return the servos, those of a throw by the parameters of the autopilot; FlightReadError if these lack one."""
+    throws = {name: each.angle for name, each in servos.items() if isinstance(each, Throw)}
+    named = full_throws(log) if throws else {}
+    if lacking := sorted(set(throws) - set(named)):
+        raise FlightReadError(
+            f"Got the full throw of {lacking}, but expected surfaces that the parameters of the log name, "
+            f"{sorted(named)}: give the channel of the others."
+        )
+    found = {name: each for name, each in servos.items() if not isinstance(each, Throw)}
+    return found | {name: _scaled(named[name], angle) for name, angle in throws.items()}
+
+
+def _scaled(servo: Servo | Mixture, angle: float) -> Servo | Mixture:
+    if isinstance(servo, Mixture):
+        return Mixture(tuple((angle * weight, each) for weight, each in servo.parts))
+    return servo._replace(angles=tuple(angle * each for each in servo.angles))
+
+
+def _full_throw(name: str, servo: ServoChannel) -> Servo:
+    if not servo.low < servo.trim < servo.high:
+        raise FlightReadError(
+            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on {servo.channel}, but "
+            "expected them in this order: write the servo file by hand."
+        )
+    ends = (1.0, 0.0, -1.0) if servo.turned else (-1.0, 0.0, 1.0)
+    return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
+
+
+def _servo(name, entry, known) -> Servo | Throw:
+    if name not in known:
+        sides = [f"{pair}_left and {pair}_right" for pair in PAIRS]
+        raise FlightReadError(
+            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of {', '.join(sides)}, or a name "
+            "with its weight in mixing."
+        )
+    if isinstance(entry, str):
+        return _throw(name, entry)
+    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
+        raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
+    if set(entry) - KEYS:
+        raise FlightReadError(f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}.")
+    if not isinstance(turned := entry.get("reversed", False), bool):
+        raise FlightReadError(f"Got reversed = {turned!r} for {name}, but expected true or false.")
+    pairs = np.array(sorted(_points(name, entry) if "points" in entry else _ends(name, entry)), dtype=float)
+    if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
+        raise FlightReadError(
+            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value of the channel "
+            "once: measure the angle of the surface at these values, in rad."
+        )
+    if (most := np.abs(pairs[:, 1]).max()) > np.pi / 2:
+        raise FlightReadError(
+            f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert degrees."
+        )
+    sign = -1.0 if turned else 1.0
+    return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist()))
+
+
+def _throw(name, text) -> Throw:
+    match = THROW.fullmatch(text.strip())
+    unit = {"deg": np.pi / 180, "rad": 1.0}[match[3]] if match else np.nan
+    angle, std = (float(match[k] or 0.0) * unit if match else np.nan for k in (1, 2))
+    if not 0 < angle <= np.pi / 2:
+        raise FlightReadError(
+            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg" '
+            'or "25 +- 2 deg".'
+        )
+    if std > 0 and name in ELEVONS:
+        raise FlightReadError(
+            f"Got {name} = {text!r}, but expected a deviation of elevator or aileron alone: an error of one elevon is "
+            "of both controls."
+        )
+    return Throw(angle, std)
+
+
+def _points(name, entry):
+    points = entry["points"]
+    pairs = isinstance(points, list) and len(points) > 1 and all(isinstance(p, list) and len(p) == 2 for p in points)
+    if not pairs or not all(_is_number(value) for pair in points for value in pair):
+        raise FlightReadError(
+            f"Got points = {points!r} for {name}, but expected pairs of numbers, as in [[1100, -0.35], [1900, 0.35]]."
+        )
+    return points
+
+
+def _ends(name, entry):
+    ends, deflection = [entry.get(key) for key in ("min", "trim", "max")], entry.get("deflection")
+    angles = [-deflection, deflection] if _is_number(deflection) else deflection
+    if not (isinstance(angles, list) and len(angles) == 2 and all(map(_is_number, [*ends, *angles]))):
+        raise FlightReadError(
+            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] (one number, or two: "
+            "at min and at max), or points."
+        )
+    return list(zip(ends, [angles[0], 0.0, angles[1]], strict=True))
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300  # no float
+
+
+def template(log: Log) -> str:
+    """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
+    _check_names_servos(log)
+    return TEMPLATE + "".join(
+        f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
+        f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
+        for surface, servo in log.servos.items()
+    )
+
+
+def _check_names_servos(log: Log) -> None:
+    logged = [name for name in log.outputs if name in log.topics]
+    if not log.servos and logged:
+        raise FlightReadError(
+            f"Got outputs {logged} without parameters that name their surfaces, but expected SERVOn_FUNCTION of "
+            "ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed mixer (actuator_controls_0): write the "
+            "servo file by hand."
+        )
+    if not log.servos:
+        raise FlightReadError(
+            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            "one of them: log it, or write the servo file by hand."
+        )

@@ -1,0 +1,589 @@
+"""Flight-path reconstruction: the most likely path and the noise of its sensors, by Gauss-Newton steps.
+
+The process equations relate neighbouring samples: specific force, angular rate and gusts. The measurement equations
+relate a state to airspeed, alpha, beta, GPS velocity and attitude at one sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
+from scipy.spatial.transform import Rotation
+
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, LEAST_GUST, RATES, SPECIFIC_FORCE
+from skdgp._flight.checks import numeric
+from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
+from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
+from skdgp.preprocessing._table import has_values, interpolate_missing
+
+NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")  # alpha and beta are optional
+
+VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust."""
+
+INERTIAL = {
+    "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
+}  # fmt: skip
+SENSORS = {
+    "airspeed_scale": 0.1, "alpha_bias": 0.03, "alpha_scale": 0.2, "beta_bias": 0.03, "beta_scale": 0.2,
+    "airspeed_lag": 0.1, "vane_lag": 0.1, "velocity_lag": 0.1, "attitude_lag": 0.1,
+}  # fmt: skip
+MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
+CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
+"""Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
+or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
+PLACE = {name: place for place, name in enumerate(CONSTANTS)}
+LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # NED; what it is more here is in the accelerometers' biases
+MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
+NOISE = {
+    "accelerometer": 0.05, "gyro": 0.003, "airspeed": 0.5, "alpha": 0.01, "beta": 0.01, "v_horizontal": 0.2,
+    "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
+}  # fmt: skip
+"""Initial noise of the sensors: standard deviation of a sample, SI."""
+GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}  # initial standard deviation of a change in 1 s [m/s]
+PROCESS = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
+MEASUREMENTS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
+"""The noise of each process equation and each measurement equation."""
+MIN_NOISE = 1e-9
+PRIOR_COUNT = 10  # residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
+START_PRECISION = np.repeat([1e-4, 1.0], 3)  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
+WINDOW = 4096  # samples whose equations are in memory at a time
+DELAY_STEPS = 6  # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
+MAX_STEPS = 40
+OVERSHOOT = 0.5
+"""Share of a step that the next one takes back, from which steps are halved.
+
+The crosswind of a straight flight has curved residuals, and full steps would swing ever wider.
+"""
+TOLERANCE = 0.02
+N_DRAWS = 32
+MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
+"""Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust); odd constants."""
+
+
+class Equations(NamedTuple):
+    """Linear equations residual + d_state x_k + d_next x_{k+1} + d_constants c = 0, m for each of n samples k."""
+
+    residual: Matrix  # (n, m)
+    d_state: Array  # (n, m, s)
+    d_next: Array | None  # (n, m, s); None for measurement equations
+    d_constants: Array  # (n, m, c)
+
+    def part(self, first: int, last: int) -> Equations:
+        """Return the equations of the samples from first to before last."""
+        return Equations._make(None if values is None else values[first:last] for values in self)
+
+    def changes(self, states: Array, constants: Matrix) -> Array:
+        """Return the changes of the residuals, (n, m, k), by k sets of states (N, s, k) and constants (c, k)."""
+        n = len(self.d_state)
+        total = self.d_state @ states[:n] + self.d_constants @ constants
+        return total if self.d_next is None else total + self.d_next @ states[1 : n + 1]
+
+
+class Log(NamedTuple):
+    """The sensors of one flight, n samples."""
+
+    time: Vector  # (n,) [s]
+    segment: Indices  # (n,) number of the gap-free segment of a sample
+    force: Matrix  # (n, 3) accelerometers [m/s^2]
+    rate: Matrix  # (n, 3) gyros [rad/s]
+    air: Matrix  # (n, 3) airspeed [m/s], alpha, beta [rad]; NaN where not sampled
+    velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
+    attitude: Rotation  # n attitudes, body to NED
+    attitude_sampled: Mask  # (n,) where the attitude was sampled
+    delays: tuple[int, ...] = (0,) * 9  # lag of each measurement in whole samples
+
+    def part(self, first: int, last: int) -> Log:
+        """Return the samples from first to before last."""
+        return Log._make([*(values[first:last] for values in self[:-1]), self.delays])
+
+    @property
+    def joined(self) -> Mask:
+        """Whether a sample and the next are in one segment, (n - 1,)."""
+        return self.segment[1:] == self.segment[:-1]
+
+
+class FlightPath(NamedTuple):
+    """The states of a flight, one for every sample, and its constants."""
+
+    velocity: Matrix  # (n, 3) over the ground, NED [m/s]
+    attitude: Rotation  # n attitudes, body to NED
+    gust: Matrix  # (n, 3) the air's velocity minus the mean wind, NED [m/s]
+    constants: Vector  # (c,) in the order of CONSTANTS
+
+    def part(self, first: int, last: int) -> FlightPath:
+        """Return the states from first to before last."""
+        return FlightPath(self.velocity[first:last], self.attitude[first:last], self.gust[first:last], self.constants)
+
+    def moved(self, states: Matrix, constants: Any) -> FlightPath:
+        """Return the path with errors (n, 9), (c,) added."""
+        turned = self.attitude * Rotation.from_rotvec(states[:, ATTITUDE])
+        velocity, gust = self.velocity + states[:, VELOCITY], self.gust + states[:, GUST]
+        return FlightPath(velocity, turned, gust, self.constants + constants)
+
+    def constant(self, *names: str) -> Vector:
+        """Return constants by name."""
+        return self.constants[[PLACE[name] for name in names]]
+
+    def wind(self) -> Matrix:
+        """Return the air's velocity (n, 3), NED [m/s]."""
+        return self.gust + np.append(self.constant(*MEAN_WIND), 0.0)
+
+    def air_velocity(self) -> Matrix:
+        """Return the velocity relative to the air (n, 3), body axes [m/s]."""
+        return self.attitude.inv().apply(self.velocity - self.wind())
+
+    def force(self, log: Log) -> Matrix:
+        """Return the specific force (n, 3), body axes, without the sensors' bias."""
+        return log.force - self.constant("ax_bias", "ay_bias", "az_bias")
+
+    def rate(self, log: Log) -> Matrix:
+        """Return the angular rate (n, 3), body axes, without the sensors' bias."""
+        return log.rate - self.constant("p_bias", "q_bias", "r_bias")
+
+
+def flight_logs(table: pd.DataFrame) -> list[tuple[object, Indices, Log]]:
+    """Return name, rows and log of every flight in the table.
+
+    Raise ValueError if time does not increase, or a needed channel has no value in a flight.
+    """
+    names = np.asarray(table["flight"], dtype=object) if "flight" in table else np.zeros(len(table), int)
+    time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
+    logs = []
+    for runs in runs_by_flight(time, codes):
+        rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
+        logs.append((names[rows[0]], rows, _log(table.iloc[rows], time[rows], segment)))
+    return logs
+
+
+def missing_channels(table: pd.DataFrame) -> list[str]:
+    """Return the needed channels that are absent, or have no value in some flight."""
+    absent = [name for name in ("time", *NEEDED) if name not in table]
+    rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
+    there = [name for name in NEEDED if name not in absent]
+    return absent + [name for name in there if not all(has_values(table.iloc[part], name) for part in rows)]
+
+
+def first_guess(log: Log, constants: Vector) -> FlightPath:
+    """Return the path of GPS and attitude alone, in air at rest."""
+    velocity = interpolate_missing(log.time, log.velocity)
+    return FlightPath(velocity, log.attitude, np.zeros_like(velocity), constants)
+
+
+def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
+    if empty := [name for name in NEEDED if not has_values(table, name)]:
+        flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
+        raise ValueError(
+            f"Got no value of {', '.join(empty)} in {flight}, but expected some: a path cannot be reconstructed "
+            "without them. Leave the flight out, or smooth it with FlightSmoother."
+        )
+    angles = numeric(table, EULER).copy()
+    sampled = np.all(np.isfinite(angles), axis=1)
+    angles[sampled] = np.unwrap(angles[sampled], axis=0)
+    attitude = Rotation.from_euler("ZYX", interpolate_missing(time, angles)[:, ::-1])
+    inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
+    air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
+    velocity = numeric(table, EARTH_VELOCITY)
+    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
+
+
+def air_data_rates(path: FlightPath, log: Log) -> Matrix:
+    """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
+    velocity = path.air_velocity()
+    acceleration = path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
+    return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
+
+
+def air_data_equations(path: FlightPath) -> Equations:
+    """Return airspeed, alpha, beta as residuals, with their derivatives by path and mean wind."""
+    velocity, R = path.air_velocity(), path.attitude.as_matrix()
+    gradient = air_data_slopes(velocity, MIN_AIRSPEED)
+    by_ned = gradient @ R.swapaxes(1, 2)
+    d_state = np.concatenate([by_ned, gradient @ cross_matrix(velocity), -by_ned], axis=2)
+    d_constants = np.zeros((len(R), 3, len(CONSTANTS)))
+    d_constants[:, :, [PLACE[name] for name in MEAN_WIND]] = -by_ned[:, :, :2]
+    return Equations(np.column_stack(air_data(velocity)), d_state, None, d_constants)
+
+
+def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equations:
+    """Return predicted - measured specific force and angular rate between samples, and the change of the gust."""
+    n, c = len(log.time) - 1, len(CONSTANTS)
+    residual, d_constants = np.zeros((n, 9)), np.zeros((n, 9, c))
+    d_state, d_next = np.zeros((n, 9, 9)), np.zeros((n, 9, 9))
+    step = np.diff(log.time)[:, None]
+    back, turn = path.attitude[:-1].inv(), path.attitude[:-1].inv() * path.attitude[1:]
+    turned = turn.as_matrix()
+
+    # R_k^T ((v_{k+1} - v_k) / h - g - (R_k f_k + R_{k+1} f_{k+1}) / 2) over a step of h seconds.
+    force = path.force(log)
+    force_ned = path.attitude.apply(force)
+    acceleration = np.diff(path.velocity, axis=0) / step
+    residual[:, VELOCITY] = back.apply(acceleration - GRAVITY - (force_ned[:-1] + force_ned[1:]) / 2)
+    d_next[:, VELOCITY, VELOCITY] = back.as_matrix() / step[..., None]
+    d_state[:, VELOCITY, VELOCITY] = -d_next[:, VELOCITY, VELOCITY]
+    d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
+    d_state[:, VELOCITY, ATTITUDE] = cross_matrix(residual[:, VELOCITY] + force[:-1] / 2)
+    d_constants[:, VELOCITY, PLACE["ax_bias"] : PLACE["az_bias"] + 1] = (np.eye(3) + turned) / 2
+
+    # Log(R_k^T R_{k+1}) / h - (omega_k + omega_{k+1}) / 2 - (h / 12) omega_k x omega_{k+1}.
+    rate = path.rate(log)
+    angle = turn.as_rotvec()
+    coning = np.cross(rate[:-1], rate[1:]) * step / 12
+    residual[:, ATTITUDE] = angle / step - (rate[:-1] + rate[1:]) / 2 - coning
+    d_next[:, ATTITUDE, ATTITUDE] = _log_gradient(angle) / step[..., None]
+    d_state[:, ATTITUDE, ATTITUDE] = -_log_gradient(angle) @ turn.inv().as_matrix() / step[..., None]
+    d_constants[:, ATTITUDE, PLACE["p_bias"] : PLACE["r_bias"] + 1] = np.eye(3)
+
+    residual[:, GUST] = path.gust[1:] - correlation[:, None] * path.gust[:-1]
+    d_state[:, GUST, GUST] = -correlation[:, None, None] * np.eye(3)
+    d_next[:, GUST, GUST] = np.eye(3)
+    return _without(Equations(residual, d_state, d_next, d_constants), np.repeat(~log.joined[:, None], 9, axis=1))
+
+
+def measurement_equations(path: FlightPath, log: Log) -> Equations:
+    """Return predicted - measured airspeed, alpha, beta, GPS velocity, and attitude (rotation about NED axes).
+
+    A sensor with a lag is compared with its value m samples later. Over the rest of the lag, less than a step, the
+    prediction is continued by its rate of change.
+    """
+    n = len(log.time)
+    later, offset = _lagged_rows(log, path.constant(*LAGS))
+    scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
+    bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
+    acceleration, turning = path.attitude.apply(path.force(log)) + GRAVITY, path.attitude.apply(path.rate(log))
+    rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
+    residual, d_state, d_constants = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, 9, len(CONSTANTS)))
+
+    air = air_data_equations(path)
+    residual[:, :3] = scale * air.residual + bias - np.take_along_axis(log.air, later[:, :3], axis=0)
+    residual[air.residual[:, 0] < MIN_AIRSPEED, 1:3] = np.nan
+    d_state[:, :3] = scale[:, None] * air.d_state
+    d_constants[:, :3] = scale[:, None] * air.d_constants
+    for row, name in enumerate(AIR_DATA):
+        d_constants[:, row, PLACE[f"{name}_scale"]] = air.residual[:, row]
+    d_constants[:, 1, PLACE["alpha_bias"]] = d_constants[:, 2, PLACE["beta_bias"]] = 1.0
+
+    residual[:, 3:6] = path.velocity - np.take_along_axis(log.velocity, later[:, 3:6], axis=0)
+    d_state[:, 3:6, VELOCITY] = np.eye(3)
+    angle = (path.attitude * log.attitude[later[:, 6]].inv()).as_rotvec()
+    residual[:, 6:9] = angle
+    residual[~log.attitude_sampled[later[:, 6]], 6:9] = np.nan
+    d_state[:, 6:9, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
+
+    residual += offset * rates
+    for row, name in enumerate(LAGS):
+        d_constants[:, row, PLACE[name]] = -rates[:, row]
+    return _without(Equations(residual, d_state, None, d_constants), np.isnan(residual))
+
+
+def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
+    """Return the row of the log for each measurement, (n, 9), and its offset in time, NaN where there is none."""
+    later = np.arange(len(log.time))[:, None] + np.array(log.delays)
+    inside = np.clip(later, 0, len(log.time) - 1)
+    offset = log.time[inside] - log.time[:, None] - lag
+    return inside, np.where((inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan)
+
+
+def _log_gradient(angle: Matrix) -> Array:
+    """Return the derivative of Log(exp(angle) exp(x)) by x at 0, to second order in the angle: (n, 3, 3)."""
+    half = cross_matrix(angle) / 2
+    return np.eye(3) + half + half @ half / 3
+
+
+def _without(equations: Equations, missing: Mask) -> Equations:
+    """Return the equations with zeros for the missing ones."""
+    for values in equations:
+        if values is not None:
+            values[missing] = 0.0
+    return equations
+
+
+Windows: TypeAlias = Iterable[tuple[int, Equations, Equations]]
+"""The number of the first state, the process and the measurement equations of consecutive windows."""
+
+
+class Prior(NamedTuple):
+    """Prior knowledge: precision, and the expansion point minus the expected value."""
+
+    states: Matrix  # (n, s) precision
+    states_offset: Matrix  # (n, s)
+    constants: Vector  # (c,) precision
+    constants_offset: Vector  # (c,)
+
+
+class Posterior(NamedTuple):
+    """Solution of the bordered normal equations, and samples from the normal distribution around it."""
+
+    states: Matrix  # (n, s)
+    constants: Vector  # (c,)
+    covariance: Matrix  # of the constants, (c, c)
+    state_draws: Array  # (n, s, k), mean zero
+    constant_draws: Matrix  # (c, k)
+
+
+class Estimate(NamedTuple):
+    """The path, its uncertainty, and the noise."""
+
+    path: FlightPath
+    noise: dict[str, float]
+    covariance: Matrix  # of the free constants, (f, f)
+    air_std: Vector  # (3,) root mean square of the standard deviations of airspeed, alpha, beta
+    converged: bool
+
+
+def estimate(
+    log: Log,
+    start: FlightPath,
+    noise: dict[str, float],
+    *,
+    learn: Collection[str],
+    free: Sequence[str],
+    gust_time: float,
+) -> Estimate:
+    """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
+
+    Gauss-Newton on the path alternates with Foerstner's estimate of the variance components: a channel's variance is
+    the sum of its squared residuals over its redundancy, the number of samples minus the trace of J P J^T. At its fixed
+    point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992, section 8.3). The traces
+    are those of draws from the posterior. The constants of ``start`` are their prior means; those in ``free`` are
+    estimated. ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
+    """
+    path, places = start, [PLACE[name] for name in free]
+    draws = _mirrored_pairs(len(log.time), free)
+    offset = pull = last = np.zeros(len(places))
+    stride = 1.0
+    interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
+    for step in range(MAX_STEPS):
+        if step <= DELAY_STEPS:
+            log = log._replace(delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist()))
+        problem = _Problem(path, log, noise, places, gust_time)
+        posterior = solve(problem, problem.prior(offset, pull), draws)
+        sums = _residual_sums(_process_names(log), problem, posterior)
+        move = posterior.constants / np.sqrt(np.diag(posterior.covariance))  # the full step, in standard deviations
+        if move @ last < -OVERSHOOT * last @ last:
+            stride /= 2
+        last = move
+        change = np.zeros(len(CONSTANTS))
+        change[places] = stride * posterior.constants
+        path = path.moved(stride * posterior.states, change)
+        offset = (path.constants - start.constants)[places]
+        pull = _scale_gradient(path, sums)[places]
+        before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))
+        steady = all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
+        moved, spread = (np.mean(np.square(each), axis=0) for each in (posterior.states, posterior.state_draws))
+        converged = step > 0 and steady and bool(np.all(moved < TOLERANCE**2 * spread.mean(axis=-1)))
+        if converged:
+            break
+    noise = noise | {kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)}
+    return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, places), converged)
+
+
+def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
+    """Return standard normal numbers (9 n + f, N_DRAWS), a set that a mirror at the x-z plane does not change.
+
+    So a mirrored flight, which is the same physics, has the same noise and the mirrored path up to rounding.
+    """
+    sign = np.append(np.tile(MIRROR, n_states), [-1.0 if name in ODD else 1.0 for name in free])
+    half = np.random.default_rng(0).standard_normal((len(sign), N_DRAWS // 2))
+    return np.column_stack([half, sign[:, None] * half])
+
+
+def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
+    r"""Return the least-squares solution of process and measurement equations.
+
+    With the states x (n s) and constants c, the normal equations
+
+    .. math:: \begin{pmatrix} A & B \\ B^T & C \end{pmatrix} \begin{pmatrix} x \\ c \end{pmatrix} =
+              - \begin{pmatrix} g \\ h \end{pmatrix}
+
+    have a block-tridiagonal A, of half bandwidth 2 s - 1: A = L L^T in O(n s^3), and c from the small Schur complement
+    C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x = L^-T e - A^-1 B c with standard normal e and
+    c from the inverse of the complement is a sample from it.
+
+    ``draws`` are standard normal numbers, (n s + c, k).
+    """
+    n, s = prior.states.shape
+    band, border, corner, g, h = _normal_equations(windows, prior)
+    factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
+    solved = cho_solve_banded((factor, True), np.column_stack([border, g]), check_finite=False)
+    inner, shift = solved[:, :-1], solved[:, -1]
+    covariance = np.linalg.inv(corner - border.T @ inner)
+    covariance = (covariance + covariance.T) / 2
+    constants = -covariance @ (h - border.T @ shift)
+    states = -shift - inner @ constants
+    constant_draws = np.linalg.cholesky(covariance) @ draws[n * s :]
+    free_draws = lapack.dtbtrs(factor, draws[: n * s], uplo="L", trans="T")[0]  # L^-T e
+    state_draws = free_draws - inner @ constant_draws
+    return Posterior(states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws)
+
+
+def _normal_equations(windows: Windows, prior: Prior) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
+    """Return A in lower banded storage, B, C, g and h."""
+    (n, s), c = prior.states.shape, len(prior.constants)
+    diagonal, coupling = prior.states[:, :, None] * np.eye(s), np.zeros((max(n - 1, 0), s, s))
+    right, small = np.zeros((n, s, c + 1)), np.zeros((c, c + 1))
+    right[..., -1] = prior.states * prior.states_offset
+    small[:, :c], small[:, c] = np.diag(prior.constants), prior.constants * prior.constants_offset
+    this, after, rest = slice(0, s), slice(s, 2 * s), slice(2 * s, None)
+    for first, process, measurements in windows:
+        measured, linked = _gram(measurements), _gram(process)
+        at = slice(first, first + len(measured))
+        here, there = slice(first, first + len(linked)), slice(first + 1, first + 1 + len(linked))
+        diagonal[at] += measured[:, this, this]
+        diagonal[here] += linked[:, this, this]
+        diagonal[there] += linked[:, after, after]
+        coupling[here] = linked[:, this, after]
+        right[at] += measured[:, this, s:]
+        right[here] += linked[:, this, rest]
+        right[there] += linked[:, after, rest]
+        small += measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, rest].sum(axis=0)
+    flat = right.reshape(n * s, c + 1)
+    return _banded(diagonal, coupling), flat[:, :c], small[:, :c], flat[:, c], small[:, c]
+
+
+def _gram(rows: Equations) -> Array:
+    """Return J^T J of each sample, J = [d_state, d_next, d_constants, residual]."""
+    parts = [rows.d_state, rows.d_next, rows.d_constants, rows.residual[..., None]]
+    J = np.concatenate([part for part in parts if part is not None], axis=2)
+    return J.swapaxes(1, 2) @ J
+
+
+def _banded(diagonal: Array, coupling: Array) -> Matrix:
+    """Return a block-tridiagonal matrix in the lower banded storage of LAPACK: row i - j, column j."""
+    n, s, _ = diagonal.shape
+    band = np.zeros((2 * s, n, s))
+    for j in range(s):
+        for i in range(j, s):
+            band[i - j, :, j] = diagonal[:, i, j]
+        for i in range(s):
+            band[s + i - j, :-1, j] = coupling[:, j, i]
+    return band.reshape(2 * s, n * s)
+
+
+def _process_names(log: Log) -> tuple[str, ...]:
+    """Return the noise of each process equation; without an alpha vane vertical gusts are like horizontal ones."""
+    return PROCESS if np.isfinite(log.air[:, 1]).any() else (*PROCESS[:-1], "gust_horizontal")
+
+
+class _Problem:
+    """Process and measurement equations in units of their noise, by windows (a single one computed once), and prior."""
+
+    def __init__(
+        self, path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+    ) -> None:
+        self.path, self.log, self.noise, self.places, self.gust_time = path, log, noise, places, gust_time
+        self.single: tuple[int, Equations, Equations] | None = None
+
+    def __iter__(self) -> Iterator[tuple[int, Equations, Equations]]:
+        n = len(self.log.time)
+        if n > WINDOW:
+            yield from (self._window(first, min(first + WINDOW, n)) for first in range(0, n, WINDOW))
+        else:
+            self.single = self.single or self._window(0, n)
+            yield self.single
+
+    def _window(self, first: int, last: int) -> tuple[int, Equations, Equations]:
+        margin = 1 + max(map(abs, self.log.delays))
+        start, stop = max(first - margin, 0), min(last + margin, len(self.log.time))
+        path, log = self.path.part(start, stop), self.log.part(start, stop)
+        step = np.diff(log.time)
+        correlation = np.exp(-step / self.gust_time)
+        scale = np.array([self.noise[name] for name in _process_names(self.log)]) * np.ones((len(step), 1))
+        scale[:, 6:] *= np.sqrt(self.gust_time / 2 * (1 - correlation**2))[:, None]
+        process = self._whitened(process_equations(path, log, correlation), scale)
+        noise = np.array([self.noise[name] for name in MEASUREMENTS])
+        measurements = self._whitened(measurement_equations(path, log), noise)
+        return first, process.part(first - start, last - start), measurements.part(first - start, last - start)
+
+    def _whitened(self, rows: Equations, scale: Array) -> Equations:
+        each = scale[..., None]
+        d_next = None if rows.d_next is None else rows.d_next / each
+        return Equations(rows.residual / scale, rows.d_state / each, d_next, rows.d_constants[..., self.places] / each)
+
+    def prior(self, offset: Vector, pull: Vector) -> Prior:
+        """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
+        first = np.concatenate([[True], ~self.log.joined])[:, None]
+        gusts = np.array([self.noise[name] for name in _process_names(self.log)[6:]]) * np.sqrt(self.gust_time / 2)
+        precision = first * np.concatenate([START_PRECISION, gusts**-2])
+        states_offset = np.zeros_like(precision)
+        states_offset[:, 6:] = self.path.gust
+        stiffness = np.array(list(CONSTANTS.values()))[self.places] ** -2
+        return Prior(precision, states_offset, stiffness, offset + pull / stiffness)
+
+
+class Sums(NamedTuple):
+    """Sums over the samples of a channel, in units of its noise."""
+
+    squares: float  # of the residuals
+    trace: float  # of J P J^T, the number of samples that the path fits
+    n_samples: int
+
+
+def _residual_sums(process_names: Sequence[str], windows: Windows, posterior: Posterior) -> dict[str, Sums]:
+    """Return the sums of each channel."""
+    total = {name: np.zeros(3) for name in (*process_names, *MEASUREMENTS)}
+    for first, process, measurements in windows:
+        for names, rows in ((process_names, process), (MEASUREMENTS, measurements)):
+            change = rows.changes(posterior.states[first:, :, None], posterior.constants[:, None])[..., 0]
+            spread = np.square(rows.changes(posterior.state_draws[first:], posterior.constant_draws)).mean(axis=-1)
+            used = np.any(rows.d_state != 0, axis=2)
+            squares = np.sum((rows.residual + change) ** 2, axis=0)
+            for name, sums in zip(names, np.column_stack([squares, spread.sum(axis=0), used.sum(axis=0)]), strict=True):
+                total[name] += sums
+    return {name: Sums(*sums) for name, sums in total.items()}
+
+
+def _variance_components(
+    sums: Mapping[str, Sums], noise: Mapping[str, float], learn: Collection[str], pace: float
+) -> dict[str, float]:
+    """Return the new standard deviation of each channel in ``learn`` that was sampled.
+
+    For a random walk measured with other noise, the share of the residuals grows with the variance and the redundancy
+    with its root. The plain iteration would halve the error in each step, so the step is divided by one minus that
+    slope. ``pace`` shortens it, so that the search does not oscillate.
+    """
+    new = {}
+    for name in learn:
+        if name not in sums or not sums[name].n_samples:
+            continue
+        squares, trace, count = sums[name]
+        guessed, least = (PRIOR_COUNT, MIN_NOISE) if name in NOISE else (0, LEAST_GUST)
+        redundancy = max(count - trace, 1.0)
+        guess = guessed * (NOISE.get(name, 0.0) / noise[name]) ** 2
+        ratio = (squares + guess) / (redundancy + guessed)
+        slope = squares / (squares + guess + MIN_NOISE) - redundancy / (redundancy + guessed) / 2
+        stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / count))
+        new[name] = max(noise[name] * ratio ** (stride / 2), least)
+    return new
+
+
+def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
+    """Return the gradient by the scale factors that the joint maximum of path and scales lacks.
+
+    A larger scale lets smaller gusts explain the same air data, so the joint maximum overestimates it. The marginal
+    likelihood adds the gradient of a determinant: trace / (1 + scale).
+    """
+    gradient = np.zeros(len(CONSTANTS))
+    for name in AIR_DATA:
+        place = PLACE[f"{name}_scale"]
+        gradient[place] = sums[name].trace / (1 + path.constants[place])
+    return gradient
+
+
+def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:
+    squares = np.zeros(3)
+    for first in range(0, len(path.gust), WINDOW):
+        rows = air_data_equations(path.part(first, first + WINDOW))
+        rows = rows._replace(d_constants=rows.d_constants[..., places])
+        errors = rows.changes(posterior.state_draws[first:], posterior.constant_draws)
+        squares += np.square(errors).mean(axis=-1).sum(axis=0)
+    return np.sqrt(squares / len(path.gust))

@@ -168,22 +168,14 @@ class Aerodynamics:
 
     def __call__(self, X: ArrayLike) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
-        X = np.asarray(X, dtype=float)
-        if self.n_paths is not None:
-            return self._each(self.function, X, (6,))
-        if X.ndim == 2:
-            return self.function(X)
-        return self.function(X.reshape(-1, X.shape[-1])).reshape(*X.shape[:-1], 6)
+        return self._evaluated(self.function, np.asarray(X, dtype=float), 6)
 
     def gradient(self, X: ArrayLike) -> Array:
         """Return the slopes of the coefficients (..., 6, d) at regressors (..., d)."""
         X = np.asarray(X, dtype=float)
-        d = X.shape[-1]
         if self._gradient is None:
             return self._differences(X)
-        if self.n_paths is not None:
-            return self._each(self._gradient, X, (6, d))
-        return self._gradient(X.reshape(-1, d)).reshape(*X.shape[:-1], 6, d)
+        return self._evaluated(self._gradient, X, 6, X.shape[-1])
 
     def sample(self, n_paths: int, random_state: Any = 0, *, correlated: bool = False) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
@@ -226,15 +218,16 @@ class Aerodynamics:
     def _errors(self) -> Any:
         return None if self.function_errors is None else self.function_errors()
 
-    def _each(self, function: Callable, X: Array, shape: tuple[int, ...]) -> Array:
-        """Return the values of each path at its regressors, (n_paths, ..., *shape)."""
-        if X.shape[0] != self.n_paths:
+    def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
+        """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
+        paths = () if self.n_paths is None else (self.n_paths,)
+        if X.shape[: len(paths)] != paths:
             raise ValueError(
                 f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as their first axis."
             )
-        if X.ndim == 3:
+        if X.ndim == len(paths) + 2:
             return function(X)
-        return function(X.reshape(len(X), -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
+        return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
     def _differences(self, X: Array) -> Array:
         size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])

@@ -111,7 +111,8 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         )
     if has_columns and thrust != "propeller":
         return _loads_by_axis(flight, aircraft, (len(flight),))
-    if propeller is None or not knows_speed(propeller, flight):
+    speed = propeller_speed_of(propeller, flight)
+    if propeller is None or speed is None:
         lacking = "the aircraft has no propeller" if propeller is None else "it has no propeller_speed [rad/s]"
         raise ValueError(
             f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
@@ -121,8 +122,6 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         )
     check_columns(flight, ["airspeed", "density"])
     airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
-    logged = "propeller_speed" in flight
-    speed = flight["propeller_speed"].to_numpy(float) if logged else propeller.speed_at(flight["throttle"])
     largest, running = propeller.max_advance_ratio, speed > 0
     if largest is not None:
         beyond = propeller.advance_ratio(speed, airspeed)[running] > 1.05 * largest
@@ -136,9 +135,14 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     return propeller_loads(aircraft, speed, airspeed, density)
 
 
-def knows_speed(propeller: Propeller, flight: pd.DataFrame) -> bool:
-    """Return whether a flight gives the speed of the propeller: its own column, or the throttle."""
-    return "propeller_speed" in flight or (propeller.speed_range is not None and "throttle" in flight)
+def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFrame) -> Array | None:
+    """Return the propeller speed [rad/s] of a flight or of controls, by the throttle if need be; None if unknown."""
+    if propeller is None:
+        return None
+    if "propeller_speed" in values:
+        return np.asarray(values["propeller_speed"], dtype=float)
+    by_throttle = propeller.speed_range is not None and "throttle" in values
+    return propeller.speed_at(values["throttle"]) if by_throttle else None
 
 
 def propulsion_loads(
@@ -150,7 +154,7 @@ def propulsion_loads(
     """
     if thrust is None:
         return 0.0, 0.0
-    line, propeller = aircraft.thrust_line or CENTRED, aircraft.propeller
+    line = aircraft.thrust_line or CENTRED
     if callable(thrust):
         newtons = thrust(controls, airspeed, density)
         if np.ndim(newtons) > np.ndim(airspeed):
@@ -165,10 +169,8 @@ def propulsion_loads(
         return _loads_by_axis(controls, aircraft, np.shape(airspeed))
     if "thrust" in controls:
         return line.loads(controls["thrust"])
-    if propeller is not None and "propeller_speed" in controls:
-        return propeller_loads(aircraft, controls["propeller_speed"], airspeed, density)
-    if propeller is not None and propeller.speed_range is not None and "throttle" in controls:
-        return propeller_loads(aircraft, propeller.speed_at(controls["throttle"]), airspeed, density)
+    if (speed := propeller_speed_of(aircraft.propeller, controls)) is not None:
+        return propeller_loads(aircraft, speed, airspeed, density)
     raise ValueError(
         f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
         "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="

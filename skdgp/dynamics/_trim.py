@@ -212,7 +212,10 @@ class SteadyFlight:
     def __init__(self, motion: Motion, given: dict, controls: Sequence[str] | None, fixed: dict, limits: dict):
         self.motion, self.fixed = motion, fixed
         _check_given(given, fixed)
-        self.flown = _flown(motion)
+        self.flown = {}  # what the model was learned from, by name, of the regressors that are no scaled rates
+        if (learned := motion.aerodynamics.limits) is not None:
+            pairs = zip(motion.aerodynamics.regressors, motion.regressors, learned.T.tolist(), strict=True)
+            self.flown = {name: (low, high) for full, name, (low, high) in pairs if "_hat" not in full}
         self.controls = self._controls(controls)
         self.given = {name: value for name, value in given.items() if value is not None}
         if "beta" not in self.given and len(self.controls) >= 4 - ("climb" not in self.given):
@@ -375,12 +378,3 @@ def _check_given(given: dict, fixed: dict) -> None:
             raise ValueError(f"Got {parameter}={value!r}, but expected a finite number.")
         if name in ("climb", "phi", "beta") and value is not None and abs(value) >= np.pi / 2:
             raise degrees_error(f"{parameter}={value:g}", f"radians, less than {np.pi / 2:.3f}", parameter)
-
-
-def _flown(motion: Motion) -> dict[str, tuple[float, float]]:
-    """Return what the model was learned from, by name, of the regressors that are no scaled rates."""
-    aerodynamics = motion.aerodynamics
-    if aerodynamics.limits is None:
-        return {}
-    pairs = zip(aerodynamics.regressors, motion.regressors, *aerodynamics.limits.tolist(), strict=True)
-    return {name: (low, high) for full, name, low, high in pairs if "_hat" not in full}

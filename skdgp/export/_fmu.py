@@ -256,26 +256,14 @@ def _model_values(model: PortableModel, variables: list[_Variable], order: list[
     if implicit:
         tables.append(_array("implicit", implicit, "static const int"))
     line = model.aircraft.thrust_line or CENTRED
-    return {
-        "tables": "\n".join(tables),
-        "n_implicit": len(implicit),
-        "base": _braces(atmosphere.BASE),
-        "lapse": _braces(atmosphere.LAPSE),
-        "temperature": _braces(atmosphere._TEMPERATURE),
-        "pressure": _braces(atmosphere._PRESSURE),
-        "gas": repr(atmosphere.GAS_CONSTANT),
-        "gravity": repr(atmosphere.STANDARD_GRAVITY),
-        "lowest": repr(atmosphere.LOWEST),
-        "highest": repr(atmosphere.HIGHEST),
-        "fastest": repr(FASTEST),
-        "spinning": repr(SPINNING),
-        "slowest": f"{SLOWEST:g}",
-        "direction": _braces(line.direction),
-        "arm": _braces(line._arm),
-        "inertia": _braces(model.aircraft.inertia),
-        "inverse": _braces(model.aircraft.inertia_inverse),
-        "propulsion": _propulsion(model, places),
-    }
+    arrays = {"base": atmosphere.BASE, "lapse": atmosphere.LAPSE, "direction": line.direction, "arm": line._arm}
+    arrays |= {"temperature": atmosphere._TEMPERATURE, "pressure": atmosphere._PRESSURE}
+    arrays |= {"inertia": model.aircraft.inertia, "inverse": model.aircraft.inertia_inverse}
+    numbers = {"gas": atmosphere.GAS_CONSTANT, "gravity": atmosphere.STANDARD_GRAVITY, "fastest": FASTEST}
+    numbers |= {"lowest": atmosphere.LOWEST, "highest": atmosphere.HIGHEST, "spinning": SPINNING}
+    texts = {"tables": "\n".join(tables), "propulsion": _propulsion(model, places), "slowest": f"{SLOWEST:g}"}
+    texts |= {name: _braces(array) for name, array in arrays.items()}
+    return texts | {name: repr(value) for name, value in numbers.items()} | {"n_implicit": len(implicit)}
 
 
 def _propulsion(model: PortableModel, places: dict[str, int]) -> str:

@@ -16,7 +16,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.dynamics._estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
-from skdgp.dynamics._loads import dynamic_pressure, knows_speed
+from skdgp.dynamics._loads import dynamic_pressure, propeller_speed_of
 from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 
@@ -118,9 +118,10 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
 
 def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
     """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
-    propeller = aircraft.propeller
     return thrust == "auto" and all(
-        "throttle" in table and not {*THRUST_FORCES} & {*table} and not (propeller and knows_speed(propeller, table))
+        "throttle" in table
+        and not {*THRUST_FORCES} & {*table}
+        and propeller_speed_of(aircraft.propeller, table) is None
         for table in tables
     )
 

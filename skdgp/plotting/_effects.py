@@ -34,26 +34,22 @@ N_PAIRS = 2
 """Tables of two regressors of each coefficient: those with the largest effect, root mean square over the samples."""
 
 
-class _CurveDisplay(Display):
-    curves: dict[str, Curve]
-    samples: pd.DataFrame
-
-    def _draw_effect(self, ax, i, name, level, named):
-        """Draw the effect of a regressor on output i, and quantiles of the samples."""
-        curve, factor = self.curves[name], display_unit(name)[0]
-        if named:
-            ax.set_xlabel(axis_label(name).replace(" [", "\n["))
-        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
-        artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
-        mark_samples(ax, factor * self.samples[name])
-        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
-        ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
-        ax.locator_params(axis="y", nbins=4)
-        return artists
+def _draw_effect(display: EffectsDisplay | BuildUpDisplay, ax, i, name, level, named):
+    """Draw the effect of a regressor on output i, and quantiles of the samples."""
+    curve, factor = display.curves[name], display_unit(name)[0]
+    if named:
+        ax.set_xlabel(axis_label(name).replace(" [", "\n["))
+    ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
+    artists = draw_curve(ax, factor * curve.at, curve.mean[:, i], curve.std[:, i], level, "effect")
+    mark_samples(ax, factor * display.samples[name])
+    ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
+    ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
+    ax.locator_params(axis="y", nbins=4)
+    return artists
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class EffectsDisplay(_CurveDisplay):
+class EffectsDisplay(Display):
     r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
 
     Panels of a row have the same vertical axis. Short lines at their bottom are quantiles of the samples, each 4 %.
@@ -102,7 +98,7 @@ class EffectsDisplay(_CurveDisplay):
             if column == columns[0]:
                 ax.set_ylabel(symbol(names[i]))
             if column != OTHERS:
-                return *self._draw_effect(ax, i, column, level, i == rows[-1]), None
+                return *_draw_effect(self, ax, i, column, level, i == rows[-1]), None
             ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
             half = z * self.importance.loc[several].iloc[:, i].to_numpy()
             style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
@@ -137,7 +133,7 @@ class EffectsDisplay(_CurveDisplay):
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class BuildUpDisplay(_CurveDisplay):
+class BuildUpDisplay(Display):
     r"""A row for each coefficient: the effect of each regressor with its band, then its largest tables of two.
 
     An effect is the derivative and the table of a regressor; it is drawn as by `EffectsDisplay`. Maps are tables of two
@@ -188,7 +184,7 @@ class BuildUpDisplay(_CurveDisplay):
             if k == 0:
                 ax.set_ylabel(symbol(names[i]))
             if k < n_curves:
-                artists = *self._draw_effect(ax, i, regressors[k], level, i == rows[-1]), None
+                artists = *_draw_effect(self, ax, i, regressors[k], level, i == rows[-1]), None
                 ax.set_ylim(*self._range(i, z))
                 ax.tick_params(labelleft=k == 0, labelbottom=i == rows[-1])
                 return artists

@@ -3,14 +3,15 @@
 import os
 import signal
 import tempfile
+import time
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
+import joblib
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
-from joblib import Memory
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
@@ -58,13 +59,42 @@ def common_folder(tmp_path_factory) -> Path:
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
 
+@pytest.fixture(scope="session")
+def once(common_folder):
+    """Return a function to a folder of the test run that the first process to ask for it fills, while others wait."""
+
+    def once(name, write):
+        folder = common_folder / name
+        done = common_folder / f"{name}.done"
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            for _ in range(3000):  # five minutes: a process may have been killed
+                if done.exists():
+                    break
+                time.sleep(0.1)
+            return folder
+        try:
+            write(folder)
+        finally:
+            done.touch()
+        return folder
+
+    return once
+
+
 @pytest.fixture(scope="session", autouse=True)
-def _flown_once(common_folder):
+def _flown_once(once):
     """Let all processes of a test run share the example flights: to simulate them takes 10 s.
 
     A shorter flight is the beginning of the long one (test_example_flights), and is taken from it.
     """
-    fly = Memory(common_folder, verbose=0).cache(_example_flights._flights.__wrapped__)
+    fly_here = _example_flights._flights.__wrapped__
+
+    def fly(*how):
+        name = "flown " + " ".join(map(str, how))
+        return joblib.load(once(name, lambda folder: joblib.dump(fly_here(*how), folder / "flights")) / "flights")
+
     whole = lru_cache(maxsize=1)(fly)
 
     def flights(*world, duration=_example_flights.DURATION):

@@ -174,7 +174,7 @@ class TestComparison:
 def test_jsbsim_agrees_where_its_earth_is_accounted_for(script):
     pytest.importorskip("jsbsim", reason="flies JSBSim, which is not installed")
     earth = script("_jsbsim_earth")
-    flight, aircraft = script("_jsbsim_flight").fly("c172p", 2.5, 1200, "4th order")
+    flight, aircraft = script("_jsbsim_flight").fly("c172p", 2.5, 1200)
     assert abs(earth.acceleration_errors(flight, aircraft)).max() < 1e-9
     errors = earth.trajectory(flight, aircraft, 2.0)
     assert max(errors.values()) < 1e-5

@@ -192,11 +192,9 @@ def _flown_jsbsim(
         fdm.run()
         if k % FRAMES == FRAMES - 1:
             rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
-    time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
-    log = time >= 0
-    table = pd.DataFrame(rows, columns=[*SOURCES])[log]
-    name = "-".join(map(str, seed))
-    return jsbsim_table(table, time[log], name, command[log], aircraft_of(fdm, model))
+    time = time[FRAMES - 1 :: FRAMES]
+    table = pd.DataFrame(rows, columns=[*SOURCES])[time >= 0]
+    return jsbsim_table(table, time[time >= 0], "-".join(map(str, seed)), aircraft_of(fdm, model))
 
 
 @lru_cache

@@ -76,27 +76,22 @@ class Identification:
     """The whole pipeline, from flight tables, as the command line fits it.
 
     ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given,
-    ``samples`` how many are learned from where not all; ``gusts``: whether bands know how gusty the flight is.
+    ``samples`` how many are learned from where not all.
     """
 
-    def __init__(self, arguments=None, parameters=None, *, samples=None, gusts=True):
+    def __init__(self, arguments=None, parameters=None, *, samples=None):
         self.arguments, self.parameters, self.samples = arguments or {}, parameters or {}, samples
-        self.gusts = gusts
-
-    def unfitted(self, aircraft):
-        pipeline = make_identification_pipeline(aircraft, **self.arguments)
-        seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
-        return pipeline.set_params(**seeds).set_params(**self.parameters)
 
     def fit_flight(self, task):
         learned = task.targets if self.samples is None else thin_targets(task.targets, self.samples)
-        self.pipeline = self.unfitted(task.aircraft).fit(task.train, learned)
+        pipeline = make_identification_pipeline(task.aircraft, **self.arguments)
+        seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
+        self.pipeline = pipeline.set_params(**seeds).set_params(**self.parameters).fit(task.train, learned)
         return self
 
     def transform(self, table):
         """Return the regressors and, last, how much noisier they are than those of the fit."""
-        X, times = flight_regressors(self.pipeline, table)
-        return np.column_stack([X, times if self.gusts else np.ones(len(X))])
+        return np.column_stack(flight_regressors(self.pipeline, table))
 
     def predict(self, X):
         return self.pipeline[-1].predict(X[:, :-1])

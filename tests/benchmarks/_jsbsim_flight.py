@@ -8,10 +8,8 @@ from skdgp.dynamics import Aircraft
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
 EARTH_RATE = 7.292115e-5  # rad/s
-INTEGRATORS = {  # the default is Euler's method for rates and attitude
-    "default": None,
-    "4th order": {"rate/rotational": 5, "rate/translational": 5, "position/rotational": 7, "position/translational": 5},
-}
+FOURTH_ORDER = {"rate/rotational": 5, "rate/translational": 5, "position/rotational": 7, "position/translational": 5}
+"""Integrators of JSBSim; its default is Euler's method for rates and attitude."""
 START = {"h-sl-ft": 4000, "vc-kts": 100, "lat-geod-deg": 45, "long-gc-deg": 10, "psi-true-deg": 60, "gamma-deg": 0}
 DOUBLETS = {"elevator": (1.0, -0.08), "aileron": (4.0, 0.25), "rudder": (7.0, 0.3)}  # from [s], size;
 # a second each way, smooth: a jump would cost any integrator an order
@@ -37,10 +35,10 @@ def _columns():
     yield "longitude", "position/long-gc-rad", 1.0
 
 
-def fly(model, seconds, rate, integrator):
+def fly(model, seconds, rate):
     """Return a flight of ``model`` with doublets of all surfaces, at ``rate`` [Hz], and the aircraft it was."""
     fdm = started(model, rate)
-    for name, method in (INTEGRATORS[integrator] or {}).items():
+    for name, method in FOURTH_ORDER.items():
         fdm[f"simulation/integrator/{name}"] = method
     columns = list(_columns())
     neutral = {surface: fdm[f"fcs/{surface}-cmd-norm"] for surface in DOUBLETS}

@@ -33,8 +33,6 @@ class Log(NamedTuple):
     """Regressors `NAMES`, (n, 11), rates relative to the earth."""
     gust: np.ndarray
     """Non-dimensional rates of the air, (n, 3): what the aerodynamics feel is ``exact`` less these."""
-    command: np.ndarray
-    """What was added to the controls of the autopilot, (n, k)."""
     truth: np.ndarray
     """Coefficients, (n, 6)."""
 
@@ -62,7 +60,7 @@ class Seen(NamedTuple):
     inputs: dict[str, np.ndarray]
     """Regressors `NAMES`, (n, 11), "measured" and "exact"."""
     targets: dict[str, np.ndarray]
-    """Coefficients, (n, 6): "measured", "exact", and "raw", from sensors without any smoothing."""
+    """Coefficients, (n, 6), "measured" and "exact"."""
     log: Log
 
 
@@ -90,13 +88,7 @@ def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -
     for j, name in zip(ROTATION, "pqr", strict=True):
         length = getattr(BRUMBY, RATE_LENGTHS[name])
         exact[:, j] = table[name + TRUTH_SUFFIX] * length / (2 * table["airspeed_true"])
-    gust, command = (exact - felt)[:, ROTATION], commands(plan, table["time"].to_numpy())
-    return Log(table, exact, gust, command, table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
-
-
-def commands(plan: Any, time: np.ndarray) -> np.ndarray:
-    """Return the manoeuvres of a plan, a column for each control."""
-    return np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
+    return Log(table, exact, (exact - felt)[:, ROTATION], table[[f"{c}_true" for c in COEFFICIENTS]].to_numpy())
 
 
 def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
@@ -104,11 +96,7 @@ def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
     noisy = measure(log.table, 1.0, np.random.default_rng([1, seed]))
     table = pd.concat([noisy, log.table], axis=1)
     table = table[[name for name in MEASURED if name in table]].copy()
-    targets = {
-        "exact": log.truth,
-        "measured": aerodynamic_coefficients(table, aircraft).to_numpy(),
-        "raw": aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy(),
-    }
+    targets = {"exact": log.truth, "measured": aerodynamic_coefficients(table, aircraft).to_numpy()}
     steps = make_identification_pipeline(aircraft, regressors="classical")[:-2]
     return Seen({"exact": log.exact, "measured": np.asarray(steps.fit_transform(table), dtype=float)}, targets, log)
 
@@ -184,7 +172,7 @@ def jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) ->
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + duration) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
-    command = commands(plan, time) * [1.0, 1.5, 1.0, 1.0]
+    command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS]) * [1.0, 1.5, 1.0, 1.0]
     rows = []
     for k, now in enumerate(time):
         phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))
@@ -201,13 +189,12 @@ def jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) ->
         fdm.run()
         if k % FRAMES == FRAMES - 1:
             rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
-    time, command = time[FRAMES - 1 :: FRAMES], command[FRAMES - 1 :: FRAMES]
+    time = time[FRAMES - 1 :: FRAMES]
     aircraft, log = aircraft_of(fdm, model), time >= 0
-    table = pd.DataFrame(rows, columns=[*SOURCES])[log]
-    return jsbsim_table(table, time[log], plan.name, command[log], aircraft), aircraft
+    return jsbsim_table(pd.DataFrame(rows, columns=[*SOURCES])[log], time[log], plan.name, aircraft), aircraft
 
 
-def jsbsim_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.ndarray, aircraft: Aircraft) -> Log:
+def jsbsim_table(table: pd.DataFrame, time: np.ndarray, name: str, aircraft: Aircraft) -> Log:
     table = table.reset_index(drop=True)
     table[[f"a{axis}_true" for axis in "xyz"]] /= aircraft.mass
     scale = 0.5 * table["density"].to_numpy() * table["airspeed_true"].to_numpy() ** 2 * aircraft.wing_area
@@ -219,7 +206,7 @@ def jsbsim_table(table: pd.DataFrame, time: np.ndarray, name: str, command: np.n
     gust = np.column_stack([table[f"{rate}_true"] - table[f"{rate}_felt"] for rate in "pqr"])
     gust *= hats(table, aircraft)
     table = table.assign(time=time, flight=name, psi_true=table["psi_true"] % (2 * np.pi))
-    return Log(table, exact, gust, command, truth)
+    return Log(table, exact, gust, truth)
 
 
 def hats(table: pd.DataFrame, aircraft: Aircraft) -> np.ndarray:

@@ -7,8 +7,6 @@ trend is learned, and it flies 60 s more, after the same first flight and in gus
 
     plan, function plan
                   what `plan` chooses for the derivatives, and for the function
-    ... by the truth
-                  the same, but simulated with the true aircraft, and as large as its mean allows in still air
     doublets, 3-2-1-1
                   of the modes' widths, one axis after another
     Schroeder, multisine
@@ -22,11 +20,9 @@ fitted by least squares to the first flight and the first seconds of the second,
     derivatives   at the trim, each times the range of its regressor over that of its coefficient, geometric mean of the
                   sizes, against the same trend fitted to the exact data of a flight in calm air
     function      NRMSE on that flight, mean over the coefficients
-    ratio         seconds of the plan until its error is that of a classical input after all its time, over the seconds
-                  of that input until then; median over the seeds, inf if the plan does not get there. The best kind
-                  is that of the least median error after all its time, of those that the check allows in most seeds;
-                  the best, seed by seed, is chosen in hindsight. The ratio of the errors after all the time to those
-                  of the latter stands beside it
+    ratio         seconds of the plan until its error is that of the best classical input after all its time, over the
+                  seconds of that input until then; median over the seeds, inf if the plan does not get there. The best
+                  is chosen in hindsight, seed by seed. The ratio of the errors after all the time stands beside it
     floor         errors after all the time, as measured; with the rates that the aerodynamics feel, the true alpha and
                   beta, all true regressors; and with the true coefficients too, where the polynomial alone is wrong
 
@@ -70,7 +66,7 @@ from skdgp.design import (
 )
 from skdgp.design._planner import Planner
 from skdgp.design._rehearsal import RESPONSE
-from skdgp.dynamics import Aerodynamics, SimulationWarning, aerodynamic_coefficients, as_aerodynamics, linearize
+from skdgp.dynamics import SimulationWarning, aerodynamic_coefficients, as_aerodynamics, linearize
 
 KEPT = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
 REGRESSORS = [name + HAT if name in RATE_LENGTHS else name for name in KEPT]
@@ -78,9 +74,7 @@ COLUMNS = [NAMES.index(name) for name in KEPT]
 AIR_DATA, RATES = ([KEPT.index(name) for name in names] for names in (("alpha", "beta"), "pqr"))
 EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
 KINDS = ("doublets", "3-2-1-1", "multisine", "Schroeder")
-BY_TRUTH = " by the truth"
 GOALS = {"plan": None, "function plan": ("function",)}
-PLANS = [name + how for name in GOALS for how in ("", BY_TRUTH)]
 WIDE = Envelope(bank=1.0, load_factor=(-np.inf, np.inf), airspeed=(0.0, np.inf), altitude=-np.inf, growth=0.5)
 ENVELOPE = Envelope(altitude=-np.inf, growth=1.0)
 """What was flown, and half of its range more at either end: gusts alone leave less after 60 s of level flight."""
@@ -96,12 +90,8 @@ class Truth(NamedTuple):
     @classmethod
     def of(cls, subject: Subject) -> Truth:
         log = subject.fly([exploratory(subject, 0.6, 1.3)], EXPLORED, "calm", 0)[0]
-        return cls.known(log.exact[:, COLUMNS], log.truth)
-
-    @classmethod
-    def known(cls, X: np.ndarray, Y: np.ndarray) -> Truth:
-        unknown = cls(X, Y, np.zeros((Y.shape[1], X.shape[1])))
-        return unknown._replace(slopes=unknown._trend(X, Y)[0])
+        unknown = cls(log.exact[:, COLUMNS], log.truth, np.zeros((6, len(COLUMNS))))
+        return unknown._replace(slopes=unknown._trend(unknown.X, unknown.Y)[0])
 
     def errors(self, X: np.ndarray, Y: np.ndarray) -> tuple[float, float]:
         """Return the errors of derivatives and function that rows teach."""
@@ -117,14 +107,6 @@ class Truth(NamedTuple):
 
     def _terms(self, X: np.ndarray) -> np.ndarray:
         return PolynomialFeatures(2).fit_transform((X - self.X.mean(axis=0)) / self.X.std(axis=0))
-
-    def aerodynamics(self, learned: Aerodynamics) -> Aerodynamics:
-        """Return the true aircraft, as a planner that knows what was flown."""
-        weights = np.linalg.lstsq(self._terms(self.X), self.Y, rcond=None)[0]
-        return Aerodynamics(
-            lambda X: (self._terms(np.reshape(X, (-1, len(REGRESSORS)))) @ weights).reshape(*np.shape(X)[:-1], 6),
-            REGRESSORS, limits=learned.limits, flown=learned.flown,
-        )  # fmt: skip
 
 
 def seen(log: Log, seed: Any) -> pd.DataFrame:
@@ -152,18 +134,6 @@ def learned(table: pd.DataFrame, subject: Subject) -> Any:
         regressor=DependentGPRegressor(structure="trend", max_iter=10, random_state=0),
     )
     return model.fit(table, aerodynamic_coefficients(table, subject.aircraft))
-
-
-def planned(
-    model: Any, subject: Subject, seconds: float, seed: int, n_paths: int, noise: Any, known: Any = None
-) -> tuple[dict[str, Any], Any]:
-    """Return the plan for each goal, and their planner, which knows what is safe."""
-    planner = Planner(
-        model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.allowed,
-        envelope=replace(ENVELOPE, n_paths=n_paths), altitude=subject.altitude, known=Known(known, noise),
-        pilot=Pilot(rate=40.0), seed=seed,
-    )  # fmt: skip
-    return {name: planner.search(goal) for name, goal in GOALS.items()}, planner
 
 
 def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
@@ -211,7 +181,7 @@ def left(log: Log, parts: Sequence[tuple[float, float]], model: Any, subject: Su
     return [bool(out[(time >= start) & (time < end)].any()) for start, end in parts]
 
 
-def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int) -> dict[str, Any]:
+def loop(subject: Subject, seed: int, seconds: float, n_paths: int) -> dict[str, Any]:
     """Return what one seed flew: rows of every flight, and what was predicted."""
     watch = time.process_time()
     explored = subject.fly([exploratory(subject)], EXPLORED, AIR, [seed, 0])[0]
@@ -219,10 +189,13 @@ def loop(subject: Subject, truth: Truth, seed: int, seconds: float, n_paths: int
     model = learned(first, subject)
     took = {"learn": time.process_time() - watch}
     watch = time.process_time()
-    found, planner = planned(model, subject, seconds, seed, n_paths, coefficient_noise(model))
+    planner = Planner(
+        model, subject.aircraft, airspeeds=subject.airspeed, seconds=seconds, axes=AXES, limits=subject.allowed,
+        envelope=replace(ENVELOPE, n_paths=n_paths), altitude=subject.altitude,
+        known=Known(None, coefficient_noise(model)), pilot=Pilot(rate=40.0), seed=seed,
+    )  # fmt: skip
+    found = {name: planner.search(goal) for name, goal in GOALS.items()}
     took["plan"] = time.process_time() - watch
-    known = truth.aerodynamics(as_aerodynamics(model)), subject, seconds, seed, n_paths, planner.noise, planner.before
-    found |= {name + BY_TRUTH: one for name, one in planned(*known)[0].items()}
     kinds = {name: _manoeuvres(one) for name, one in found.items()} | classical(planner, seconds)
     sorties = {name: sortie(one, planner.rehearsals[0].pause) for name, one in kinds.items() if one}
     logs = dict(zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True))
@@ -282,46 +255,20 @@ def reached(curve: np.ndarray, column: int, error: float) -> float:
 
 
 def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
-    """Return the median seconds of the plan to the last error of each classical input, over those of that input."""
+    """Return the median seconds of the plan to the last error of the best classical input, over those of that input."""
     rows = []
     every = [found for found in every if {*KINDS} & {*found}]
-    for plan in PLANS if every and PLANS[-1] in every[0] else PLANS[:1]:
-        what = "function" if plan.startswith("function") else "derivatives"
-        column = 2 if what == "function" else 1
-        row: dict[str, Any] = {"aircraft": name, "flight": plan, "error of": what}
-        best = [min({*KINDS} & {*found}, key=lambda kind: found[kind][-1, column]) for found in every]
-        errors = {kind: [found[kind][-1, column] for found in every if kind in found] for kind in KINDS}
-        allowed = [kind for kind in KINDS if 2 * len(errors[kind]) > len(every)]
-        kind = min(allowed, key=lambda kind: np.median(errors[kind]))
-        kinds = [(kind, [kind] * len(every)) for kind in KINDS] + [("the best kind", [kind] * len(every))]
-        for label, chosen in [*kinds, ("the best, seed by seed", best)]:
-            ratios = []
-            for found, kind in zip(every, chosen, strict=True):
-                if kind not in found:
-                    continue  # not safe
-                error = found[kind][-1, column]
-                seconds = [max(CUTS, reached(found[flown], column, error)) for flown in (plan, kind)]
-                ratios.append(seconds[0] / seconds[1])
-            row[f"over {label}"] = float(np.median(ratios)) if ratios else None
-        over = [found[plan][-1, column] / found[kind][-1, column] for found, kind in zip(every, best, strict=True)]
-        rows.append(row | {"error over that of the best": float(np.median(over)), "seeds": len(every)})
-    return rows
-
-
-def error_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, Any]]:
-    """Return the median errors of each kind of flight after half and all of its time."""
-    rows = []
-    for kind in (*PLANS, *KINDS):
-        own = np.array([found[kind] for found in every if kind in found])
-        if not len(own):
-            continue  # not safe with any seed
-        first = np.median([found["explored"][0] for found in every], axis=0)
-        row: dict[str, Any] = {"aircraft": name, "flight": kind}
-        for column, what in enumerate(("derivatives", "function"), start=1):
-            row[f"{what} before"] = float(first[column])
-            for k in (own.shape[1] // 2, -1):
-                row[f"{what} {own[0, k, 0]:.0f} s"] = float(np.median(own[:, k, column]))
-        rows.append(row | {"seeds": len(own)})
+    for plan, (what, column) in zip(GOALS, (("derivatives", 1), ("function", 2)), strict=True):
+        seconds, errors = [], []
+        for found in every:
+            best = min({*KINDS} & {*found}, key=lambda kind: found[kind][-1, column])
+            error = found[best][-1, column]
+            errors.append(found[plan][-1, column] / error)
+            own, other = (max(CUTS, reached(found[kind], column, error)) for kind in (plan, best))
+            seconds.append(own / other)
+        if every:
+            medians = {"seconds over the best": float(np.median(seconds)), "error over the best": np.median(errors)}
+            rows.append({"aircraft": name, "flight": plan, "error of": what, **medians, "seeds": len(every)})
     return rows
 
 
@@ -345,24 +292,21 @@ def floor_rows(name: str, every: list[dict[str, Any]], truth: Truth) -> list[dic
     """Return the median errors after all the time, with the true values of more and more that was measured."""
     rows = []
     true = {"true rates of the air": RATES, "true alpha, beta": AIR_DATA, "all true": slice(None)}
-    for kind in ("plan", "plan" + BY_TRUTH):
-        errors = []
-        for found in every:
-            if kind not in found.get("exact", ()):
-                continue
-            X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", kind)]) for k in (1, 2))
-            exact, coefficients = (
-                np.concatenate([found["exact"][one][k] for one in ("explored", kind)]) for k in (0, 1)
-            )
-            tried = {"measured": (X, Y)}
-            for what, columns in true.items():
-                tried[what] = X.copy(), Y
-                tried[what][0][:, columns] = exact[:, columns]
-            tried["and coefficients"] = exact, coefficients
-            errors.append([truth.errors(*one) for one in tried.values()])
-        for column, what in enumerate(("derivatives", "function") if errors else ()):
-            values = np.median(errors, axis=0)[:, column].tolist()
-            rows.append({"aircraft": name, "flight": kind, "error of": what, **dict(zip(tried, values, strict=True))})
+    errors = []
+    for found in every:
+        if "plan" not in found["exact"]:
+            continue
+        X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", "plan")]) for k in (1, 2))
+        exact, coefficients = (np.concatenate([found["exact"][one][k] for one in ("explored", "plan")]) for k in (0, 1))
+        tried = {"measured": (X, Y)}
+        for what, columns in true.items():
+            tried[what] = X.copy(), Y
+            tried[what][0][:, columns] = exact[:, columns]
+        tried["and coefficients"] = exact, coefficients
+        errors.append([truth.errors(*one) for one in tried.values()])
+    for column, what in enumerate(("derivatives", "function") if errors else ()):
+        values = np.median(errors, axis=0)[:, column].tolist()
+        rows.append({"aircraft": name, "flight": "plan", "error of": what, **dict(zip(tried, values, strict=True))})
     return rows
 
 
@@ -378,7 +322,7 @@ def main(words: Any = None) -> None:
     truths = {name: Truth.of(subject) for name, subject in subjects.items()}
     flown: dict[str, list] = {name: [] for name in subjects}
     for seed, name in itertools.product(range(options.seeds), subjects):
-        make = partial(loop, subjects[name], truths[name], seed, options.seconds, options.paths)
+        make = partial(loop, subjects[name], seed, options.seconds, options.paths)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
@@ -387,11 +331,9 @@ def main(words: Any = None) -> None:
             print(name, seed, error, flush=True)
             continue
         print(name, seed, flown[name][-1]["took"], flush=True)
-    tables: dict[str, list] = {"ratios": [], "errors": [], "floor": [], "risks": []}
+    tables: dict[str, list] = {"ratios": [], "floor": [], "risks": []}
     for name, every in flown.items():
-        learning = [curves(found, truths[name]) for found in every]
-        tables["ratios"] += ratio_rows(name, learning)
-        tables["errors"] += error_rows(name, learning)
+        tables["ratios"] += ratio_rows(name, [curves(found, truths[name]) for found in every])
         tables["floor"] += floor_rows(name, every, truths[name])
         tables["risks"] += risk_rows(name, every)
     finish(options, "closed_loop", **tables)

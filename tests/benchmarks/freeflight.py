@@ -60,7 +60,6 @@ PAIRS = [
 ]
 """Aircraft, flight to learn from, and to fly: another flight, or the rest of the first one."""
 SHARE = 0.6
-LEARNED: dict = {"default": {}}
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 HORIZONS = (2.0, 10.0)
@@ -155,22 +154,10 @@ def free(name, models, aircraft, flight, n_paths):
         for row in errors_of(parts, stretches * (len(parts) // len(stretches)))
     ]
     rows = []
-    for method in LEARNED:
-        for air, options in airs(aircraft, flight).items():
-            found = [flown_free(model, aircraft, stretches, options, n_paths=n_paths) for model in models[method]]
-            first = {"flight": name, "method": method, "wind and gusts": air}
-            rows += [first | row for row in coverage_of(found, stretches)]
+    for air, options in airs(aircraft, flight).items():
+        found = [flown_free(model, aircraft, stretches, options, n_paths=n_paths) for model in models["default"]]
+        rows += [{"flight": name, "wind and gusts": air} | row for row in coverage_of(found, stretches)]
     return errors, rows
-
-
-def bands_table(rows):
-    """Return coverage and interval score of each method in each air, after all horizons side by side."""
-    table = pd.DataFrame(rows).pivot(
-        index=["flight", "method", "wind and gusts"], columns="horizon", values=["coverage %", "interval score"]
-    )
-    table = table.reindex(dict.fromkeys((row["flight"], row["method"], row["wind and gusts"]) for row in rows))
-    table.columns = [f"{name}, {horizon:g} s" for name, horizon in table.columns]
-    return table.reset_index().to_dict("records")
 
 
 def airs(aircraft, flight):
@@ -258,7 +245,7 @@ def timed(model, aircraft, n_paths, duration=60.0):
     return rows
 
 
-def learned(options, name, flight, aircraft, **changes):
+def learned(options, name, flight, aircraft):
     """Return pipelines that learned from the flight, one for each seed, from the folder where they are there."""
     models = []
     for seed in range(options.seeds):
@@ -266,7 +253,7 @@ def learned(options, name, flight, aircraft, **changes):
         if path is not None and path.exists():
             models.append(joblib.load(path))
             continue
-        model = make_identification_pipeline(aircraft, **changes)
+        model = make_identification_pipeline(aircraft)
         model[-1].set_params(random_state=seed)
         models.append(model.fit(flight, aerodynamic_coefficients(flight, aircraft)))
         if path is not None:
@@ -299,22 +286,16 @@ def main(words=None):
     }
     errors, air, replays, refined = [], [], [], []
     for name, (short, aircraft, log, flight) in cases.items():
-        models = {
-            method: learned(options, f"{short}_{method}", log, aircraft, **changes)
-            for method, changes in LEARNED.items()
-        }
-        default = models["default"]
+        default = learned(options, f"{short}_default", log, aircraft)
         line = make_identification_pipeline(aircraft, regressor=LinearRegression())
-        models["least squares"] = [line.fit(log, aerodynamic_coefficients(log, aircraft))]
+        models = {"default": default, "least squares": [line.fit(log, aerodynamic_coefficients(log, aircraft))]}
         found = free(name, models, aircraft, flight, options.paths)
         errors, air = errors + found[0], air + found[1]
         replays += replayed(name, default[0], aircraft, flight)
         refined += corrected(name, default, aircraft, log, flight)
         if short == "example":
             times = timed(default[0], aircraft, options.paths)
-    finish(
-        options, "freeflight", errors=errors, bands=bands_table(air), output_error=refined, replay=replays, times=times
-    )
+    finish(options, "freeflight", errors=errors, bands=air, output_error=refined, replay=replays, times=times)
 
 
 def flights_of(folder, name, train, test):

@@ -11,11 +11,10 @@ thrust is unknown, so the coefficients contain it, and the throttle is a regress
 
 Each record is flown from its first state with its commands. The score is the repository's: root mean square errors of
 13 states (position, velocity in body axes, quaternion, rates) over all records and times, each over the range of the
-truth, averaged; the score of poses is that of position and quaternion. "direct": states of the file. "poses":
-``flight_from_poses``; a prediction starts from the state that the first 21 poses give.
+truth, averaged.
 
 Choices are made on the nine records alone: each is left out in turn ("left out"), and predicted by a model of the rest.
-Runs are kept as OUT/sportcub/WAY-METHOD.json, and not run again unless ``--redo`` says so.
+Runs are kept as OUT/sportcub/METHOD.json, and not run again unless ``--redo`` says so.
 """
 
 import ast
@@ -29,9 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import finish, parser_of
-from _peers import IndependentProcesses, OnTrend
 from comparison import Kept
-from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -48,7 +45,6 @@ from skdgp.dynamics import (
     simulate,
     trajectory_bands,
 )
-from skdgp.io import flight_from_poses
 from skdgp.metrics import normalized_rmse
 
 SURFACES = ["elevator", "aileron", "rudder"]
@@ -60,23 +56,10 @@ GROUPS = {
     "rates": ["p", "q", "r"],
 }
 STATES = [name for group in GROUPS.values() for name in group]
-POSE = [0, 1, 2, 6, 7, 8, 9]
-"""Position and quaternion among the 13 states."""
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
-STEP, START_POSES, DENSITY = 0.01, 21, 1.225
+STEP, DENSITY = 0.01, 1.225
 NOISE = {name: std for group, std in zip(GROUPS, (0.005, 0.05, 0.01, 0.1), strict=True) for name in GROUPS[group]}
 """Of the states that motion capture gives, for output error."""
-
-
-class TrendAndProcesses(RegressorMixin, BaseEstimator):
-    """Six processes of scikit-learn after a linear trend, as an estimator."""
-
-    def fit(self, X, Y):
-        self.model_ = OnTrend(IndependentProcesses()).fit(np.asarray(X), np.asarray(Y))
-        return self
-
-    def predict(self, X):
-        return self.model_.predict(np.asarray(X))
 
 
 class Method(NamedTuple):
@@ -84,26 +67,17 @@ class Method(NamedTuple):
 
     name: str
     regressor: object = None
-    left_out: bool = True
     bands: bool = False
     output_error: bool = False
 
 
-def structured(structure):
-    return DependentGPRegressor(structure=structure, random_state=0)
-
-
+TREND = DependentGPRegressor(structure="trend", random_state=0)
 METHODS = {
     "hold": Method("straight on: first velocity, attitude, rates"),
     "least_squares": Method("least squares", LinearRegression()),
-    "six_gps": Method("trend + six scikit-learn GPs", TrendAndProcesses(), left_out=False),
-    "trend": Method('skdgp, structure="trend"', structured("trend"), bands=True),
-    "joint": Method('skdgp, structure="joint"', structured("joint")),
-    "additive": Method('skdgp, structure="additive"', structured("additive")),
+    "trend": Method('skdgp, structure="trend"', TREND, bands=True),
     "pipeline": Method("**skdgp pipeline**", bands=True),
-    "output_error": Method(
-        'skdgp, structure="trend", then output error', structured("trend"), bands=True, output_error=True
-    ),
+    "output_error": Method('skdgp, structure="trend", then output error', TREND, bands=True, output_error=True),
 }
 
 
@@ -119,13 +93,11 @@ class Records(NamedTuple):
 
 
 class Task(NamedTuple):
-    """The aircraft, records to learn from and to predict as the method gets them, and as the file has them (truth)."""
+    """The aircraft, records to learn from and to predict."""
 
     aircraft: Aircraft
     train: Records
     test: Records
-    train_truth: list
-    test_truth: list
 
 
 # -- the repository's data ------------------------------------------------------------------------------------------
@@ -161,7 +133,7 @@ def read(folder, split):
             yield str(name), data["time_s"][k, :n], states, {"throttle": commands[:, 0], **controls}
 
 
-def direct(name, time, states, controls):
+def table_of(name, time, states, controls):
     """Return the flight table of a record as the file has it; accelerations by central differences."""
     position, velocity, quaternion, rates = np.split(states, [3, 6, 10], axis=1)
     euler = quaternion_to_euler(quaternion)
@@ -177,28 +149,14 @@ def direct(name, time, states, controls):
     return table.assign(altitude=-table["down"], density=DENSITY, **controls)
 
 
-def from_poses(name, time, states, controls, rows=None):
-    """Return the flight table of the first poses of a record, by default all."""
-    part = slice(rows)
-    controls = {key: value[part] for key, value in controls.items()}
-    return flight_from_poses(
-        time[part], states[part, :3], states[part, 6:10], frame="NED/FRD", flight=name, controls=controls
-    )
-
-
-def task_of(folder, way):
-    """Return the task of the folder, its states "direct" or from "poses"."""
-    aircraft, parts = aircraft_of(folder), {}
+def task_of(folder):
+    """Return the task of the folder."""
+    aircraft, parts = aircraft_of(folder), []
     for split in ("train", "validation"):
-        raw = list(read(folder, split))
-        truth = [direct(*record) for record in raw]
-        tables = truth if way == "direct" else [from_poses(*record) for record in raw]
-        first = truth if way == "direct" else [from_poses(*record, rows=START_POSES) for record in raw]
-        starts = [table.iloc[:1] for table in first]
+        tables = [table_of(*record) for record in read(folder, split)]
         coefficients = [aerodynamic_coefficients(table, aircraft, thrust=None) for table in tables]
-        parts[split] = Records(tables, starts, coefficients), truth
-    (train, train_truth), (test, test_truth) = parts.values()
-    return Task(aircraft, train, test, train_truth, test_truth)
+        parts.append(Records(tables, [table.iloc[:1] for table in tables], coefficients))
+    return Task(aircraft, *parts)
 
 
 # -- predictions and scores -----------------------------------------------------------------------------------------
@@ -259,11 +217,11 @@ def scores(prediction, truth):
     return np.sqrt(((prediction - truth) ** 2).mean(axis=(0, 1))) / np.ptp(truth.reshape(-1, 13), axis=0)
 
 
-def inside(model, aircraft, records, truth, **options):
+def inside(model, aircraft, records, **options):
     """Return whether the truth lies within 95 % bands, a table (n_records * n, 12) less the first rows."""
     bands = trajectory_bands(flown(model, aircraft, records, **options), 0.95, STATES)
     rows = []
-    for (_, band), table in zip(bands.groupby("start", sort=True), truth, strict=True):
+    for (_, band), table in zip(bands.groupby("start", sort=True), records.tables, strict=True):
         off = table[STATES].to_numpy() - band[STATES].to_numpy()
         turns = [STATES.index(name) for name in GROUPS["attitude"]]
         off[:, turns] = np.angle(np.exp(1j * off[:, turns]))
@@ -283,21 +241,19 @@ def run(task, method, n_paths):
     start = time.process_time()
     model = learned(method, task.aircraft, task.train)
     result = {"cpu_seconds": time.process_time() - start}
-    result["test"] = scores(predicted(model, task.aircraft, task.test), task.test_truth).tolist()
+    result["test"] = scores(predicted(model, task.aircraft, task.test), task.test.tables).tolist()
     if model is not None and not method.output_error:
         asked, mean = np.vstack(task.test.coefficients), np.vstack([model.predict(t) for t in task.test.tables])
         result["coefficients"] = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
     every = range(len(task.train.tables))
-    models = {}
-    if method.left_out:
-        models = {k: learned(method, task.aircraft, task.train.some([j for j in every if j != k])) for k in every}
-        out = [predicted(models[k], task.aircraft, task.train.some([k])) for k in every]
-        result["left_out"] = scores(np.concatenate(out), task.train_truth).tolist()
+    models = {k: learned(method, task.aircraft, task.train.some([j for j in every if j != k])) for k in every}
+    out = [predicted(models[k], task.aircraft, task.train.some([k])) for k in every]
+    result["left_out"] = scores(np.concatenate(out), task.train.tables).tolist()
     if method.bands:
         for drift in (True, False):
             held = partial(inside, n_paths=n_paths, drift=drift)
-            tables = [held(models[k], task.aircraft, task.train.some([k]), [task.train_truth[k]]) for k in every]
-            test = held(model, task.aircraft, task.test, task.test_truth)
+            tables = [held(models[k], task.aircraft, task.train.some([k])) for k in every]
+            test = held(model, task.aircraft, task.test)
             result[f"bands_{'with' if drift else 'without'}_drift"] = {
                 "left out": coverage(tables),
                 "test": coverage([test]),
@@ -305,8 +261,6 @@ def run(task, method, n_paths):
     if method.bands and not method.output_error:
         shares = [getattr(each[-1], "weights_", {}).get("trend", 0.0) for each in (model, *models.values())]
         result["trend"] = [float(np.mean(share)) for share in shares]
-        result["drift_std"] = np.sqrt(getattr(model[-1], "drift_variance_", np.zeros(6))).tolist()
-        result["drift_memory"] = np.asarray(getattr(model[-1], "drift_memory_", np.zeros(6))).tolist()
     return result
 
 
@@ -315,52 +269,41 @@ def run(task, method, n_paths):
 
 def tables(runs):
     """Return the tables."""
-    rows = {way: [] for way in ("direct", "poses")}
-    bands, chosen = [], []
-    for (way, name), run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0][1])):
-        row = {"method": METHODS[name].name}
-        for kind, shown in (("left_out", "left out"), ("test", "test")):
-            found = np.array(run[kind]) if kind in run else None
-            if way == "direct":
-                row[f"NRMSE of states, {shown}"] = mean_of(found)
-            row[f"NRMSE of poses, {shown}"] = mean_of(found, POSE)
-        row["NRMSE of coefficients, test"] = mean_of(run.get("coefficients"))
-        rows[way].append(row | {"CPU s": run["cpu_seconds"]})
+    rows, bands, chosen = [], [], []
+    for name, run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0])):
+        first = {"method": METHODS[name].name}
+        row = {f"NRMSE of states, {kind.replace('_', ' ')}": mean_of(run[kind]) for kind in ("left_out", "test")}
+        rows.append(first | row | {"NRMSE of coefficients, test": mean_of(run.get("coefficients"))})
+        rows[-1]["CPU s"] = run["cpu_seconds"]
         for drift in ("with", "without"):
             for part, held in run.get(f"bands_{drift}_drift", {}).items():
                 covered = {f"{group} %": share for group, share in held.items()}
-                bands.append({"method": METHODS[name].name, "states": way, "records": part, "drift": drift, **covered})
+                bands.append(first | {"records": part, "drift": drift, **covered})
         if "trend" in run:
-            first, *others = run["trend"]
-            row = {"all records": first, "one left out, least": min(others), "most": max(others)} if others else {}
-            chosen.append({"method": METHODS[name].name, "states": way, **row})
-    return {**{way: found for way, found in rows.items() if found}, "bands": bands, "weight_of_the_trend": chosen}
+            whole, *others = run["trend"]
+            chosen.append(first | {"all records": whole, "one left out, least": min(others), "most": max(others)})
+    return {"states": rows, "bands": bands, "weight_of_the_trend": chosen}
 
 
-def mean_of(errors, which=slice(None)):
-    return None if errors is None else float(np.array(errors)[which].mean())
+def mean_of(errors):
+    return None if errors is None else float(np.mean(errors))
 
 
 def main(words=None):
     parser = parser_of(__doc__, redo=True)
     parser.add_argument("folder", type=Path, nargs="?", help="unpacked copy of jgoppert/sysid_litreview_26")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    parser.add_argument("--ways", nargs="+", choices=("direct", "poses"), default=["direct", "poses"])
     parser.add_argument("--paths", type=int, default=100, help="functions drawn for bands")
     options = parser.parse_args(words)
     if options.folder is None:
         parser.error("the folder of the repository is needed")
-    kept = Kept(options.out, "sportcub")
-    for way in options.ways:
-        task = None
-        for name in options.methods:
-            if f"{way}-{name}" in kept and not options.redo:
-                continue
-            task = task or task_of(options.folder, way)
-            method = METHODS[name]
-            kept.keep(f"{way}-{name}", run(task, method, options.paths))
-            print(f"{way}-{name}: {mean_of(kept.memory[f'{way}-{name}']['test']):.4f}", file=sys.stderr, flush=True)
-    finish(options, "sportcub", **tables({tuple(key.split("-")): run for key, run in kept.memory.items()}))
+    kept, task = Kept(options.out, "sportcub"), None
+    for name in options.methods:
+        if name not in kept or options.redo:
+            task = task or task_of(options.folder)
+            kept.keep(name, run(task, METHODS[name], options.paths))
+            print(f"{name}: {mean_of(kept.memory[name]['test']):.4f}", file=sys.stderr, flush=True)
+    finish(options, "sportcub", **tables(kept.memory))
 
 
 if __name__ == "__main__":

@@ -10,11 +10,9 @@ another path, derivatives at a trim. A case says which causes of error the train
     targets   coefficients measured by noisy sensors, or exact
     rates     relative to the earth, as gyros measure them, or to the air, as the aerodynamics feel them
     slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
-    rows      all, or the half in which the roll rate is largest
 
-From one case to the next of a chain one cause is added. ``--processes`` seeds are learned by the default and the model
-for other air, ``--others`` by other dependent processes, all ``--seeds`` by linear methods. Each fit is kept under
-OUT/study and not done again. Aircraft of JSBSim need the jsbsim wheel.
+``--processes`` seeds are learned by the default and the model for other air, ``--others`` by other dependent processes,
+all ``--seeds`` by least squares. Each fit is kept under OUT/study and not done again. JSBSim needs its wheel.
 """
 
 import itertools
@@ -26,81 +24,35 @@ import joblib
 import numpy as np
 from _common import finish, parser_of
 from _study_flights import NAMES
-from _study_methods import EVERY, Case, agitation, lagged, line, noise_spectra, parabola, process
-from _study_methods import weighted as weighted_least_squares
+from _study_methods import EVERY, Case, agitation, line, process
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp._flight.channels import COEFFICIENTS
 
-EXACT = Case("exact", "exact", "air", "exact")
-CHAINS = {  # each case adds the cause that names it
-    "quasi-steady": {
-        "exact data": EXACT,
-        "no alpha_dot": EXACT._replace(slopes="none"),
-        "gust rates": EXACT._replace(slopes="none", rates="earth"),
-        "noise of loads": Case(inputs="exact"),
-        "noise of regressors": Case(),
-    },
-    "classical": {
-        "exact data": EXACT,
-        "gust rates": EXACT._replace(rates="earth"),
-        "noise of loads": Case(inputs="exact", slopes="exact"),
-        "noise of regressors": Case(slopes="own"),
-    },
-}
+EXACT, LOADS = Case("exact", "exact", "air", "exact"), Case(inputs="exact", slopes="exact")
+"""Exact data, and data of which the loads alone are noisy, classical regressors."""
 LOGGED, CLASSICAL = Case(), Case(slopes="own")
-GIVEN = Case(rates="air", slopes="own")
-AGITATED = Case(rows="agitated")
-ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical", AGITATED: "quasi-steady, agitated half of the rows"}
-ASKED |= {GIVEN: "classical, rates of the air given"}
+ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical"}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
 SYMMETRIC = {"symmetric": True}
 DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")]
 AIRED = [(air, Case(rates="air"), SYMMETRIC) for air in ("light", "moderate")]
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
     *((air, LOGGED, QUADRATIC) for air in ("light", "moderate", "calm")),
-    *((air, AGITATED, {}) for air in ("light", "moderate")),
-    ("light", CLASSICAL, QUADRATIC),
-    ("light", CLASSICAL, {"structure": "additive"}),
-    ("light", GIVEN, {}),
+    ("light", EXACT, {}),
+    ("light", LOADS, {}),
 ]
-CHAINED = [("light", case, {}) for chain in CHAINS.values() for case in chain.values()]
 DERIVATIVES = [  # label, case, method
     ("default", LOGGED, "default"),
     ("default, classical", CLASSICAL, "default"),
     ("least squares", LOGGED, "least squares"),
-    ("least squares, classical", CLASSICAL, "least squares"),
-    ("IV surfaces", LOGGED, "IV surfaces"),
-    ("IV commands", LOGGED, "IV commands"),
-    ("IV commands, classical", CLASSICAL, "IV commands"),
-    ("least squares, classical, rates of the air given", GIVEN, "least squares"),
 ]
-COVERED = DERIVATIVES[:3]  # of them, those whose deviations are compared with their errors
-LINEAR = ("least squares", "second order", "IV commands", "weighted")
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p")
 SHOWN = (
     *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
     *("Cl_aileron", "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder"),
 )
-
-
-def linear_methods(subject, seen, spectra):
-    """Return what linear methods find, by case and method."""
-    found = {}
-    for case in [*CHAINS["quasi-steady"].values(), CLASSICAL, GIVEN]:
-        X, Y = case.table(seen)
-        found[case, "least squares"] = line(X, Y, subject, case)
-    X, Y = LOGGED.table(seen)
-    found[LOGGED, "second order"] = parabola(X, Y, subject, LOGGED)
-    found[LOGGED, "IV surfaces"] = line(X, Y, subject, LOGGED, lagged(seen.log.exact[:, -4:], 1.0))
-    for case in (LOGGED, CLASSICAL):
-        X, Y = case.table(seen)
-        found[case, "IV commands"] = line(X, Y, subject, case, lagged(seen.log.command, 2.0))
-    for case in (LOGGED, CLASSICAL, CHAINS["quasi-steady"]["noise of loads"], CHAINS["classical"]["noise of loads"]):
-        X, _ = case.table(seen)
-        found[case, "weighted"] = weighted_least_squares(X, seen.targets["raw"], subject, case, spectra)
-    return found
 
 
 def kept(folder, name, function):
@@ -126,7 +78,7 @@ def method_of(changes):
 
 def process_task(subject, seen, air, seed, case, changes, folder, max_iter, until):
     """Return key and result of a fit; None if it is too late to begin one."""
-    name = "-".join([subject.name, air, str(seed), *case[:4], *({case.rows} - {"all"}), *named(changes)])
+    name = "-".join([subject.name, air, str(seed), *case, *named(changes)])
     if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
         return None
     start = time.process_time()
@@ -135,15 +87,14 @@ def process_task(subject, seen, air, seed, case, changes, folder, max_iter, unti
     return (air, case, method_of(changes)), found
 
 
-def known_task(subject, seen, air, seed, case, folder):
+def known_task(subject, seen, seed, folder):
     """Return the process at the hyperparameters that exact data of the same log teach; None if they are not known."""
-    exact = EXACT if "exact" in case.slopes else CHAINS["quasi-steady"]["no alpha_dot"]
-    path = folder and folder / f"{'-'.join([subject.name, air, str(seed), *exact[:4]])}.joblib"
+    path = folder and folder / f"{'-'.join([subject.name, 'light', str(seed), *EXACT])}.joblib"
     if path is None or not path.exists():
         return None
-    name = f"{subject.name}-{air}-{seed}-{'-'.join(case[:4])}-known"
-    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, {}, joblib.load(path)[1]))
-    return (air, case, "known hyperparameters"), found
+    name = f"{subject.name}-light-{seed}-{'-'.join(LOADS)}-known"
+    found, _ = kept(folder, name, partial(process, subject, seen, LOADS, seed, {}, joblib.load(path)[1]))
+    return ("light", LOADS, "known hyperparameters"), found
 
 
 # -- tables --------------------------------------------------------------------------------------------
@@ -179,7 +130,7 @@ def function_table(results):
             key
             for key in results.found
             if key[0] == air and key[1] in ASKED
-            if key[2].startswith("default") or (key[1] == LOGGED and key[2] in LINEAR)
+            if key[2].startswith("default") or key[1] == LOGGED
         ]
         for key in sorted(keys, key=lambda key: not key[2].startswith("default")):
             found = results.found[key]
@@ -205,6 +156,15 @@ def air_table(results):
             row = {"air": air, "NRMSE default": default, "NRMSE rates of the air given": given}
             rows.append(row | {"rates given over default": given / default, "seeds": seeds})
     return rows
+
+
+def known_table(results):
+    """Return the error of the function at the hyperparameters of exact data, beside that of the default."""
+    keys = [("light", LOADS, method) for method in ("known hyperparameters", "default")]
+    if not all(key in results.found for key in keys):
+        return []
+    seeds = min(len(results.found[key]) for key in keys)
+    return [{f"NRMSE {key[2]}": float(results.nrmse(key, seeds).mean()) for key in keys} | {"seeds": seeds}]
 
 
 def place_of(derivative):
@@ -240,7 +200,7 @@ def coverage_table(results):
     """Return how the errors of derivatives compare with stated deviations."""
     rows, subject = [], results.subject
     for air in flights.AIR:
-        for label, case, method in COVERED:
+        for label, case, method in DERIVATIVES:
             found = results.found.get((air, case, method))
             if found is None:
                 continue
@@ -255,12 +215,20 @@ def coverage_table(results):
                 {"air": air, "method": label}
                 | {"within 2 std, %": float(100 * inside[:, matters].mean())}
                 | {"of those shown, %": float(100 * np.mean(shown))}
+                | {"within 2 std of the posterior alone, %": _share_by_posterior(found, subject.known, matters)}
                 | {"scatter over stated std": float(np.median(scatter / stated)) if len(error) > 1 else None}
                 | {"bias over stated std": float(np.median(bias / stated))}
                 | {"rms error over stated std": float(np.sqrt(np.mean((error / std) ** 2)))}
                 | {"derivatives": int(matters.sum()), "seeds": len(error)}
             )
     return rows
+
+
+def _share_by_posterior(found, known, matters):
+    if found[0].slopes_posterior is None:
+        return None
+    inside = [np.abs(one.slopes - known) < 2 * one.slopes_posterior for one in found]
+    return float(100 * np.mean(np.array(inside)[:, matters]))
 
 
 def amplitude_table(subject, seen):
@@ -292,26 +260,6 @@ def amplitude_table(subject, seen):
     return rows
 
 
-def bound_table(results):
-    """Return the bounds of the function beside what is reached, NRMSE."""
-    rows = []
-    for (air, case, method), found in results.found.items():
-        if method not in ("weighted", "known hyperparameters") or case.inputs != "exact":
-            continue
-        scale = results.truth.std(axis=0)
-        same = (air, case, "default")
-        default = float(results.nrmse(same, len(found)).mean()) if same in results.found else None
-        stated = np.sqrt(np.mean([one.function_std**2 for one in found], axis=(0, 1))) / scale
-        rows.append(
-            {"air": air, "regressors": "quasi-steady" if case.slopes == "none" else "classical"}
-            | {"bound": "Cramer-Rao, linear" if method == "weighted" else "process, known hyperparameters"}
-            | {"NRMSE stated": float(stated.mean())}
-            | {f"NRMSE {name}": float(e) for name, e in zip(COEFFICIENTS, stated, strict=True)}
-            | {"NRMSE reached by it": float(results.nrmse((air, case, method)).mean()), "NRMSE default": default}
-        )
-    return rows
-
-
 def study(subject, options, folder):
     """Return all results of an aircraft, and what was learned from."""
     run = joblib.Parallel(n_jobs=options.jobs)
@@ -320,17 +268,9 @@ def study(subject, options, folder):
     looks = [partial(flights.seen, subject.logs[air][seed], subject.aircraft, seed) for air, seed in jobs]
     looked = run(joblib.delayed(kept)(folder, *task) for task in zip(names, looks, strict=True))
     seen = dict(zip(jobs, looked, strict=True))
-    found = []
-    for air in flights.AIR:
-        logs = [seen[air, seed] for seed in range(options.seeds)]
-        spectra = noise_spectra(subject, logs)
-        names = [f"{subject.name}-{air}-{seed}-linear" for seed in range(options.seeds)]
-        tasks = [partial(linear_methods, subject, log, spectra) for log in logs]
-        for one in run(joblib.delayed(kept)(folder, *task) for task in zip(names, tasks, strict=True)):
-            found += [((air, *key), value) for key, value in one.items()]
-    print(f"{subject.name}: linear methods done", flush=True)
-    parts = [(part, options.processes) for part in (DEFAULTS, AIRED)]
-    parts += [(part, options.others) for part in (COMPARED, CHAINED)]
+    lines = [((air, LOGGED, "least squares"), LOGGED.table(log)) for (air, _), log in seen.items()]
+    found = [(key, line(*table, subject, LOGGED)) for key, table in lines]
+    parts = [(DEFAULTS, options.processes), (AIRED, options.processes), (COMPARED, options.others)]
     wanted = [(*task, seed) for part, n in parts for seed in range(n) for task in part]
     unique = {(air, case, method_of(changes), seed): changes for air, case, changes, seed in wanted}
     until = time.monotonic() + 60 * options.minutes
@@ -340,18 +280,14 @@ def study(subject, options, folder):
         )
         for (air, case, _, seed), changes in unique.items()
     )
-    known = run(
-        joblib.delayed(known_task)(subject, seen["light", seed], "light", seed, case, folder)
-        for seed in range(options.others)
-        for case in [CHAINS[name]["noise of loads"] for name in CHAINS]
-    )
+    known = [known_task(subject, seen["light", seed], seed, folder) for seed in range(options.others)]
     return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
 
 
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS])
-    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for linear methods")
+    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for least squares")
     parser.add_argument("--processes", type=int, default=3, help="of them, for the default")
     parser.add_argument("--others", type=int, default=1, help="of them, for other dependent processes")
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
@@ -369,7 +305,7 @@ def main(words=None):
         "study" if name == "example" else f"study_{name}",
         function=function_table(results),
         air=air_table(results),
-        bounds=bound_table(results),
+        known=known_table(results),
         derivatives=derivative_table(results),
         amplitudes=amplitude_table(subject, seen),
         coverage=coverage_table(results),

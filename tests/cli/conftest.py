@@ -4,7 +4,6 @@ import io
 import json
 import pickle
 import subprocess
-import time
 from contextlib import redirect_stderr, redirect_stdout
 
 import pytest
@@ -17,27 +16,9 @@ QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", 
 
 
 @pytest.fixture(scope="session")
-def folder(common_folder):
+def folder(once):
     """Return a folder of short flights and their aircraft, as an engineer would have them."""
-    return once(common_folder / "flights", write_flights)
-
-
-def once(folder, write):
-    """Return a folder that the first process to ask for it fills, while others wait."""
-    done = folder.with_suffix(".done")
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        for _ in range(3000):  # five minutes: a process may have been killed
-            if done.exists():
-                break
-            time.sleep(0.1)
-        return folder
-    try:
-        write(folder)
-    finally:
-        done.touch()
-    return folder
+    return once("flights", write_flights)
 
 
 def write_flights(folder):
@@ -67,7 +48,7 @@ def leave_report_out(patch):
 
 
 @pytest.fixture(scope="session")
-def identified(folder, common_folder, cut_short):
+def identified(folder, once, cut_short):
     """Return what a whole run wrote and said, but for its report, which takes longer to draw than all else."""
 
     def write(results):
@@ -80,7 +61,7 @@ def identified(folder, common_folder, cut_short):
             done = subprocess.CompletedProcess(words, main(words), *(stream.getvalue() for stream in said))
         (results / "said.pickle").write_bytes(pickle.dumps(done))
 
-    results = once(common_folder / "results", write)
+    results = once("results", write)
     output, done = results / "deep" / "er", pickle.loads((results / "said.pickle").read_bytes())
     assert done.returncode == 0, done.stderr
     return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)

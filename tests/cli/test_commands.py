@@ -369,16 +369,23 @@ class TestPlan:
     def test_what_an_earlier_plan_wrote_does_not_stay(self, path, run, tmp_path, capsys, monkeypatch):
         """Its script would be flown with the card of another plan. One airspeed of two has nothing planned."""
         monkeypatch.setattr(_card, "_pictures", lambda *args: "")
+        plan_flight, plans = _plan.plan_flight, []
+
+        def once(*words, **options):
+            plans.extend([] if plans else [plan_flight(*words, **options)])
+            return plans[0]
+
+        monkeypatch.setattr(_plan, "plan_flight", once)
         folder = tmp_path / "out"
         folder.mkdir()
         old = {"plan.lua", "plan_1.csv", "plan_2.csv", "plan_1.lua"}
         for name in (*old, "plan_b.csv", "my_plan.lua"):
             (folder / name).write_text("old")
         (folder / "config.toml").write_text("# python -m skdgp simulate --config THIS_FILE")
-        more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20")
+        more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20 --airspeed 35 36")
         run("plan", *self.WORDS, *more)
         assert old < files(folder)  # no plan wrote them
-        assert main(["plan", path, *self.WORDS, *more, "--airspeed", "35", "36", "-o", str(folder)]) == 0
+        assert main(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
         names = {"plan.csv", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
         said = capsys.readouterr().out

@@ -87,11 +87,11 @@ def test_tables_are_linear_between_breakpoints_and_constant_beyond():
 
 
 def test_a_compact_model_needs_samples(fitted, uav, regressors):
-    model = fitted("joint")
-    small = type(model)([("scale", model[0]), ("small", model[-1].compact(300))])
+    model = fitted("additive")
+    small = type(model)([("scale", model[0]), ("small", model[-1].compact(100))])
     with pytest.raises(ValueError, match=r"compact model, which holds no samples\. Give X"):
         build_up(small, uav)
-    found = build_up(small, uav, X=regressors, max_loss=np.inf)
+    found = build_up(small, uav, X=regressors, pairs="none", max_loss=np.inf)
     assert found.loss["loss"].max() < 0.1
 
 
@@ -147,7 +147,7 @@ def test_effects_are_parts_of_the_sum(built):
 class TestBadInput:
     def test_loss_is_refused_with_its_figure(self, fitted, uav):
         with pytest.raises(ValueError, match=r"change by \{.*'\w+': '\d.*expected at most 1e-06"):
-            build_up(fitted("joint"), uav, max_loss=1e-6)
+            build_up(fitted("sparse"), uav, max_loss=1e-6)
 
     @pytest.mark.parametrize(
         ("options", "match"), [({"pairs": "beta"}, "expected 'all'"), ({"tolerance": 0.0}, "positive fractions")]

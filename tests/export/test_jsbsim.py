@@ -180,7 +180,7 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
 
 
 @pytest.mark.usefixtures("short_flights", "short_fits")
-@pytest.mark.parametrize("short_flights", [3000], indirect=True)
+@pytest.mark.parametrize("short_flights", [1500], indirect=True)
 def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):
     """The build-up of export.md, and its aircraft, whose trim by JSBSim is that of this package, flown for 10 s."""
     pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")

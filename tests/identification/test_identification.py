@@ -189,7 +189,7 @@ class TestPipeline:
 def example():
     """Return short example flights: two to learn from, one to test."""
     data = load_example_flights()
-    return data.aircraft, data.train[data.train["time"] < 15], data.test[data.test["time"] < 8]
+    return data.aircraft, data.train[data.train["time"] < 10], data.test[data.test["time"] < 6]
 
 
 @pytest.fixture(scope="module")
@@ -226,10 +226,10 @@ def test_few_rows_are_among_the_messages(result):
 
 
 def test_few_seconds_are_said(example):
-    """The flights of 15 s have 1200 rows, but errors of neighbours are the same."""
+    """The flights of 10 s have 800 rows, but errors of neighbours are the same."""
     aircraft, train, _ = example
     model = make_identification_pipeline(aircraft, regressor=DependentGPRegressor(structure="trend", max_iter=5))
-    with pytest.warns(FewRowsWarning, match=r"Got 1200 rows, worth \d+ independent .* minutes of manoeuvres"):
+    with pytest.warns(FewRowsWarning, match=r"Got 800 rows, worth \d+ independent .* minutes of manoeuvres"):
         model.fit(train, aerodynamic_coefficients(train, aircraft))
 
 
@@ -251,7 +251,7 @@ class TestIdentify:
         assert of["normalized_rmse"] == pytest.approx(errors[2])
         assert re.search(rf"^  CZ +{100 * of['median_relative_error']:.1f} % ", result.summary(), re.MULTILINE)
         assert result.fit["samples"] == result.settings["samples"] == 40
-        assert result.fit["flights"] == {"lateral": 600, "latlon": 600}
+        assert result.fit["flights"] == {"lateral": 400, "latlon": 400}
         assert result.held_out is None
 
     def test_says_the_weights_of_the_average(self, averaged):
@@ -396,7 +396,13 @@ class TestIdentify:
             warnings.simplefilter("ignore", ConvergenceWarning)
             warnings.simplefilter("ignore", FewRowsWarning)
             found = identify(
-                [bare], aircraft, test=test.drop(columns="flight"), samples=40, regressor=QUICK, horizons=[1]
+                [bare],
+                aircraft,
+                test=test.drop(columns="flight"),
+                samples=40,
+                regressor=QUICK,
+                regressors=["alpha", "beta", "p", "q", "r"],
+                horizons=[1],
             )
         assert list(found.train) == ["flight 1"]
         assert list(found.metrics["test"]) == ["test flight 1"]

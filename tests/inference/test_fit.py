@@ -149,7 +149,7 @@ class TestGivenKernel:
 def test_default_fits_are_good_fits():
     """The attained likelihood does not hang on the seed."""
     rng = np.random.default_rng(3)
-    X = rng.normal(size=(70, 3))
+    X = rng.normal(size=(50, 3))
     common = np.sin(1.5 * X[:, 0]) + 0.3 * X[:, 1] ** 2
     Y = np.column_stack([common, -common + 0.5 * np.cos(2 * X[:, 2]), X[:, 1] + 0.2 * common])
     Y += rng.normal(0, 0.1, Y.shape)

@@ -176,7 +176,9 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, draw
             slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(speed))
     besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
-    variance = drift.misfit + min(ROUGHEST, ratio) * np.maximum(besides - drift.misfit, 0.0)
+    in_gusts = 1.0 - SENSOR_GUST**2 / (np.square(flown.intensity).sum() + SENSOR_GUST**2)  # none of it in calm air
+    largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
+    variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
     return drift._replace(variance=variance if drawn else variance + ratio * (drift.variance - besides))
 
 

@@ -214,7 +214,7 @@ class SparsePosterior(Single):
     def roots(self) -> list[np.ndarray]:
         """Lu^-T R of the features of each output, (c, c), with R R^T = I - B^-1.
 
-        With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V = |Kfu Lu^-T R|^2.
+        With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V, the square of Kfu Lu^-T R.
         """
         roots = []
         with threads_for(self.size):

@@ -107,6 +107,7 @@ def derivatives(things, aircraft, kind, train, test, at, airspeed, options):
         found = identify(train, told, test=test, samples=options.samples, reading={"servos": servos})
         controls = {name: at[name] / units.get(name, 1.0) for name in (*SURFACES, "throttle")}
         state = state_at(at, airspeed, aircraft)
+        told = found.aircraft  # with the deviations of vanes, airspeed and thrust
         table = stability_derivatives(found.pipeline, told, state, controls, thrust=None, n_paths=options.paths)
     table = table[table["regressor"].isin(REGRESSORS) & table["coefficient"].isin(COEFFICIENTS)].copy()
     by = table["regressor"].map(units).fillna(1.0)

@@ -110,6 +110,21 @@ def test_the_order_of_regressors_outputs_and_rows_decides_nothing(seed, inferenc
 
 
 @EXAMPLES
+@given(SEEDS, INFERENCE, st.sampled_from([0.0, 0.6, -1e-7, 1e6, 0.1 + 0.2]))
+def test_a_constant_regressor_changes_nothing(seed, inference, constant):
+    """Whatever its unit: the deviation of equal numbers is rounding."""
+    X, Y = problem(seed)
+    how = options(seed) | {"inference": inference, "covariance_type": "diag"}
+    more = np.column_stack([X, np.full(len(X), constant)])
+    plain, model = (DependentGPRegressor(**how).fit(x, Y) for x in (X, more))
+    for got, expected in zip(model.predict(more, True), plain.predict(X, True), strict=True):
+        close(got.reshape(len(X), -1), expected.reshape(len(X), -1), np.nanstd(Y, axis=0), 1e-5)
+    more[:, -1] += 1.0
+    std = model.predict(more, return_std=True)[1].reshape(len(X), -1)
+    assert (std >= plain.predict(X, True)[1].reshape(len(X), -1) * (1 - 1e-5)).all()
+
+
+@EXAMPLES
 @given(SEEDS)
 def test_a_regressor_given_twice_is_one_with_a_longer_scale(seed):
     """exp(-2 (x / l)^2 / 2) = exp(-(x / (l / sqrt 2))^2 / 2)."""
@@ -158,6 +173,36 @@ def test_slopes_are_those_of_the_mean(seed, inference):
         step[k] = 1e-4 * size
         ahead, behind = (model.predict(X[:4] + sign * step).reshape(4, -1) for sign in (1, -1))
         close(slopes[..., k] * size, (ahead - behind) / 2e-4, np.nanstd(Y, axis=0), 1e-5)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_the_bound_is_below_the_likelihood(seed):
+    """Titsias (2009), equation 9; it is reached where every sample is an inducing input, but for their own noise."""
+    X, Y = problem(seed)
+    how = options(seed) | {"input_noise": None}
+    few = int(np.random.default_rng(seed + 3).integers(1, 40))
+    sparse = DependentGPRegressor(**how | {"inference": "sparse", "n_inducing": few}).fit(X, Y)
+    exact = DependentGPRegressor(**how | {"inference": "exact"}).fit(X, Y).log_marginal_likelihood(sparse.theta_)
+    assert sparse.log_marginal_likelihood_value_ <= exact + 1e-8 * abs(exact)
+
+
+@EXAMPLES
+@given(SEEDS, INFERENCE)
+def test_learning_step_by_step_is_learning_at_once(seed, inference):
+    """``partial_fit`` is conditioning: the order and size of the steps decide nothing, and knowledge never shrinks."""
+    X, Y = problem(seed, missing=False)
+    how = {"inference": inference, "n_inducing": 40}
+    half = len(X) // 2
+    first, other, start = (fixed(given_kernel(seed, X, Y), **how).fit(X[:half], Y[:half]) for _ in range(3))
+    first.partial_fit(X[half:], Y[half:])
+    for row in range(len(X) - 1, half - 1, -1):
+        other.partial_fit(X[row : row + 1], Y[row : row + 1])
+    spread = np.std(Y, axis=0)
+    for got, expected in zip(other.predict(X, True), first.predict(X, True), strict=True):
+        close(got.reshape(len(X), -1), expected.reshape(len(X), -1), spread)
+    before, after = (each.predict(X, True)[1] for each in (start, first))
+    assert (after <= before * (1 + 1e-6)).all()
 
 
 @EXAMPLES

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import trapezoid
+from scipy.integrate import quad, trapezoid
 
 from skdgp.kernels import ConvolvedGaussian
 
@@ -32,6 +32,22 @@ def smoothing(kernel, m, i, s):
     """Equation 14's impulse response h_mi at s, (..., d)."""
     away = s - kernel.mu[m, i]
     return kernel.v[m, i] * np.exp(-0.5 * np.einsum("...k,kl,...l->...", away, matrices(kernel)[m, i], away))
+
+
+def test_covariance_is_the_integral_of_the_filters_in_one_dimension():
+    kernel = kernel_of("diag", 1)
+    delta = 0.37
+    for i in range(2):
+        for j in range(2):
+            total = 0.0
+            for m in range(4):
+
+                def product(u, m=m, i=i, j=j):
+                    u = np.array([u])
+                    return smoothing(kernel, m, i, u) * smoothing(kernel, m, j, u - delta)
+
+                total += quad(product, -12, 12, epsabs=1e-12, limit=200)[0]
+            assert kernel.block(i, j, [[delta]], [[0.0]])[0, 0] == pytest.approx(total, rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])

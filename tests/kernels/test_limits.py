@@ -31,6 +31,15 @@ class TestNothingShared:
         private = np.repeat(self.lengths[None], 3, axis=0)
         return ConvolvedGaussian(0, amplitude=np.diag(self.amplitude), length_scale=private)
 
+    def test_kernel(self, rng):
+        X = rng.normal(size=(6, 2))
+        K = self.kernel(X)
+        for i in range(3):
+            for j in range(3):
+                block = K[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]
+                expected = self.amplitude[i] ** 2 * RBF(self.lengths[i])(X) if i == j else 0.0
+                np.testing.assert_allclose(block, np.broadcast_to(expected, (6, 6)), rtol=1e-12)
+
     def test_posterior(self, rng):
         X, Y, Z = rng.normal(size=(25, 2)), rng.normal(size=(25, 3)), rng.normal(size=(7, 2))
         noise = np.array([0.1, 0.02, 0.3])
@@ -69,6 +78,16 @@ def test_one_latent_through_equal_filters_correlates_fully(covariance_type, sign
         shear=0.4 if covariance_type == "full" else 0.0,
     )
     assert correlation(kernel, [0.0, 0.0]) == pytest.approx(sign)
+
+
+def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
+    shift = np.array([[[0.0, 0.0], [0.7, -0.4]]])
+    kernel = ConvolvedGaussian(
+        1, private_latents=False, amplitude=[[1.0, 1.0]], length_scale=np.ones((1, 2, 2)), shift=shift
+    )
+    # Output 0 at s - shift says what output 1 says at s: its filter answers later.
+    assert correlation(kernel, shift[0, 0] - shift[0, 1]) == pytest.approx(1.0)
+    assert correlation(kernel, shift[0, 1] - shift[0, 0]) < 0.8
 
 
 def test_narrower_types_are_wider_ones_under_constraints(rng):

@@ -16,6 +16,13 @@ def test_parity_by_hand():
     np.testing.assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
 
 
+def test_mirror_image_changes_the_sign_of_the_odd_control_only():
+    mirrored = ELEVONS.rename(columns={"elevon_left": "elevon_right", "elevon_right": "elevon_left"})
+    out, image = ElevonSplitter().fit_transform(ELEVONS), ElevonSplitter().fit_transform(mirrored)
+    np.testing.assert_allclose(image.elevator, out.elevator)
+    np.testing.assert_allclose(image.aileron, -out.aileron)
+
+
 def test_inverse_gives_the_surfaces_back():
     splitter = ElevonSplitter().fit(ELEVONS)
     controls = splitter.transform(ELEVONS)[["elevator", "aileron"]]

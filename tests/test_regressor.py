@@ -217,6 +217,14 @@ class TestLikelihood:
         assert value == pytest.approx(model.log_marginal_likelihood_value_)
         assert gradient.shape == model.theta_.shape
 
+    def test_gradient(self, model):
+        theta = model.theta_ + 0.05
+        _, gradient = model.log_marginal_likelihood(theta, eval_gradient=True)
+        for k in range(0, len(theta), 7):
+            step = 1e-3 * np.eye(len(theta))[k]
+            ends = [model.log_marginal_likelihood(theta + sign * step) for sign in (1, -1)]
+            assert gradient[k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.01, abs=0.01)
+
     def test_wrong_length(self, model):
         n = len(model.theta_)
         with pytest.raises(ValueError, match=rf"\({n - 1},\), but expected \({n},\).*2 noise variances"):

@@ -8,7 +8,16 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
 from skdgp import DependentGPRegressor, effects, listening
-from skdgp.inference import AveragePosterior, Data, ExactPosterior, average, compact, fit_exact, fit_sparse, joined
+from skdgp.inference import (
+    AveragePosterior,
+    Data,
+    ExactPosterior,
+    average,
+    compact,
+    fit_exact,
+    fit_sparse,
+    joined,
+)
 from skdgp.inference._average import PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -124,6 +133,10 @@ class TestMixture:
         np.testing.assert_allclose(paths.gradient(AT), np.stack(quotients, axis=-1), atol=1e-6)
         each = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
         np.testing.assert_allclose(paths.each(each)[5], paths[5](each[5]), rtol=1e-9, atol=1e-12)
+
+    def test_gradient_is_that_of_the_mean(self, mixture):
+        quotients = [(mixture.predict(AT + h) - mixture.predict(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)]
+        np.testing.assert_allclose(mixture.gradient(AT), np.stack(quotients, axis=-1), rtol=1e-6, atol=1e-8)
 
     def test_variance_of_slopes_is_that_of_difference_quotients(self, mixture):
         variance, h = mixture.gradient(AT[:1], return_variance=True)[1][0], 1e-2

@@ -216,11 +216,14 @@ FEWEST_VALUES = 40  # values of each output below which nothing is held out: the
 
 
 def stratified(rows: Any, n, random_state: Any):
-    """Return a stratified sample of n rows: one random row of each of n equal parts, since neighbours are redundant."""
+    """Return a stratified sample of at most n rows: a random one of each of n equal parts, as neighbours are redundant.
+
+    A row that two parts share may be drawn for both. It counts once: values that are there twice look free of noise.
+    """
     if n >= len(rows):
         return rows
     edges = np.linspace(0, len(rows), n + 1)
-    return rows[(edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int)]
+    return rows[np.unique((edges[:-1] + np.diff(edges) * random_state.uniform(size=n)).astype(int))]
 
 
 def n_searched(Y: Matrix) -> int:
@@ -229,12 +232,15 @@ def n_searched(Y: Matrix) -> int:
 
 
 def some_rows(Y: Matrix, random_state: Seed):
-    """Return rows that a search learns from, with an equal number of values for each output where it has them."""
+    """Return rows that a search learns from: each output has at least half of an equal share of the values, or all.
+
+    A row that is added for one output brings values of all, so outputs with gaps do not get a whole share.
+    """
     observed, P = np.isfinite(Y), Y.shape[1]
-    quota = -(-int(np.clip(P * OUTPUT_VALUES, *SEARCH_VALUES)) // P)
-    rows = stratified(np.arange(len(Y)), max(2, P * quota * len(Y) // observed.sum()), random_state)
+    share = -(-int(np.clip(P * OUTPUT_VALUES, *SEARCH_VALUES)) // P)
+    rows = stratified(np.arange(len(Y)), max(2, P * share * len(Y) // observed.sum()), random_state)
     for output in observed.T:
-        n_missing = min(quota, output.sum()) - output[rows].sum()
+        n_missing = min(-(-share // 2), output.sum()) - output[rows].sum()
         rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
         rows = np.concatenate([rows, stratified(rest, max(n_missing, 0), random_state)])
     return np.sort(rows)

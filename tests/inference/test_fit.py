@@ -162,6 +162,19 @@ def test_default_fits_are_good_fits():
     assert np.ptp(values) < 0.03 * abs(np.mean(values)) + 2.0
 
 
+def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
+    Y = np.zeros((251, 13))
+    for k in range(3):
+        Y[50 * k : 50 * k + 50, k] = np.nan
+    Y[20:, 12] = np.nan  # of one output hardly anything is known
+    rows = _search.some_rows(Y, np.random.RandomState(0))
+    of_output = np.isfinite(Y[rows]).sum(axis=0)
+    assert len(np.unique(rows)) == len(rows)
+    assert of_output[12] == 20
+    assert of_output[:12].min() >= 1800 / 13 / 2
+    assert of_output.sum() <= 1.02 * 1800 + 20 * 12
+
+
 def test_a_rare_output_survives_the_subset_of_the_sparse_start(monkeypatch):
     monkeypatch.setattr(_search, "SEARCH_VALUES", (60, 60))
     rng = np.random.default_rng(0)

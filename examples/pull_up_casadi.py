@@ -11,22 +11,24 @@ IPOPT chooses the elevator that gains most altitude, with angle of attack and lo
 knows the mean of the coefficients alone. The second one keeps a margin to the limits, so that 95 % of the aircraft that
 the flights allow keep them too. Both are flown by aircraft drawn from the posterior, in all six degrees of freedom.
 
-**The margin.** Let :math:`e` be the errors of CX, CZ and Cm along a plan, in standard deviations. To first order they
-change states and limited values by x and y,
+**The margin.** Let :math:`e` be the errors of CX, CZ and Cm along a plan. To first order they change states and limited
+values by x and y,
 
 .. math:: \dot x = A x + B e, \quad x(0) = 0, \quad y = D x + E e.
 
-A and D are slopes by the states and contain the Jacobian of the model; B and E are slopes by e and contain its
-deviations. How errors at two points are correlated an export does not say, but the pipeline does. So e is normal, and
-:math:`y = G e`. The margin is :math:`c\,|G|`, with c so large that 99 % of all e keep :math:`G e \leq c\,|G|` for both
-limits at all times. The other 4 % are for what this leaves out: higher orders, the reduced model, the time between
-points. The margin belongs to a plan: IPOPT plans with the margin of the last plan until it stays the same.
+A and D are slopes by the states and contain the Jacobian of the model; B and E are slopes by e. How large errors are at
+two points, and how correlated, the pipeline says: those of the function, and those by noise that lasts, as in the paths
+of ``simulate``. So e is normal, and :math:`y = G e`. The margin is :math:`c\,|G|`, with c so large that 99 % of all e
+keep :math:`G e \leq c\,|G|` for both limits at all times. The other 4 % are for what this leaves out: higher orders,
+errors of the other coefficients, the reduced model, the time between points. The margin belongs to a plan: IPOPT plans
+with the margin of the last plan until it stays the same.
 
 Needs CasADi and matplotlib: pip install "skdgp[export,plot]".
 """
 
 import argparse
 import tempfile
+from functools import partial
 from itertools import pairwise
 from time import process_time
 from typing import NamedTuple
@@ -155,7 +157,8 @@ class PullUp:
         covariance = covariance[CHOSEN][:, :, CHOSEN].reshape(3 * n, 3 * n)
         std = np.sqrt(np.diag(covariance))
         size, vectors = np.linalg.eigh(covariance / np.outer(std, std))
-        errors = (vectors * np.sqrt(np.maximum(size, 0.0))).reshape(3, n, 3 * n).swapaxes(0, 1)
+        root = std[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
+        errors = root.reshape(3, n, 3 * n).swapaxes(0, 1)
         x = np.zeros((5, 3 * n))
         found = [at[0][4] @ errors[0]]
         for k, ((_, A, B, _, _), (_, A1, B1, D1, E1)) in enumerate(pairwise(at)):  # the trapezoidal rule
@@ -172,7 +175,7 @@ def motion_of(aero, model, aircraft, steady, density):
     known |= {"alpha": alpha, "q_hat": q * aircraft.chord / (2 * V), "airspeed": V}
     regressors = casadi.vertcat(*[known[name] for name in model.regressor_names])
     chosen = [model.outputs.index(name) for name in COEFFICIENTS]
-    mean, std, jacobian = (found[chosen, :] for found in aero(regressors))
+    mean, _, jacobian = (found[chosen, :] for found in aero(regressors))
 
     scale = 0.5 * density * V**2 * aircraft.wing_area
     thrust = [casadi.polyval(casadi.DM(p), V - steady.airspeed) for p in thrust_fit(aircraft, steady, density)]
@@ -192,7 +195,7 @@ def motion_of(aero, model, aircraft, steady, density):
         return casadi.jacobian(f, x) + casadi.jacobian(f, C) @ jacobian @ casadi.jacobian(regressors, x)
 
     def by_errors(f):
-        return casadi.jacobian(f, C) @ casadi.diag(std)
+        return casadi.jacobian(f, C)
 
     found = [rates, limited, by_states(rates), by_errors(rates), by_states(limited), by_errors(limited)]
     found = casadi.substitute(found, [C], [mean])
@@ -285,7 +288,7 @@ def main(arguments=None):
     envelope = zip(model.regressor_names, model.envelope.low, model.envelope.high, strict=True)
     flown_range = {name: (low, high) for name, low, high in envelope}
     limits = [flown_range["alpha"][1], options.load_factor]  # the largest angle of attack that was flown
-    covariance = as_aerodynamics(pipeline).covariance
+    covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)  # as paths of simulate
     pull_up = PullUp(model, covariance, aircraft, steady, density, limits, max_kb=options.max_kb)
 
     plans, flights = {}, []

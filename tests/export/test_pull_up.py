@@ -1,11 +1,13 @@
 """The plan of the example keeps its limits for the aircraft of the posterior, and the plan of the mean does not."""
 
 import importlib.util
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import block_diag
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, as_aerodynamics, simulate, standard_density, trim
@@ -74,8 +76,10 @@ def steady(aircraft, pipeline):
 
 @pytest.fixture(scope="module")
 def pull_up(example, aircraft, pipeline, steady):
-    model, covariance = portable_model(pipeline, aircraft), as_aerodynamics(pipeline).covariance
-    return example.PullUp(model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None)
+    covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)
+    return example.PullUp(
+        portable_model(pipeline, aircraft), covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None
+    )
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +125,11 @@ def test_the_effects_are_those_of_errors_in_free_flight(
     mean = flight(np.zeros(6))
     np.testing.assert_allclose(mean[::2], careful.values, atol=6e-3)
     changes = [(flight(0.01 * row) - mean)[::2] / 0.01 for row in np.eye(6)[[0, 2, 4]]]
-    monkeypatch.setattr(pull_up, "covariance", lambda X: np.kron(np.eye(6), np.ones((len(X), len(X)))))
+
+    def constant_errors(X):
+        std = model.predict(X, return_std=True, include_input_noise=False)[1]
+        return block_diag(*[np.outer(column, column) for column in std.T])
+
+    monkeypatch.setattr(pull_up, "covariance", constant_errors)
     found = np.linalg.norm(effects(pull_up, careful), axis=2)
     np.testing.assert_allclose(found, np.linalg.norm(changes, axis=0), rtol=0.05)

@@ -18,7 +18,7 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
 SEARCHES = 2
 """Of a log, which hold out other blocks.
 
-On twelve pairs of flights, three seeds each, the mean of two has 0.98 of the error of one, of three 0.97
+On twelve pairs of flights, three seeds each, the mean of two has 0.98 to 0.99 of the error of one, of three 0.97
 (docs/results.md#pairs-of-flights; tests/benchmarks/pairs.py prints what one search has alone)."""
 N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.

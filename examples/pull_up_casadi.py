@@ -155,10 +155,8 @@ class PullUp:
         at = [[np.array(part) for part in self.slopes(*point)] for point in zip(states, elevator, strict=True)]
         covariance = self.covariance(np.hstack([point[0] for point in at]).T).reshape(6, n, 6, n)
         covariance = covariance[CHOSEN][:, :, CHOSEN].reshape(3 * n, 3 * n)
-        std = np.sqrt(np.diag(covariance))
-        size, vectors = np.linalg.eigh(covariance / np.outer(std, std))
-        root = std[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
-        errors = root.reshape(3, n, 3 * n).swapaxes(0, 1)
+        size, vectors = np.linalg.eigh(covariance)
+        errors = (vectors * np.sqrt(np.maximum(size, 0.0))).reshape(3, n, 3 * n).swapaxes(0, 1)
         x = np.zeros((5, 3 * n))
         found = [at[0][4] @ errors[0]]
         for k, ((_, A, B, _, _), (_, A1, B1, D1, E1)) in enumerate(pairwise(at)):  # the trapezoidal rule
@@ -194,10 +192,9 @@ def motion_of(aero, model, aircraft, steady, density):
     def by_states(f):
         return casadi.jacobian(f, x) + casadi.jacobian(f, C) @ jacobian @ casadi.jacobian(regressors, x)
 
-    def by_errors(f):
-        return casadi.jacobian(f, C)
-
-    found = [rates, limited, by_states(rates), by_errors(rates), by_states(limited), by_errors(limited)]
+    found = [rates, limited]
+    for f in (rates, limited):
+        found += [by_states(f), casadi.jacobian(f, C)]
     found = casadi.substitute(found, [C], [mean])
     at = [x, elevator]
     return casadi.Function("motion", at, found[:2]), casadi.Function("slopes", at, [regressors, *found[2:]])
@@ -288,7 +285,7 @@ def main(arguments=None):
     envelope = zip(model.regressor_names, model.envelope.low, model.envelope.high, strict=True)
     flown_range = {name: (low, high) for name, low, high in envelope}
     limits = [flown_range["alpha"][1], options.load_factor]  # the largest angle of attack that was flown
-    covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)  # as paths of simulate
+    covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)  # as of the paths of simulate
     pull_up = PullUp(model, covariance, aircraft, steady, density, limits, max_kb=options.max_kb)
 
     plans, flights = {}, []

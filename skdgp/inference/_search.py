@@ -232,7 +232,7 @@ def n_searched(Y: Matrix) -> int:
 
 
 def some_rows(Y: Matrix, random_state: Seed):
-    """Return rows that a search learns from: each output has at least half of an equal share of the values, or all.
+    """Return rows that a search learns from: each output has about half of an equal share of the values, more, or all.
 
     A row that is added for one output brings values of all, so outputs with gaps do not get a whole share.
     """

@@ -77,9 +77,8 @@ def steady(aircraft, pipeline):
 @pytest.fixture(scope="module")
 def pull_up(example, aircraft, pipeline, steady):
     covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)
-    return example.PullUp(
-        portable_model(pipeline, aircraft), covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None
-    )
+    model = portable_model(pipeline, aircraft)
+    return example.PullUp(model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None)
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
 from skdgp import DependentGPRegressor, effects, listening
-from skdgp.inference import (
-    AveragePosterior,
-    Data,
-    ExactPosterior,
-    average,
-    compact,
-    fit_exact,
-    fit_sparse,
-    joined,
-)
+from skdgp.inference import AveragePosterior, Data, ExactPosterior, average, compact, fit_exact, fit_sparse, joined
 from skdgp.inference._average import PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 

@@ -112,6 +112,5 @@ class TestBand:
         assert np.mean(np.abs(y - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
         of_function = model.predict(x, return_std=True)[1]
         np.testing.assert_allclose(std**2 - of_function**2, np.full_like(std, model.noise_variance_[0]))
-        assert model.noise_variance_[0] == pytest.approx(
-            NOISE**2, rel=0.1
-        )  # without misfit, which the search took for noise
+        # Without the misfit, which the search took for noise, too:
+        assert model.noise_variance_[0] == pytest.approx(NOISE**2, rel=0.1)

@@ -149,7 +149,7 @@ def gusty_air(
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
     if _has_gusts(asked.wind):
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
-    return GustyAir(air, Gusts(*parts))
+    return GustyAir(air, Gusts(*parts), motion.is_implicit)
 
 
 def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool) -> Drift | None:

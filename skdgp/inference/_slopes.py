@@ -9,6 +9,7 @@ the noise of each regressor.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -253,8 +254,11 @@ def _line(z):
 
 
 def _parabola(z):
-    first, second = np.triu_indices(z.shape[-1])
+    first, second = _products(z.shape[-1])
     return np.concatenate([_line(z), z[..., first] * z[..., second]], axis=-1)
+
+
+_products = cache(np.triu_indices)  # a simulation asks in every step
 
 
 def _slopes_of(basis, at):

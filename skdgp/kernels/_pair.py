@@ -186,8 +186,8 @@ class ExponentialRows:
     """Covariances of the outputs of a convolved Gaussian with given values of other outputs, as columns.
 
     ``columns`` lists for each output pairs (j, Z): another output and its inputs (k, d). Each latent shared by the two
-    has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a central point, the square is |F x|^2,
-    which is the same for all columns of a pair and latent, plus a linear term.
+    has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a central point, the exponent is one
+    product: of squares, which are the same for all columns of a pair and latent, x and 1, with a matrix.
     """
 
     def __init__(self, joint, columns):
@@ -195,35 +195,37 @@ class ExponentialRows:
         self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
         d = joint.n_features
         self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
-        roots, slopes, constants, counts = [], [], [], []
+        roots, slopes, constants, gains, counts = [], [np.zeros((0, d))], [np.zeros(0)], [], []
         for i, j, Z in columns:
-            _, gains, _, F, shifts = joint._pair(i, j)
-            for gain, root, mu in zip(gains, F, shifts, strict=True):
+            _, gain, _, F, shifts = joint._pair(i, j)
+            for root, mu in zip(F, shifts, strict=True):
                 root = np.diag(root) if root.ndim == 1 else root
                 b = (Z - self.middle + mu) @ root
                 roots.append(root)
                 slopes.append(b @ root.T)
-                constants.append(np.stack([-0.5 * np.einsum("kd,kd->k", b, b), np.full(len(b), gain)]))
-                counts.append(len(b))
+                constants.append(-0.5 * np.einsum("kd,kd->k", b, b))
+            gains.extend(gain)
+            counts.extend([len(Z)] * len(gain))
+        constant, self.n_terms = np.concatenate(constants), len(roots)
+        self.far = -constant.min(initial=0.0) > FAR
         self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
-        self.roots = np.array([np.diag(F) ** 2 for F in roots]).T if self.diagonal else np.hstack(roots)
-        self.slopes = np.concatenate([np.zeros((0, d)), *slopes]).T.copy()
-        self.constant, self.gain = np.hstack([np.zeros((2, 0)), *constants])
-        self.counts = np.array(counts, dtype=int)
-        self.far = -self.constant.min(initial=0.0) > FAR
+        self.roots = np.hstack([np.zeros((d, 0)), *roots])
+        squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T if self.diagonal else np.eye(len(roots))
+        counts = np.array(counts, dtype=int)
+        with np.errstate(divide="ignore"):  # a gain of zero
+            constant += np.repeat(np.log(np.abs(gains)), counts)
+        self.matrix = np.vstack([-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant])
+        ends = np.cumsum(counts)
+        self.negative = [slice(b - n, b) for gain, n, b in zip(gains, counts, ends, strict=True) if gain < 0]
 
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""
         if self.far:
             return np.hstack([np.empty((len(X), 0)), *(self.joint.terms(i, j, X, Z) for i, j, Z in self.columns)])
         x = X - self.middle
-        if self.diagonal:
-            squares = (x * x) @ self.roots
-        else:
-            squares = ((x @ self.roots).reshape(len(x), len(self.counts), -1) ** 2).sum(axis=2)
-        E = x @ self.slopes
-        E += self.constant
-        E -= np.repeat(0.5 * squares, self.counts, axis=1)
+        squares = x * x if self.diagonal else ((x @ self.roots).reshape(len(x), self.n_terms, -1) ** 2).sum(axis=2)
+        E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix
         np.exp(E, out=E)
-        E *= self.gain
+        for columns in self.negative:
+            np.negative(E[:, columns], out=E[:, columns])
         return E

@@ -217,7 +217,7 @@ class TestMemory:
         results = 2 * 8 * 3 * 2700
         for call, times in ((posterior.predict, 1), (posterior.gradient, 4)):
             grown = peak_memory(lambda call=call: call(many, True)) - peak_memory(lambda call=call: call(few, True))
-            assert grown < 2 * times * results + 2**14  # and what threads hold of their own
+            assert grown < 2 * times * results + _exact.CHUNK_BYTES  # which threads need not hold at the same time
 
 
 def test_few_points_have_the_means_that_many_have(one_problem):

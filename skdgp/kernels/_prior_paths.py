@@ -283,6 +283,8 @@ class Waves(PathBundle):
 
     def __init__(self, omega, phase, shared, own, fed):
         self.omega, self.phase, self.shared, self.own, self.fed = omega, phase, shared, own, fed
+        self._half = 0.5 * omega, 0.5 * phase
+        self._sum = shared.sum(axis=1, keepdims=True) + own.sum(axis=3) @ fed
 
     @classmethod
     def combine(cls, latents: list[LatentWaves], outputs) -> Waves:
@@ -321,14 +323,14 @@ class Waves(PathBundle):
         return len(self.omega) * self.omega.shape[2]
 
     def each(self, X):
-        square, c = (0.5 * X) @ self.omega, self.shared.shape[1]
-        square += 0.5 * self.phase
+        (omega, phase), c = self._half, self.shared.shape[1]
+        square = X @ omega
+        square += phase
         np.tan(square, out=square)  # vectorised in NumPy, and ten times as fast as its cosine
         square *= square
         square += 1.0
-        wave = np.divide(2.0, square, out=square)  # cos(2 x) = 2 / (1 + tan(x)^2) - 1
-        wave -= 1.0
-        values = wave[..., :c] @ self.shared
+        wave = np.divide(2.0, square, out=square)  # cos(2 x) + 1 = 2 / (1 + tan(x)^2)
+        values = wave[..., :c] @ self.shared - self._sum
         values += np.einsum("snmf,slmf->snm", self._private(wave), self.own) @ self.fed
         return values
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
@@ -124,7 +125,7 @@ def fly_record(
         return now.derivative if stage == 0 else instant(step, stage, state, now)[0].derivative
 
     now = None
-    with np.errstate(all="ignore"):  # what diverges is ended
+    with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(n):
             now, controls, wind = instant(k, 0, state, now)
             over = end_reasons(state, now)

@@ -293,10 +293,12 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        kernel, P = self.kernel, self.kernel.n_outputs
-        scales = np.column_stack([kernel._value("intercept_scale"), kernel._value("slope_scale")]).ravel()
-        center = kernel._value("center")
-        return lambda X: np.tile(np.column_stack([np.ones(len(X)), kernel.columns(X) - center]), P) * scales
+        slope = self.kernel._value("slope_scale")  # (P, K); the columns of an output are [tau_0, tau_k (phi_k - c_k)]
+        constant = np.column_stack([self.kernel._value("intercept_scale"), -slope * self.kernel._value("center")])
+        slopes = np.zeros((slope.shape[1], *constant.shape))
+        np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
+        slopes, constant = slopes.reshape(len(slopes), -1), constant.ravel()
+        return lambda X: self.kernel.columns(X) @ slopes + constant
 
     def Kfu_derivative(self, i, X):
         slopes = self.kernel.basis_slopes(i, X)

@@ -195,7 +195,7 @@ class ExponentialRows:
         self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
         d = joint.n_features
         self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
-        roots, slopes, constants, gains, counts = [], [np.zeros((0, d))], [np.zeros(0)], [], []
+        roots, slopes, constants, gains, sizes = [], [np.zeros((0, d))], [np.zeros(0)], [], []
         for i, j, Z in columns:
             _, gain, _, F, shifts = joint._pair(i, j)
             for root, mu in zip(F, shifts, strict=True):
@@ -205,13 +205,12 @@ class ExponentialRows:
                 slopes.append(b @ root.T)
                 constants.append(-0.5 * np.einsum("kd,kd->k", b, b))
             gains.extend(gain)
-            counts.extend([len(Z)] * len(gain))
-        constant, self.n_terms = np.concatenate(constants), len(roots)
+            sizes.extend([len(Z)] * len(gain))
+        constant, counts, self.n_terms = np.concatenate(constants), np.array(sizes, dtype=int), len(roots)
         self.far = -constant.min(initial=0.0) > FAR
         self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
         self.roots = np.hstack([np.zeros((d, 0)), *roots])
         squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T if self.diagonal else np.eye(len(roots))
-        counts = np.array(counts, dtype=int)
         with np.errstate(divide="ignore"):  # a gain of zero
             constant += np.repeat(np.log(np.abs(gains)), counts)
         self.matrix = np.vstack([-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant])

@@ -231,7 +231,7 @@ def gaussian_sums(
     original = posterior.mean(posterior.tested)
     deviation = np.sqrt(np.mean(posterior.deviation(posterior.tested) ** 2, axis=0))
     if posterior.regressor.inference_ == "exact":
-        posterior.regressor = posterior.regressor.compact(tolerance=tolerance)
+        posterior.regressor = posterior.regressor.compact(tolerance=tolerance, max_iter=0)
     try:
         form = posterior_form(posterior.regressor.posterior_)
     except ValueError as error:

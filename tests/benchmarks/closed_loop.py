@@ -333,6 +333,8 @@ def main(words: Any = None) -> None:
         print(name, seed, flown[name][-1]["took"], flush=True)
     tables: dict[str, list] = {"ratios": [], "floor": [], "risks": []}
     for name, every in flown.items():
+        if not every:  # planning was refused for all seeds
+            continue
         tables["ratios"] += ratio_rows(name, [curves(found, truths[name]) for found in every])
         tables["floor"] += floor_rows(name, every, truths[name])
         tables["risks"] += risk_rows(name, every)

@@ -150,8 +150,8 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than those of the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
-    of the gusts. Where the pipeline reconstructs flight paths, it estimates :math:`\sigma_g` [m/s in one second] of the
-    flight from its own sensors, and the ratio of variances (n,) is
+    of the gusts. Where `FlightPathReconstruction` finds no contradiction of sensors, it estimates :math:`\sigma_g` [m/s
+    in one second] of the flight, and the ratio of variances (n,) is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
@@ -163,7 +163,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and step.used_ and "gust" in flight:
+        if isinstance(step, FlightPathReconstruction) and step.tells_gusts_ and "gust" in flight:
             ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (step.gust_std_**2 + SENSOR_GUST**2)
     if isinstance(pipeline[-1], CalibratedRegressor):
         ratio = np.ones(len(flight))

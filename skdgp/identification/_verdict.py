@@ -31,7 +31,7 @@ from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
-N_PATHS = 100  # functions that give the standard deviations: these have a relative error of 1 / sqrt(2 n), 7 %
+N_PATHS = 200  # functions that give the standard deviations, as in `stability_derivatives`: 1 / sqrt(2 n), 5 % off
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # depend neither on wind nor on heading
 FLIGHT_STEP = 0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
 START = 0.25  # time over which measured states are averaged to start from [s], so that a sample's noise is not flown

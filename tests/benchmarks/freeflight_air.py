@@ -16,7 +16,8 @@ the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` 
 
 "gusts": their power by `Turbulence.from_flight` of the sensors over the true one, at frequencies that turn an aircraft.
 
-The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182; nothing was on the others.
+The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182, and that of bands after smoothing changed with A320
+and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.
 
 --constants scores values of what was chosen, on half of the starts, by the score of Dawid and Sebastiani: the mean of
 log s^2 + e^2 / s^2 over states, starts and both horizons, with the error e of the mean of the paths and their deviation

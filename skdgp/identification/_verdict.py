@@ -31,7 +31,7 @@ from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
-N_PATHS = 200  # functions that give the standard deviations, as in `stability_derivatives`: 1 / sqrt(2 n), 5 % off
+N_PATHS = 200  # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n), 5 %
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # depend neither on wind nor on heading
 FLIGHT_STEP = 0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
 START = 0.25  # time over which measured states are averaged to start from [s], so that a sample's noise is not flown
@@ -181,8 +181,6 @@ def flight_mechanics(
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust = _thrust(settings)
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
-    n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
-    drawn: dict[str, Any] = {"n_paths": n_paths, "random_state": 0, **conditions}
     found: dict[str, Any] = {}
     try:
         climb = None if thrust is None else 0.0
@@ -195,13 +193,14 @@ def flight_mechanics(
         state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
         at = state, {str(name): float(value) for name, value in flown.items()}
     try:
-        found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **drawn)
+        found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **conditions)
         if "least_squares_std" in fit:
             model = _least_squares(pipeline, fit)
-            linear = stability_derivatives(model, aircraft, *at, n_paths=N_PATHS, **conditions)
+            linear = stability_derivatives(model, aircraft, *at, **conditions)
             found["least_squares"] = linear[["value", "std"]]
         if "trim" in found:
-            found["modes"] = linearize(pipeline, aircraft, *at, **drawn).modes()
+            n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
+            found["modes"] = linearize(pipeline, aircraft, *at, n_paths=n_paths, **conditions).modes()
     except ValueError as error:
         found["note"] = f"No derivatives: {error}"
     try:

@@ -28,7 +28,7 @@ NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 """Names that a regressor gives to outputs without names."""
 MISFIT_MEMORY = 2.0
 """Time [s] for which an error of the function lasts: that in which a manoeuvre changes the regressors. A guess: on
-eleven aircraft 1 s has a score lower by .01 nats and 5 s one higher by .02, with the same coverage to 2 %
+eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by .02, with the same coverage to 2 %
 (docs/simulation.md); with the memory of the drift, .1 to .6 s, bands hold down to 83 %."""
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 

@@ -36,8 +36,8 @@ STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
 ROUGHEST = 2.0
-"""Largest factor of a drift's variance, in rougher air than that of the training flights. 1 and 2 have the
-same score on eleven aircraft, none is worse, and 2 holds more of the one held worst (docs/simulation.md)."""
+"""Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
+aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage (docs/simulation.md)."""
 HORIZON, POINTS = 1.0, 101
 """Time [s] over which the effects of rotation and drift are compared, and points of the integral."""
 

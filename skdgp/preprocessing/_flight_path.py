@@ -44,8 +44,8 @@ from skdgp.preprocessing._table import TableTransformer, has_values, with_column
 MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 OPINION = 2.0
 """Seconds of a flight that the gusts of the fit are worth: pieces of half a second show none, whatever the air. By the
-log variance of pieces of .25 to 20 s of eleven aircraft of JSBSim, each left out: in gusts the others choose 3 (mean
-square error .55; 2: .56, .5: .84), with calm air counted .5, as there every opinion is too careful."""
+bands of pieces of .5 to 10 s of eleven aircraft: 2 and 5 have the same median score, others a worse one
+(docs/simulation.md)."""
 KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
 KINEMATIC_SECONDS = 120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
 MIN_SIGNIFICANCE = 3.0  # standard deviations

@@ -21,8 +21,9 @@ and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.
 
 --constants scores values of what was chosen, on half of the starts, by the score of Dawid and Sebastiani: the mean of
 log s^2 + e^2 / s^2 over states, starts and both horizons, with the error e of the mean of the paths and their deviation
-s. It is a proper score (Gneiting & Raftery 2007, equation 25): the lower, the better. Each aircraft is judged with the
-value whose mean over the other aircraft is the lowest.
+s. It is a proper score (Gneiting & Raftery 2007, equation 25): the lower, the better. `OPINION` has the score of the
+coefficients of pieces of the flights, given alone. Each aircraft is judged with the value whose mean over the other
+aircraft is the lowest.
 """
 
 import warnings
@@ -38,7 +39,7 @@ from _study_flights import KNOTS, jsbsim_log, jsbsim_subject
 from _study_methods import EVERY, known_by, line
 from freeflight import HORIZONS, SCORED, _off, coverage_of, truth_of, windows
 from scipy.signal import welch
-from scipy.stats import gmean
+from scipy.stats import gmean, norm
 from scipy.stats import t as student
 from study import LOGGED, Results, coverage_table
 
@@ -60,6 +61,7 @@ from skdgp.dynamics import (
 from skdgp.dynamics import _wind as simulated_wind
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage
+from skdgp.preprocessing import _flight_path
 
 DURATION, STEP = 200.0, 0.05
 TRAINING = (1, "light", 1)
@@ -72,6 +74,9 @@ CONSTANTS = [
     ("moderate", simulated_wind, "ROUGHEST", (1.0, 2.0, np.inf)),
 ]
 """Air in which a constant counts, its module and name, and values that are scored."""
+OPINIONS = (0.0, 0.5, 1.0, 2.0, 5.0, 20.0)
+PIECES, PER_LENGTH = (0.5, 2.0, 10.0), 8
+"""Lengths [s] of pieces of a log that are given alone, and pieces of each length."""
 
 
 def flight_of(name, number, air, seed):
@@ -149,6 +154,29 @@ def scores_of(model, aircraft, flown, n_paths):
     return found
 
 
+def piece_scores(model, aircraft, flown):
+    """Return score and coverage by value of `OPINION`: of the coefficients of pieces of flights in each air."""
+    found = {}
+    for value in OPINIONS:
+        score, inside = [], []
+        for flight in flown.values():
+            log = sensed(flight)
+            measured = aerodynamic_coefficients(log, aircraft).to_numpy()
+            for seconds in PIECES:
+                rows = round(seconds / STEP) + 1
+                for start in np.linspace(0, len(log) - rows, PER_LENGTH).astype(int):
+                    piece = slice(start, start + rows)
+                    with patch.object(_flight_path, "OPINION", value):
+                        regressors, ratio = flight_regressors(model, log.iloc[piece])
+                    options = {"return_std": True, "include_noise": True, "include_input_noise": ratio[::EVERY]}
+                    mean, std = model[-1].predict(regressors[::EVERY], **options)
+                    error = measured[piece][::EVERY] - mean
+                    score.append(np.mean(2 * np.log(std) + (error / std) ** 2))
+                    inside.append(np.mean(np.abs(error) < norm.ppf(0.975) * std))
+        found["OPINION, pieces", value] = np.mean(score), 100 * np.mean(inside)
+    return found
+
+
 def chosen_by_others(found):
     """Return for each constant and aircraft the scores, less the lowest, and what the other aircraft choose."""
     rows = []
@@ -223,7 +251,7 @@ def main(words=None):
         model, log, aircraft = learned(name, options.models)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
         if options.constants:
-            scores[name] = scores_of(model, aircraft, flown, options.paths)
+            scores[name] = scores_of(model, aircraft, flown, options.paths) | piece_scores(model, aircraft, flown)
             print(name, {key: np.round(value, 2) for key, value in scores[name].items()}, flush=True)
             continue
         models.append(model_row(name, model, log, flown))

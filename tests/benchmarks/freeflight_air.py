@@ -178,18 +178,19 @@ def piece_scores(model, aircraft, flown):
 
 
 def chosen_by_others(found):
-    """Return for each constant and aircraft the scores, less the lowest, and what the other aircraft choose."""
-    rows = []
+    """Return a table for each constant: by aircraft the scores, less the lowest, and what the other aircraft choose."""
+    tables = {}
     for constant in dict.fromkeys(key[0] for each in found.values() for key in each):
         scores = pd.DataFrame(
             {n: {v: s for (c, v), (s, _) in each.items() if c == constant} for n, each in found.items()}
         )
+        tables[constant] = rows = []
         for name, own in scores.items():
             value = scores.drop(columns=name).mean(axis=1).idxmin()
-            row = {"constant": constant, "aircraft": name} | {f"score, {v:g}": s - own.min() for v, s in own.items()}
+            row = {"aircraft": name} | {f"score, {v:g}": s - own.min() for v, s in own.items()}
             row |= {f"coverage, {v:g}": found[name][constant, v][1] for v in scores.index}
             rows.append(row | {"chosen by others": value, "coverage": found[name][constant, value][1]})
-    return rows
+    return tables
 
 
 def flown_row(name, model, aircraft, flown, n_paths):
@@ -259,7 +260,7 @@ def main(words=None):
         gusts.append(air_row(name, aircraft, flown))
         print(pd.DataFrame([models[-1] | flights[-1]]).round(2).to_string(index=False), flush=True)
     if options.constants:
-        finish(options, "freeflight_air_constants", constants=chosen_by_others(scores))
+        finish(options, "freeflight_air_constants", **chosen_by_others(scores))
         return
     finish(options, "freeflight_air", models=summarized(models), free_flight=summarized(flights), gusts=gusts)
 

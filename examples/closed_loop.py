@@ -6,10 +6,11 @@ Close the loop: explore, learn, plan, fly, and learn again::
 
     python examples/closed_loop.py
 
-The truth is the example aircraft, simulated in gusts. After a gentle first flight a linear trend is learned, the next
-flight is planned for derivatives of Cl, Cm and Cn, and flown. The picture shows the planned inputs, and the derivatives
-after each flight with two standard errors, beside the truth. What a linear trend cannot tell stays: unseen rates of the
-air, the effect of alpha_dot, curvature. Needs matplotlib: pip install "skdgp[plot]".
+The truth is the example aircraft, simulated in gusts. After a gentle first flight a linear trend is
+learned, the next flight is planned for derivatives of Cl, Cm and Cn, and flown. The picture shows
+the planned inputs, and the derivatives after each flight with two standard errors, beside the
+truth. What a linear trend cannot tell stays: unseen rates of the air, the effect of alpha_dot,
+curvature. Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse
@@ -49,12 +50,19 @@ def fly(truth, aircraft, train, seconds, seed):
             "elevator": 0.2 * (state["theta"] - steady.theta) + 0.1 * state["q"],
             "aileron": -0.06 * state["phi"] - 0.02 * state["p"],
         }
-        return {name: value + held.get(name, 0.0) + train(name, time) for name, value in steady.controls.items()}
+        return {
+            name: value + held.get(name, 0.0) + train(name, time)
+            for name, value in steady.controls.items()
+        }
 
     wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
-    flight = simulate(truth, aircraft, steady, FlightComputer(controls), 0.025, duration=seconds, air=wind)
+    flight = simulate(
+        truth, aircraft, steady, FlightComputer(controls), 0.025, duration=seconds, air=wind
+    )
     rng = np.random.default_rng(seed)
-    noisy = {name: flight[name] + std * rng.standard_normal(len(flight)) for name, std in NOISE.items()}
+    noisy = {
+        name: flight[name] + std * rng.standard_normal(len(flight)) for name, std in NOISE.items()
+    }
     speed = aircraft.propeller.speed_at(flight["throttle"])
     return flight.assign(flight=f"flight {seed}", propeller_speed=speed, **noisy)
 
@@ -62,15 +70,25 @@ def fly(truth, aircraft, train, seconds, seed):
 def learn(flights, aircraft):
     log = pd.concat(flights, ignore_index=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=10)
-    model = make_identification_pipeline(aircraft, regressors=NAMES, reconstruction="passthrough", regressor=regressor)
+    model = make_identification_pipeline(
+        aircraft, regressors=NAMES, reconstruction="passthrough", regressor=regressor
+    )
     return model.fit(log, aerodynamic_coefficients(log, aircraft))
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=2, help="planned flights (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each (default: %(default)s)")
-    parser.add_argument("--output", default="closed_loop.png", help="the picture (default: %(default)s)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=2, help="planned flights (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=30.0, help="of each (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", default="closed_loop.png", help="the picture (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
 
     example = load_example_flights(turbulence=0.0)
@@ -86,7 +104,11 @@ def main(arguments=None):
         model = learn(flights, aircraft)
         steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
         at = np.array([steady.alpha, 0.0, 0.0, 0.0, 0.0, *(steady.controls[axis] for axis in AXES)])
-        slopes = pd.DataFrame(as_aerodynamics(model).gradient(at[None])[0], ["CX", "CY", "CZ", "Cl", "Cm", "Cn"], NAMES)
+        slopes = pd.DataFrame(
+            as_aerodynamics(model).gradient(at[None])[0],
+            ["CX", "CY", "CZ", "Cl", "Cm", "Cn"],
+            NAMES,
+        )
         found.append((slopes, posterior_information(model, at).std))
         if number < options.rounds:
             planned = plan(
@@ -104,14 +126,18 @@ def main(arguments=None):
 
 def at_of(steady, names):
     """Return the regressors of a trim."""
-    return np.array([steady.alpha if name == "alpha" else steady.controls.get(name, 0.0) for name in names])
+    return np.array(
+        [steady.alpha if name == "alpha" else steady.controls.get(name, 0.0) for name in names]
+    )
 
 
 def draw(trains, found, exact):
     """Return the picture: inputs above, derivatives below."""
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     above, below = figure.subfigures(2, 1)
-    for k, (ax, train) in enumerate(zip(np.atleast_1d(above.subplots(1, len(trains))), trains, strict=True)):
+    for k, (ax, train) in enumerate(
+        zip(np.atleast_1d(above.subplots(1, len(trains))), trains, strict=True)
+    ):
         time = np.arange(0.0, train.duration + PAUSE, 0.02)
         for axis in AXES:
             ax.plot(time, np.rad2deg(train(axis, time)), label=axis, linewidth=0.8)
@@ -121,9 +147,19 @@ def draw(trains, found, exact):
         coefficient, _, regressor = name.partition("_")
         regressor += "_hat" * (regressor in "pqr")
         values = [slopes.loc[coefficient, regressor] for slopes, _ in found]
-        ax.errorbar(range(len(found)), values, [2 * std.loc[coefficient, regressor] for _, std in found], fmt="o")
+        ax.errorbar(
+            range(len(found)),
+            values,
+            [2 * std.loc[coefficient, regressor] for _, std in found],
+            fmt="o",
+        )
         ax.axhline(exact.loc[coefficient, regressor], color="black", linewidth=0.8)
-        ax.set(title=name, xlabel="planned flights", xticks=range(len(found)), xlim=(-0.5, len(found) - 0.5))
+        ax.set(
+            title=name,
+            xlabel="planned flights",
+            xticks=range(len(found)),
+            xlim=(-0.5, len(found) - 0.5),
+        )
     return figure
 
 

@@ -2,13 +2,15 @@
 Compare methods
 ===============
 
-The same flights and the same regressors for several methods: who predicts a flight that nobody has seen? ::
+The same flights and the same regressors for several methods: who predicts a flight that nobody has
+seen? ::
 
     python examples/compare_methods.py
 
-Simulated flights with known truth; about a minute. Every method learns the same rows, but for the trees, which take
-all of them. Needs matplotlib: pip install "skdgp[plot]". The comparison on flights that others simulated, with more
-methods, is docs/results.md. For your own method add a line to ``methods``: anything with ``fit`` and ``predict``.
+Simulated flights with known truth; about a minute. Every method learns the same rows, but for the
+trees, which take all of them. Needs matplotlib: pip install "skdgp[plot]". The comparison on
+flights that others simulated, with more methods, is docs/results.md. For your own method add a line
+to ``methods``: anything with ``fit`` and ``predict``.
 """
 
 import argparse
@@ -53,7 +55,8 @@ class OnTrend:
 def methods(n_regressors):
     """Return what is compared, by name; and the names of those that learn all rows."""
     process = GaussianProcessRegressor(
-        ConstantKernel() * RBF(np.full(n_regressors, 3.0), (1e-1, 1e4)) + WhiteKernel(0.1, (1e-6, 1e2))
+        ConstantKernel() * RBF(np.full(n_regressors, 3.0), (1e-1, 1e4))
+        + WhiteKernel(0.1, (1e-6, 1e2))
     )
     terms = make_pipeline(PolynomialFeatures(2, include_bias=False), LassoLarsIC("bic"))
     trees = HistGradientBoostingRegressor(random_state=0)
@@ -72,7 +75,9 @@ def draw(names, errors, path):
     ax = figure.subplots()
     width = 0.8 / len(errors)
     for k, (method, values) in enumerate(errors.items()):
-        ax.bar(np.arange(len(names)) + (k - len(errors) / 2 + 0.5) * width, values, width, label=method)
+        ax.bar(
+            np.arange(len(names)) + (k - len(errors) / 2 + 0.5) * width, values, width, label=method
+        )
     ax.set_xticks(range(len(names)), names)
     ax.set_ylabel("RMSE / standard deviation of the truth")
     ax.legend(frameon=False, fontsize="small")
@@ -81,11 +86,18 @@ def draw(names, errors, path):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--samples", type=int, default=250, help="rows to learn from, 90 or more (default: %(default)s)"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--output", default="comparison.png", help="the picture (default: %(default)s)")
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=250,
+        help="rows to learn from, 90 or more (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--output", default="comparison.png", help="the picture (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
 
     flights = load_example_flights()
@@ -93,7 +105,10 @@ def main(arguments=None):
     measured = aerodynamic_coefficients(flights.test, flights.aircraft).to_numpy()
     truth = flights.test[[f"{name}_true" for name in targets]].to_numpy()
     inputs = make_identification_pipeline(flights.aircraft)[:-1]
-    X, asked = np.asarray(inputs.fit_transform(flights.train)), np.asarray(inputs.transform(flights.test))
+    X, asked = (
+        np.asarray(inputs.fit_transform(flights.train)),
+        np.asarray(inputs.transform(flights.test)),
+    )
     few = thin_targets(targets, options.samples).notna().all(axis=1).to_numpy()
     every = targets.notna().all(axis=1).to_numpy()
 
@@ -107,10 +122,17 @@ def main(arguments=None):
         seconds = time.perf_counter() - start
         errors[name] = normalized_rmse(truth, method.predict(asked), multioutput="raw_values")
         each = " ".join(f"{error:.3f}" for error in errors[name])
-        print(f"{name:32} NRMSE {errors[name].mean():.3f} ({each}), {rows.sum()} rows, {seconds:.0f} s", flush=True)
+        print(
+            f"{name:32} NRMSE {errors[name].mean():.3f} ({each}), {rows.sum()} rows, "
+            f"{seconds:.0f} s",
+            flush=True,
+        )
 
     mean, std = compared["skdgp"].predict(asked, return_std=True, include_noise=True)
-    print(f"skdgp's 95 % band holds {100 * interval_coverage(measured, mean, std):.0f} % of measured coefficients")
+    print(
+        f"skdgp's 95 % band holds {100 * interval_coverage(measured, mean, std):.0f} % of "
+        f"measured coefficients"
+    )
     draw(list(targets), errors, options.output)
     print(options.output)
 

@@ -6,8 +6,8 @@ Simulate a learned aircraft from a state of another flight, with bands of its un
 
     python examples/fly_the_model.py
 
-It learns the example aircraft from two flights and simulates a third from one moment on, with the surfaces, the
-throttle and the wind of its log. Then it prints a trim, its modes and derivatives.
+It learns the example aircraft from two flights and simulates a third from one moment on, with the
+surfaces, the throttle and the wind of its log. Then it prints a trim, its modes and derivatives.
 Needs matplotlib: pip install "skdgp[plot]".
 """
 
@@ -17,7 +17,13 @@ from matplotlib.figure import Figure
 
 from skdgp import make_identification_pipeline
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import aerodynamic_coefficients, linearize, simulate, stability_derivatives, trim
+from skdgp.dynamics import (
+    aerodynamic_coefficients,
+    linearize,
+    simulate,
+    stability_derivatives,
+    trim,
+)
 from skdgp.model_selection import thin_targets
 from skdgp.plotting import TrajectoryDisplay
 
@@ -25,9 +31,15 @@ START, SECONDS = 24.0, 10.0
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=None, help="rows to learn from (default: all)")
-    parser.add_argument("--paths", type=int, default=60, help="posterior functions to fly (default: %(default)s)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--samples", type=int, default=None, help="rows to learn from (default: all)"
+    )
+    parser.add_argument(
+        "--paths", type=int, default=60, help="posterior functions to fly (default: %(default)s)"
+    )
     parser.add_argument("--output", default="flown.png", help="the picture (default: %(default)s)")
     options = parser.parse_args(arguments)
 
@@ -49,7 +61,8 @@ def main(arguments=None):
     columns = ["airspeed", "altitude", "phi", "theta", "p", "q"]
     TrajectoryDisplay.from_trajectories(paths, truth=flown, columns=columns, ax=figure)
     figure.suptitle(
-        "Example aircraft: free flight through gusts from one moment of a flight that the model has not seen"
+        "Example aircraft: free flight through gusts from one moment of a flight that the model "
+        "has not seen"
     )
     figure.savefig(options.output, dpi=150)
     print(options.output)

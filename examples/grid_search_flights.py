@@ -6,10 +6,10 @@ By flights it has not seen: grid search over the whole pipeline, a flight held o
 
     python examples/grid_search_flights.py
 
-Raw flight tables go into the search, so that smoothing is chosen like everything else and nothing of the held-out
-flight leaks into the fit. Rows that are not observed, NaN, are neither learned from nor scored. The scorers use the
-predicted standard deviations: a model that is wrong and says so is better than one that is wrong and sure. Needs
-matplotlib: pip install "skdgp[plot]".
+Raw flight tables go into the search, so that smoothing is chosen like everything else and nothing
+of the held-out flight leaks into the fit. Rows that are not observed, NaN, are neither learned from
+nor scored. The scorers use the predicted standard deviations: a model that is wrong and says so is
+better than one that is wrong and sure. Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse
@@ -40,13 +40,19 @@ WORDS = {
     2: "dependent",
     0: "independent",
 }
-SHOWN = {"neg_normalized_rmse": "RMSE / std of the flight", "log_predictive_density": "log predictive density"}
+SHOWN = {
+    "neg_normalized_rmse": "RMSE / std of the flight",
+    "log_predictive_density": "log predictive density",
+}
 
 
 def flights_of(n_days):
     """The two training flights of some days: the same plans, other gusts."""
     days = [load_example_flights(random_state=day) for day in range(n_days)]
-    tables = [day.train.assign(flight=day.train["flight"].astype(str) + f" {k + 1}") for k, day in enumerate(days)]
+    tables = [
+        day.train.assign(flight=day.train["flight"].astype(str) + f" {k + 1}")
+        for k, day in enumerate(days)
+    ]
     return pd.concat(tables, ignore_index=True), days[0].aircraft
 
 
@@ -58,8 +64,20 @@ def draw(results, groups, path):
     for ax, (scorer, label) in zip(axes, SHOWN.items(), strict=True):
         sign = -1 if scorer.startswith("neg_") else 1
         for fold, group in enumerate(groups):
-            ax.plot(sign * results[f"split{fold}_test_{scorer}"][order], range(len(names)), "o", alpha=0.6, label=group)
-        ax.plot(sign * results[f"mean_test_{scorer}"][order], range(len(names)), "k|", markersize=16, label="mean")
+            ax.plot(
+                sign * results[f"split{fold}_test_{scorer}"][order],
+                range(len(names)),
+                "o",
+                alpha=0.6,
+                label=group,
+            )
+        ax.plot(
+            sign * results[f"mean_test_{scorer}"][order],
+            range(len(names)),
+            "k|",
+            markersize=16,
+            label="mean",
+        )
         ax.set_xlabel(label)
         ax.grid(axis="x", alpha=0.3)
     axes[0].set_yticks(range(len(names)), names)
@@ -69,19 +87,36 @@ def draw(results, groups, path):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=200, help="rows to learn from and score (default: %(default)s)")
-    parser.add_argument("--max-iter", type=int, default=30, help="iterations of each fit (default: %(default)s)")
-    parser.add_argument("--days", type=int, default=2, help="two flights of each (default: %(default)s)")
-    parser.add_argument("--n-jobs", type=int, default=2, help="fits side by side (default: %(default)s)")
-    parser.add_argument("--output", default="grid_search.png", help="the picture (default: %(default)s)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=200,
+        help="rows to learn from and score (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--max-iter", type=int, default=30, help="iterations of each fit (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--days", type=int, default=2, help="two flights of each (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--n-jobs", type=int, default=2, help="fits side by side (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", default="grid_search.png", help="the picture (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
 
     flights, aircraft = flights_of(options.days)
     targets = thin_targets(aerodynamic_coefficients(flights, aircraft), options.samples)
 
     model = make_identification_pipeline(aircraft, reconstruction="passthrough")
-    model.set_params(dependentgpregressor__max_iter=options.max_iter, dependentgpregressor__random_state=0)
+    model.set_params(
+        dependentgpregressor__max_iter=options.max_iter, dependentgpregressor__random_state=0
+    )
     search = GridSearchCV(
         model,
         GRID,

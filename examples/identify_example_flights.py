@@ -20,9 +20,15 @@ from skdgp.plotting import CoefficientDisplay
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=250, help="rows to learn from (default: %(default)s)")
-    parser.add_argument("--output", default="coefficients.png", help="the picture (default: %(default)s)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--samples", type=int, default=250, help="rows to learn from (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", default="coefficients.png", help="the picture (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
 
     flights = load_example_flights()
@@ -32,7 +38,12 @@ def main(arguments=None):
     (flight,) = result.evaluations
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     CoefficientDisplay.from_predictions(
-        flight.time, flight.measured, flight.mean, flight.measured_std, ax=figure, time_span=(24, 34)
+        flight.time,
+        flight.measured,
+        flight.mean,
+        flight.measured_std,
+        ax=figure,
+        time_span=(24, 34),
     )
     figure.suptitle("Example flights: coefficients of a flight that the model has not seen")
     figure.savefig(options.output, dpi=150)

@@ -17,7 +17,17 @@ _HOMES = {
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = (
-    *("calibration", "datasets", "design", "dynamics", "export", "identification", "inference", "io", "kernels"),
+    *(
+        "calibration",
+        "datasets",
+        "design",
+        "dynamics",
+        "export",
+        "identification",
+        "inference",
+        "io",
+        "kernels",
+    ),
     *("metrics", "model_selection", "plotting", "preprocessing", "report"),
 )
 

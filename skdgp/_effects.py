@@ -39,8 +39,8 @@ class Effects:
     importance : DataFrame (n_terms, P)
         Standard deviation over the samples of the mean of each term, in units of the outputs.
     curves : dict of str to Curve
-        Effect of each regressor that has a term of its own, from its 1 % to its 99 % quantile, in its unit before
-        scaling by the pipeline.
+        Effect of each regressor that has a term of its own, from its 1 % to its 99 % quantile, in
+        its unit before scaling by the pipeline.
     samples : DataFrame (n, d)
         The samples over which the effects have mean zero, at most 1000, in the same units.
     """
@@ -55,8 +55,8 @@ class Effects:
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
         """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: a dict of (n, P).
 
-        Their sum and ``intercept`` are the predicted mean. With ``return_std`` return a pair of such dicts, means and
-        standard deviations.
+        Their sum and ``intercept`` are the predicted mean. With ``return_std`` return a pair of
+        such dicts, means and standard deviations.
         """
         regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
@@ -66,42 +66,49 @@ class Effects:
                 mean[name] = term.predict(X) * regressor.scale_
                 continue
             values, squares = term.predict(X, return_variance=True)
-            mean[name], variance[name] = values * regressor.scale_, np.sqrt(squares) * regressor.scale_
+            mean[name], variance[name] = (
+                values * regressor.scale_,
+                np.sqrt(squares) * regressor.scale_,
+            )
         return (mean, variance) if return_std else mean
 
 
 def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
     r"""Return the effect of each regressor on each output, and what is joint, with standard deviations.
 
-    The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a process of each
-    (``structure="additive"``), processes of few (``ConvolvedGaussian(regressors=[0, 1])``), and the joint processes.
-    Terms of the same regressors are one effect. With the covariance :math:`K_t` of a term, and C that of the measured
-    values y, it has the mean :math:`K_t(X_*, X) C^{-1} y` and the covariance
-    :math:`K_t(X_*, X_*) - K_t(X_*, X) C^{-1} K_t(X, X_*)` (Duvenaud, Nickisch & Rasmussen 2011, "Additive Gaussian
-    processes"; Plate 1999). Every effect has mean zero over the samples, so that
+    The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a
+    process of each (``structure="additive"``), processes of few (``ConvolvedGaussian(regressors=[0,
+    1])``), and the joint processes. Terms of the same regressors are one effect. With the
+    covariance :math:`K_t` of a term, and C that of the measured values y, it has the mean
+    :math:`K_t(X_*, X) C^{-1} y` and the covariance :math:`K_t(X_*, X_*) - K_t(X_*, X) C^{-1} K_t(X,
+    X_*)` (Duvenaud, Nickisch & Rasmussen 2011, "Additive Gaussian processes"; Plate 1999). Every
+    effect has mean zero over the samples, so that
 
     .. math:: \mathrm{E}\, y(x) = \mathrm{intercept} + \sum_t \mathrm{effect}_t(x).
 
-    With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines, and the term
-    "joint" holds the rest. Terms share the data, so where regressors move together in the samples their bands are wide,
-    though the sum is known. Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends
-    in one; ValueError if the model is compact and X is not given, X is not finite, or ``n_grid`` is less than 2;
-    NotFittedError if the model is not fitted.
+    With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines,
+    and the term "joint" holds the rest. Terms share the data, so where regressors move together in
+    the samples their bands are wide, though the sum is known. Raises TypeError if the model is not
+    a ``DependentGPRegressor``, nor a pipeline that ends in one; ValueError if the model is compact
+    and X is not given, X is not finite, or ``n_grid`` is less than 2; NotFittedError if the model
+    is not fitted.
 
     Parameters
     ----------
     model : DependentGPRegressor or Pipeline
-        Fitted; a pipeline ends in a ``DependentGPRegressor``. Scalers before it are undone in the result.
+        Fitted; a pipeline ends in a ``DependentGPRegressor``. Scalers before it are undone in the
+        result.
     X : array or DataFrame (n, ...), optional
-        Input of the model: samples over which effects are centred and compared. Default: the training samples. A
-        compact model does not hold them and needs X.
+        Input of the model: samples over which effects are centred and compared. Default: the
+        training samples. A compact model does not hold them and needs X.
     n_grid : int, default=30
         Points of each curve.
 
     Returns
     -------
     Effects
-        ``curves`` by the name of the regressor, ``importance``, ``intercept``, and ``evaluate(X)`` for any points.
+        ``curves`` by the name of the regressor, ``importance``, ``intercept``, and ``evaluate(X)``
+        for any points.
 
     Examples
     --------
@@ -135,11 +142,15 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
             low, high = np.quantile(rows[:, k], RANGE)
             points[:, k] = np.linspace(low, high, n_grid)
             mean, variance = terms[name].predict(points, return_variance=True)
-            curves[name] = Curve(in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale)
+            curves[name] = Curve(
+                in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale
+            )
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
     return Effects(
         intercept=regressor.center_ + intercept * scale,
-        importance=pd.DataFrame.from_dict(importance, orient="index", columns=regressor.output_names_),
+        importance=pd.DataFrame.from_dict(
+            importance, orient="index", columns=regressor.output_names_
+        ),
         curves=curves,
         samples=units,
         _model=model,
@@ -153,7 +164,8 @@ def split_model(model):
     regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
-            f"Got {type(last).__name__}, but expected a fitted DependentGPRegressor, or a pipeline that ends in one."
+            f"Got {type(last).__name__}, but expected a fitted DependentGPRegressor, or a "
+            f"pipeline that ends in one."
         )
     check_is_fitted(regressor)
     names = regressor._regressor_names()
@@ -176,7 +188,8 @@ def samples_of(regressor, before, X):
         return regressor._check_regressors(X if before is None else before.transform(X))
     if regressor.inference_ == "compact":
         raise ValueError(
-            "Got a compact model, which holds no samples. Give X, samples of the flown envelope, or the model before "
+            "Got a compact model, which holds no samples. Give X, samples of the flown envelope, "
+            "or the model before "
             "compact()."
         )
     return training_inputs(regressor.posterior_)

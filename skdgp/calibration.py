@@ -1,8 +1,8 @@
 """Calibration of standard deviations and intervals by held-out flights.
 
-A model predicts standard deviations; held-out flights show its errors. Scaling the first by the second gives intervals
-with a guaranteed coverage. The guarantee needs no normal distribution and no correct model, only that the next flight
-is of the same kind as the flights of the calibration.
+A model predicts standard deviations; held-out flights show its errors. Scaling the first by the
+second gives intervals with a guaranteed coverage. The guarantee needs no normal distribution and no
+correct model, only that the next flight is of the same kind as the flights of the calibration.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import column_names
 from skdgp._compute.predicting import accepts, predict_observed, predict_with_noise, unwrap
-from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context, safe_indexing
+from skdgp._compute.sklearn_compat import (
+    HasMethods,
+    Interval,
+    StrOptions,
+    fit_context,
+    safe_indexing,
+)
 from skdgp._compute.statistics import check_level, half_width
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES
@@ -54,36 +60,38 @@ def _estimator_has(name: str) -> Callable[[Any], bool]:
 class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     r"""Scale the standard deviations of a regressor, output by output, by the errors on held-out flights.
 
-    Each held-out sample has a score :math:`|y - m| / s`: m and s are the mean and the standard deviation, measurement
-    noise included, of a model that did not learn from its flight. The interval of a level is :math:`m \pm q s`. Samples
-    of one flight are dependent, so flights have equal weight: with K flights and :math:`n_k` scores in flight k, q is
-    the least number with
+    Each held-out sample has a score :math:`|y - m| / s`: m and s are the mean and the standard
+    deviation, measurement noise included, of a model that did not learn from its flight. The
+    interval of a level is :math:`m \pm q s`. Samples of one flight are dependent, so flights have
+    equal weight: with K flights and :math:`n_k` scores in flight k, q is the least number with
 
     .. math:: \sum_k \frac{1}{(K + 1) \, n_k} \, \#\{i : score_{ki} \le q\} \ge level
 
-    (hierarchical conformal prediction: Lee, Barber & Willett 2023; Dunn, Wasserman & Ramdas 2023). If the next flight
-    and the K others are exchangeable, the expected share of its samples inside the interval is at least ``level``, for
-    every model, distribution of errors and dependence within a flight. The share of one flight may be smaller. The
-    guarantee is exact with ``cv="prefit"``; in cross-validation, where predictions come from a model of all flights,
+    (hierarchical conformal prediction: Lee, Barber & Willett 2023; Dunn, Wasserman & Ramdas 2023).
+    If the next flight and the K others are exchangeable, the expected share of its samples inside
+    the interval is at least ``level``, for every model, distribution of errors and dependence
+    within a flight. The share of one flight may be smaller. The guarantee is exact with
+    ``cv="prefit"``; in cross-validation, where predictions come from a model of all flights,
     intervals are mostly too wide, though no theorem says so.
 
-    **K flights guarantee no level above K / (K + 1)**: two 0.67, four 0.8, nineteen 0.95. Above it ``fit`` warns, and q
-    is the quantile of the observed scores with equal weight per flight: consistent as K grows (Dunn et al., section 3),
-    without a guarantee for small K.
+    **K flights guarantee no level above K / (K + 1)**: two 0.67, four 0.8, nineteen 0.95. Above it
+    ``fit`` warns, and q is the quantile of the observed scores with equal weight per flight:
+    consistent as K grows (Dunn et al., section 3), without a guarantee for small K.
 
     Parameters
     ----------
     estimator : regressor or Pipeline
         Its ``predict`` takes ``return_std``.
     method : {"conformal", "variance"}, default="conformal"
-        "variance" scales the mean squared score to one, with equal weight per flight, and assumes normal errors: it
-        varies less with few flights, but has no guarantee.
+        "variance" scales the mean squared score to one, with equal weight per flight, and assumes
+        normal errors: it varies less with few flights, but has no guarantee.
     level : float, default=0.95
         Level at which the normal interval of the scaled standard deviation is the conformal one.
     cv : None, int, splitter, iterable or "prefit", default=None
-        None or int: hold out whole flights, in 5 or ``cv`` folds (``GroupKFold``). A single flight is cut into as many
-        blocks, 2 s apart (``BlockSplit``), with a warning: the guarantee is then for further blocks of that flight.
-        "prefit": the estimator is fitted, and ``fit`` gets flights that it did not learn from.
+        None or int: hold out whole flights, in 5 or ``cv`` folds (``GroupKFold``). A single flight
+        is cut into as many blocks, 2 s apart (``BlockSplit``), with a warning: the guarantee is
+        then for further blocks of that flight. "prefit": the estimator is fitted, and ``fit`` gets
+        flights that it did not learn from.
     n_jobs : int or None, default=None
         Fits of the cross-validation that run in parallel, as in joblib.
 
@@ -96,7 +104,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     guaranteed_, max_level_ : ndarray (P,) of bool, ndarray (P,)
         Whether ``level`` is guaranteed; K / (K + 1), the highest guaranteed level.
     unit_, n_units_ : {"flight", "block"}, ndarray (P,) of int
-        Unit of the guarantee: "block" if a splitter cuts flights; and K, the units in which each output was observed.
+        Unit of the guarantee: "block" if a splitter cuts flights; and K, the units in which each
+        output was observed.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
     output_names_, n_features_in_, feature_names_in_
@@ -152,13 +161,15 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def fit(self, X: Any, y: Any, groups: Any = None, **fit_params: Any) -> Self:
         """Score held-out flights, then fit on all flights.
 
-        X (n, d) are regressors, or the flights of an identification pipeline. Its column ``flight`` names flights; a
-        single flight is cut into blocks by its column ``time`` [s], or by rows without a gap. Targets y (n,) or (n, P)
-        are NaN where an output was not observed. ``groups`` (n,) are exchangeable units in place of the column
-        ``flight``, such as the day. Parameters of the estimator's ``fit``, such as ``time``, have a value for each row.
+        X (n, d) are regressors, or the flights of an identification pipeline. Its column ``flight``
+        names flights; a single flight is cut into blocks by its column ``time`` [s], or by rows
+        without a gap. Targets y (n,) or (n, P) are NaN where an output was not observed. ``groups``
+        (n,) are exchangeable units in place of the column ``flight``, such as the day. Parameters
+        of the estimator's ``fit``, such as ``time``, have a value for each row.
 
-        Raises TypeError if the estimator predicts no standard deviation, ValueError if there are too few rows or an
-        output has no held-out observation. Warns if there is one flight, or too few to guarantee ``level``.
+        Raises TypeError if the estimator predicts no standard deviation, ValueError if there are
+        too few rows or an output has no held-out observation. Warns if there is one flight, or too
+        few to guarantee ``level``.
         """
         X = _check_X(X)
         Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
@@ -171,7 +182,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             all_scores = _scores(self.estimator, X, Y)
             scores = [all_scores[test] for _, test in splits]
         else:
-            fits = (delayed(_fit_and_score)(self.estimator, X, y, Y, *rows, fit_params) for rows in splits)
+            fits = (
+                delayed(_fit_and_score)(self.estimator, X, y, Y, *rows, fit_params)
+                for rows in splits
+            )
             scores = Parallel(n_jobs=self.n_jobs)(fits)
             self.estimator_ = clone(self.estimator).fit(X, y, **fit_params)
         self.unit_, units = _units_of([test for _, test in splits], flights["flight"].to_numpy())
@@ -183,11 +197,14 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         observed = ~np.isnan(scores).all(axis=1)
         self.calibration_scores_ = scores[observed]
         self.calibration_units_ = units = np.unique(units[observed], return_inverse=True)[1]
-        self.n_units_ = np.array([len(np.unique(units[~np.isnan(column)])) for column in self.calibration_scores_.T])
+        self.n_units_ = np.array(
+            [len(np.unique(units[~np.isnan(column)])) for column in self.calibration_scores_.T]
+        )
         never = [name for name, n in zip(self.output_names_, self.n_units_, strict=True) if not n]
         if never:
             raise ValueError(
-                f"Got no value of the outputs {never} in held-out flights, but expected some to calibrate on: leave "
+                f"Got no value of the outputs {never} in held-out flights, but expected some to "
+                f"calibrate on: leave "
                 "these outputs out, or observe them in more flights."
             )
         self.max_level_ = self.n_units_ / (self.n_units_ + 1)
@@ -198,8 +215,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
             n, top = self.n_units_[few].min(), self.max_level_[few].min()
             warnings.warn(
-                f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than {top:.3g}: the intervals of "
-                f"{names} held as often on these {self.unit_}s, without a guarantee for the next. Calibrate on "
+                f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than "
+                f"{top:.3g}: the intervals of "
+                f"{names} held as often on these {self.unit_}s, without a guarantee for the next. "
+                f"Calibrate on "
                 f"{units_needed(self.level)} {self.unit_}s or more, or set "
                 f"level={np.floor(100 * top) / 100:g}.",
                 stacklevel=4,
@@ -214,30 +233,40 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             if self.method == "variance":
                 widths.append(half_width(level) * np.sqrt(weights @ scores**2))
             else:
-                total = self.max_level_[k] if self.guaranteed_[k] else 1.0  # the next flight weighs 1 / (K + 1)
+                total = (
+                    self.max_level_[k] if self.guaranteed_[k] else 1.0
+                )  # the next flight weighs 1 / (K + 1)
                 widths.append(weighted_quantile(scores, total * weights, level))
         return np.array(widths)
 
-    def predict(self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False) -> Any:
+    def predict(
+        self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False
+    ) -> Any:
         """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled; (n, P) or (n,).
 
-        With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated interval of probability
-        ``level``: of a new measurement, as calibrated, or, without ``include_noise``, of the function, scaled alike.
-        ``return_cov`` is the joint covariance (P n, P n) of the function at exact X, scaled alike. Raises ValueError
-        if both are requested.
+        With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated
+        interval of probability ``level``: of a new measurement, as calibrated, or, without
+        ``include_noise``, of the function, scaled alike. ``return_cov`` is the joint covariance (P
+        n, P n) of the function at exact X, scaled alike. Raises ValueError if both are requested.
         """
         check_is_fitted(self)
         X, inside = _check_X(X), unwrap(self.estimator_)
         if return_cov:
             if return_std:
                 raise ValueError("Got return_std and return_cov, but expected one of them.")
-            exact = {"include_input_noise": False} if accepts(self.estimator_, "include_input_noise") else {}
+            exact = (
+                {"include_input_noise": False}
+                if accepts(self.estimator_, "include_input_noise")
+                else {}
+            )
             mean, covariance = inside.predict(X, return_cov=True, **exact)
             scale = np.repeat(self.std_scale_, len(mean))
             return mean, covariance * scale[:, None] * scale
         if not return_std:
             return self.estimator_.predict(X)
-        mean, std = predict_with_noise(inside, X) if include_noise else inside.predict(X, return_std=True)
+        mean, std = (
+            predict_with_noise(inside, X) if include_noise else inside.predict(X, return_std=True)
+        )
         return mean, std * (self.std_scale_ if std.ndim > 1 else self.std_scale_[0])
 
     @available_if(_estimator_has("predict_gradient"))
@@ -251,7 +280,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> ScaledPaths:
         """Draw functions from the posterior, as :meth:`skdgp.DependentGPRegressor.sample_paths`, scaled.
 
-        A path f of a posterior with mean m becomes m + s (f - m), with s the output's ``std_scale_``.
+        A path f of a posterior with mean m becomes m + s (f - m), with s the output's
+        ``std_scale_``.
         """
         check_is_fitted(self)
         regressor = unwrap(self.estimator_)
@@ -283,15 +313,17 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def predict_interval(self, X: Any, level: float | None = None) -> tuple[Array, Array]:
         """Return lower and upper ends of calibrated intervals of new measurements at X (n, d), shaped as the mean.
 
-        The default level is that of the constructor. Above the guaranteed level of outputs whose ``level`` is
-        guaranteed, intervals are infinite, with a warning. Raises ValueError if ``level`` is not inside (0, 1).
+        The default level is that of the constructor. Above the guaranteed level of outputs whose
+        ``level`` is guaranteed, intervals are infinite, with a warning. Raises ValueError if
+        ``level`` is not inside (0, 1).
         """
         check_is_fitted(self)
         level = check_level(self.level if level is None else level)
         widths = self._half_widths(level)
         if np.isinf(widths).any():
             warnings.warn(
-                f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more than "
+                f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more "
+                f"than "
                 f"{self.max_level_.min():.3g}, so intervals are infinite: calibrate on "
                 f"{units_needed(level)} of them, or lower the level.",
                 stacklevel=2,
@@ -350,9 +382,15 @@ class ScaledPaths(Sequence):
         scale = np.asarray(self.scale)[..., None]
         return self._scaled(X, self.paths.gradient(X), self.regressor.predict_gradient, scale)
 
-    def _scaled(self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any) -> Array:
+    def _scaled(
+        self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any
+    ) -> Array:
         # A table of points for all paths has names, which predict expects.
-        mean = predict(X.reshape(-1, X.shape[-1])).reshape(values.shape) if np.ndim(X) == 3 else predict(X)
+        mean = (
+            predict(X.reshape(-1, X.shape[-1])).reshape(values.shape)
+            if np.ndim(X) == 3
+            else predict(X)
+        )
         return mean + scale * (values - mean)
 
 
@@ -362,7 +400,9 @@ def _flight_table(X: Any, groups: Any) -> pd.DataFrame:
     ids = groups if groups is not None else X["flight"] if "flight" in columns else np.zeros(n)
     codes, _ = flight_codes(ids)
     if len(codes) != n:
-        raise ValueError(f"Got {len(codes)} flight identifiers for {n} rows, but expected one for each row.")
+        raise ValueError(
+            f"Got {len(codes)} flight identifiers for {n} rows, but expected one for each row."
+        )
     table = pd.DataFrame({"flight": codes})
     return table.assign(time=X["time"].to_numpy(dtype=float)) if "time" in columns else table
 
@@ -387,16 +427,20 @@ def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices,
     n = len(flights)
     if n < MIN_ROWS:
         raise ValueError(
-            f"Got n_samples={n} of one flight, but expected at least {MIN_ROWS}, to hold some out: give more rows, "
+            f"Got n_samples={n} of one flight, but expected at least {MIN_ROWS}, to hold some "
+            f"out: give more rows, "
             "or several flights (column flight, or groups)."
         )
     n_blocks = cv if isinstance(cv, Integral) else min(N_SPLITS, n // 3)
     warnings.warn(
-        f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for further blocks of this "
+        f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for "
+        f"further blocks of this "
         "flight, not for other flights. Give several (column flight, or groups).",
         stacklevel=5,
     )
-    gap = 2.0 if "time" in flights and cv != "prefit" else 0.0  # seconds between training and held-out rows
+    gap = (
+        2.0 if "time" in flights and cv != "prefit" else 0.0
+    )  # seconds between training and held-out rows
     flights = flights if "time" in flights else flights.assign(time=np.arange(n, dtype=float))
     return list(BlockSplit(int(n_blocks), gap=gap).split(flights))
 
@@ -453,20 +497,21 @@ def units_needed(level: float) -> int:
 class CalibratedBands:
     r"""Bands that hold whole trajectories, from simulated ensembles and the flights that were recorded.
 
-    A segment is a part of a recorded flight, simulated from its first row. Its score is, for each group of states, the
-    largest error along it, over all its times and states,
+    A segment is a part of a recorded flight, simulated from its first row. Its score is, for each
+    group of states, the largest error along it, over all its times and states,
 
     .. math:: \max_{t, i} |y_i(t) - m_i(t)| / s_i(t),
 
-    with the median m of the ensemble and its deviation s: the distance from m to the 16 % or the 84 % quantile, on the
-    side of y. The band of a level is :math:`m \pm q s`, with q as in :class:`CalibratedRegressor`: with one segment of
-    each of K flights the :math:`\lceil (K + 1) \, level \rceil`-th smallest score. If the next flight and the K others
-    are exchangeable, the expected share of its segments whose states of the group stay in their bands from beginning
-    to end is at least ``level``.
+    with the median m of the ensemble and its deviation s: the distance from m to the 16 % or the 84
+    % quantile, on the side of y. The band of a level is :math:`m \pm q s`, with q as in
+    :class:`CalibratedRegressor`: with one segment of each of K flights the :math:`\lceil (K + 1) \,
+    level \rceil`-th smallest score. If the next flight and the K others are exchangeable, the
+    expected share of its segments whose states of the group stay in their bands from beginning to
+    end is at least ``level``.
 
-    **K flights guarantee no level above K / (K + 1).** Above it, with a warning, q is the largest score, or if larger
-    Student's prediction bound of the logarithms x of the largest score of each flight, with their mean and standard
-    deviation,
+    **K flights guarantee no level above K / (K + 1).** Above it, with a warning, q is the largest
+    score, or if larger Student's prediction bound of the logarithms x of the largest score of each
+    flight, with their mean and standard deviation,
 
     .. math:: \log q = \bar{x} + t_{K - 1, level} \, s_x \sqrt{1 + 1 / K},
 
@@ -511,43 +556,56 @@ class CalibratedBands:
     ) -> CalibratedBands:  # fmt: skip
         """Return the bands that the errors of an ensemble on recorded segments ask for.
 
-        Raises ValueError if there are fewer than two units, a segment is shorter than its trajectory or lacks a state,
-        or an ensemble does not spread. Warns if segments of one flight are the units.
+        Raises ValueError if there are fewer than two units, a segment is shorter than its
+        trajectory or lacks a state, or an ensemble does not spread. Warns if segments of one flight
+        are the units.
 
         Parameters
         ----------
         ensemble : DataFrame
-            Of :func:`skdgp.dynamics.simulate` with ``n_paths``, from the first row of each segment, by a model that did
-            not learn from these flights.
+            Of :func:`skdgp.dynamics.simulate` with ``n_paths``, from the first row of each segment,
+            by a model that did not learn from these flights.
         recorded : list of DataFrame
-            The segments in the order of the starts, with ``time`` [s] and the states. A column ``flight`` names their
-            flights, which are the exchangeable units. Without it, or with one flight, segments are, only approximately:
-            neighbours fly in the same air.
+            The segments in the order of the starts, with ``time`` [s] and the states. A column
+            ``flight`` names their flights, which are the exchangeable units. Without it, or with
+            one flight, segments are, only approximately: neighbours fly in the same air.
         groups : mapping of str to sequence of str, optional
-            States of each group, which has bands of its own; by default velocity (v_north, v_east, v_down), attitude
-            (phi, theta, psi) and rates (p, q, r), as far as they were recorded.
+            States of each group, which has bands of its own; by default velocity (v_north, v_east,
+            v_down), attitude (phi, theta, psi) and rates (p, q, r), as far as they were recorded.
         noise : mapping of str to float, optional
-            Standard deviations of the errors of recorded states, by name. They are part of s: without them the first
-            rows, where an ensemble has not spread, decide. ``initial_std`` of `simulate` is that of the starts.
+            Standard deviations of the errors of recorded states, by name. They are part of s:
+            without them the first rows, where an ensemble has not spread, decide. ``initial_std``
+            of `simulate` is that of the starts.
         """
         names = {name for part in recorded for name in part}
         if groups is None:
-            groups = {group: [name for name in states if name in names] for group, states in GROUPS.items()}
+            groups = {
+                group: [name for name in states if name in names]
+                for group, states in GROUPS.items()
+            }
             groups = {group: states for group, states in groups.items() if states}
         bands = _one_sigma(ensemble, groups, noise := dict(noise or {}))
         if len(recorded) != len(bands):
             raise ValueError(
-                f"Got {len(recorded)} recorded segments and {len(bands)} starts of the ensemble, but expected one "
+                f"Got {len(recorded)} recorded segments and {len(bands)} starts of the ensemble, "
+                f"but expected one "
                 "segment for each start."
             )
-        scores = pd.DataFrame([_group_scores(*pair, groups) for pair in zip(bands, recorded, strict=True)])
+        scores = pd.DataFrame(
+            [_group_scores(*pair, groups) for pair in zip(bands, recorded, strict=True)]
+        )
         if len(recorded) < 2:
-            raise ValueError("Got one recorded segment, but expected at least two, of different flights.")
-        codes, flights = flight_codes([part["flight"].iloc[0] if "flight" in part else 0 for part in recorded])
+            raise ValueError(
+                "Got one recorded segment, but expected at least two, of different flights."
+            )
+        codes, flights = flight_codes(
+            [part["flight"].iloc[0] if "flight" in part else 0 for part in recorded]
+        )
         if len(flights) > 1:
             return cls(scores, codes, "flight", groups, noise)
         warnings.warn(
-            f"Got one flight, so its {len(recorded)} segments replace flights: the bands hold for further segments "
+            f"Got one flight, so its {len(recorded)} segments replace flights: the bands hold for "
+            f"further segments "
             "of this flight, not for other flights. Give segments of several (column flight).",
             stacklevel=2,
         )
@@ -570,30 +628,42 @@ class CalibratedBands:
         """
         if check_level(level) <= self.max_level + ROUNDING:
             weights = self.max_level * unit_weights(self.units)
-            return {str(name): weighted_quantile(s.to_numpy(), weights, level) for name, s in self.scores.items()}
+            return {
+                str(name): weighted_quantile(s.to_numpy(), weights, level)
+                for name, s in self.scores.items()
+            }
         warnings.warn(
-            f"Got level={level:g}, but {self.n_units} {self.unit}s guarantee no more than {self.max_level:.3g}: the "
-            f"bands assume that logarithms of their largest scores are normal. Calibrate on {units_needed(level)} "
+            f"Got level={level:g}, but {self.n_units} {self.unit}s guarantee no more than "
+            f"{self.max_level:.3g}: the "
+            f"bands assume that logarithms of their largest scores are normal. Calibrate on "
+            f"{units_needed(level)} "
             f"{self.unit}s or more, or set level={np.floor(100 * self.max_level) / 100:g}.",
             stacklevel=2,
         )
         largest = np.log(self.scores.groupby(self.units).max())
-        margin = student.ppf(level, self.n_units - 1) * np.sqrt(1 + 1 / self.n_units) * largest.std()
-        bound = np.fmax(largest.max(), largest.mean() + margin)  # without a standard deviation one is infinite
+        margin = (
+            student.ppf(level, self.n_units - 1) * np.sqrt(1 + 1 / self.n_units) * largest.std()
+        )
+        bound = np.fmax(
+            largest.max(), largest.mean() + margin
+        )  # without a standard deviation one is infinite
         return {str(name): float(q) for name, q in np.exp(bound).items()}
 
     def bands(self, ensemble: pd.DataFrame, level: float = 0.95) -> pd.DataFrame:
         """Return the calibrated bands of other trajectories, in the form of :func:`skdgp.dynamics.trajectory_bands`.
 
-        The ensemble of :func:`skdgp.dynamics.simulate` is as long as the segments or shorter. Where ``noise`` was
-        given, bands are those of records. Errors and warnings are those of :meth:`factors`.
+        The ensemble of :func:`skdgp.dynamics.simulate` is as long as the segments or shorter. Where
+        ``noise`` was given, bands are those of records. Errors and warnings are those of
+        :meth:`factors`.
         """
         factors = self.factors(level)
         table = pd.concat(_one_sigma(ensemble, self.groups, self.noise), ignore_index=True)
         for group, states in self.groups.items():
             for name in states:
                 for end in ("_low", "_high"):
-                    table[name + end] = table[name] + factors[group] * (table[name + end] - table[name])
+                    table[name + end] = table[name] + factors[group] * (
+                        table[name + end] - table[name]
+                    )
         return table
 
 
@@ -604,18 +674,25 @@ def _one_sigma(ensemble: pd.DataFrame, groups: Mapping, noise: Mapping) -> list[
     table = trajectory_bands(ensemble, ONE_SIGMA, states)
     for name in states:
         for end, sign in (("_low", -1), ("_high", 1)):
-            table[name + end] = table[name] + sign * np.hypot(table[name + end] - table[name], noise.get(name, 0.0))
+            table[name + end] = table[name] + sign * np.hypot(
+                table[name + end] - table[name], noise.get(name, 0.0)
+            )
     return [band.reset_index(drop=True) for _, band in table.groupby("start", sort=True)]
 
 
 def _group_scores(band: pd.DataFrame, recorded: pd.DataFrame, groups: Mapping) -> dict[str, float]:
     """Return the largest error over deviation of each group, after the first row; infinite where no path flies."""
-    check_columns(recorded, ["time", *(name for names in groups.values() for name in names)], what="recorded segment")
+    check_columns(
+        recorded,
+        ["time", *(name for names in groups.values() for name in names)],
+        what="recorded segment",
+    )
     time = recorded["time"].to_numpy(float)
     at = band["time"].to_numpy(float) - band["time"].iloc[0] + time[0]
     if at[-1] > time[-1] + 1e-6:
         raise ValueError(
-            f"Got a recorded segment of {np.ptp(time):g} s for a trajectory of {np.ptp(at):g} s, but expected records "
+            f"Got a recorded segment of {np.ptp(time):g} s for a trajectory of {np.ptp(at):g} s, "
+            f"but expected records "
             "to its end: simulate a shorter duration."
         )
 
@@ -623,14 +700,19 @@ def _group_scores(band: pd.DataFrame, recorded: pd.DataFrame, groups: Mapping) -
         values = recorded[name].to_numpy(float)
         observed = np.isfinite(values)
         if not observed.any():
-            raise ValueError(f"Got a recorded segment without a value of {name}, but expected some.")
+            raise ValueError(
+                f"Got a recorded segment without a value of {name}, but expected some."
+            )
         values = np.unwrap(values[observed]) if name in EULER else values[observed]
         error = np.interp(at, time[observed], values) - band[name]
         error = wrapped(error) if name in EULER else error
-        spread = np.where(error > 0, band[name + "_high"] - band[name], band[name] - band[name + "_low"])[1:]
+        spread = np.where(
+            error > 0, band[name + "_high"] - band[name], band[name] - band[name + "_low"]
+        )[1:]
         if (spread == 0).any():
             raise ValueError(
-                f"Got an ensemble in which {name} does not spread, but expected several paths: simulate with n_paths."
+                f"Got an ensemble in which {name} does not spread, but expected several paths: "
+                f"simulate with n_paths."
             )
         return float(np.max(np.nan_to_num(np.abs(error[1:]) / spread, nan=np.inf)))
 

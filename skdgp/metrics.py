@@ -1,10 +1,11 @@
 """Metrics of predictions and of their standard deviations.
 
-Targets are (n,) or (n, P). A NaN target was not observed and is left out, output by output. ``multioutput`` is
-scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"`` for their mean, or an array of
-weights. The metric of an output that is never observed is NaN, with a warning. The metrics raise ValueError if shapes
-differ, a prediction is not finite, a standard deviation is not positive (negative, for ``coverage_curve``), or a level
-is not inside (0, 1). The scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
+Targets are (n,) or (n, P). A NaN target was not observed and is left out, output by output.
+``multioutput`` is scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"``
+for their mean, or an array of weights. The metric of an output that is never observed is NaN, with
+a warning. The metrics raise ValueError if shapes differ, a prediction is not finite, a standard
+deviation is not positive (negative, for ``coverage_curve``), or a level is not inside (0, 1). The
+scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
 """
 
 from __future__ import annotations
@@ -35,11 +36,13 @@ Average: TypeAlias = "str | ArrayLike"
 Score: TypeAlias = "float | Vector"
 
 
-def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
+def median_relative_error(
+    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average"
+) -> Score:
     """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %), of (n,) or (n, P) targets.
 
-    Hemakumara & Sukkarieh (ICRA 2011) report this figure. It ignores large errors: report :func:`normalized_rmse`
-    beside it. A zero target has an infinite error, or none if met exactly.
+    Hemakumara & Sukkarieh (ICRA 2011) report this figure. It ignores large errors: report
+    :func:`normalized_rmse` beside it. A zero target has an infinite error, or none if met exactly.
 
     Examples
     --------
@@ -53,7 +56,9 @@ def median_relative_error(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: 
     return _aggregate(_by_output(np.median, relative, target), multioutput)
 
 
-def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average") -> Score:
+def normalized_rmse(
+    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average"
+) -> Score:
     """Return the root mean squared error over the standard deviation of the targets, (n,) or (n, P).
 
     1 is no better than predicting their mean; NaN, with a warning, for a constant output.
@@ -74,7 +79,11 @@ def normalized_rmse(y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Averag
 
 
 def negative_log_predictive_density(
-    y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, multioutput: Average = "uniform_average"
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    y_std: ArrayLike,
+    *,
+    multioutput: Average = "uniform_average",
 ) -> Score:
     """Return the mean of ``log(2 pi s^2) / 2 + (y - m)^2 / 2 s^2`` (Rasmussen & Williams 2006, eq 2.34).
 
@@ -101,7 +110,11 @@ def negative_log_predictive_density(
 
 
 def continuous_ranked_probability_score(
-    y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, multioutput: Average = "uniform_average"
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    y_std: ArrayLike,
+    *,
+    multioutput: Average = "uniform_average",
 ) -> Score:
     r"""Return the mean of the continuous ranked probability score of normal predictions.
 
@@ -109,7 +122,8 @@ def continuous_ranked_probability_score(
 
     .. math:: s \left[z (2 \Phi(z) - 1) + 2 \varphi(z) - 1 / \sqrt{\pi}\right].
 
-    It is a proper score, in units of the output and linear in a large error, so one outlier does not dominate it.
+    It is a proper score, in units of the output and linear in a large error, so one outlier does
+    not dominate it.
 
     Parameters
     ----------
@@ -186,7 +200,9 @@ def coverage_curve(
     [0.25, 0.5]
     """
     levels = check_levels(levels)
-    shares = shares_inside(standardized(*check_scored(y_true, y_pred, y_std, zero_std=True)), levels)
+    shares = shares_inside(
+        standardized(*check_scored(y_true, y_pred, y_std, zero_std=True)), levels
+    )
     names = output_names(y_true) or range(shares.shape[1])
     return pd.DataFrame(shares, index=pd.Index(levels, name="level"), columns=names)
 
@@ -203,16 +219,23 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike, zero_std: bool = Fals
     found = [np.asarray(values, dtype=float) for values in predicted]
     for name, values in zip(("y_pred", "y_std"), found, strict=False):
         if values.size != target.size or len(values) != len(target):
-            raise ValueError(f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's.")
+            raise ValueError(
+                f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
+            )
         if not np.isfinite(values).all():
             raise ValueError(
-                f"Got {int((~np.isfinite(values)).sum())} values of {name} that are not finite, but a prediction must "
+                f"Got {int((~np.isfinite(values)).sum())} values of {name} that are not finite, "
+                f"but a prediction must "
                 "be: look for NaN among the regressors."
             )
     if target.ndim not in (1, 2) or not target.size:
-        raise ValueError(f"Got y_true of shape {target.shape}, but expected (n,) or (n, P), not empty.")
+        raise ValueError(
+            f"Got y_true of shape {target.shape}, but expected (n,) or (n, P), not empty."
+        )
     if np.isinf(target).any():
-        raise ValueError("Got infinite values in y_true, but expected finite ones or NaN (not observed).")
+        raise ValueError(
+            "Got infinite values in y_true, but expected finite ones or NaN (not observed)."
+        )
     if len(found) == 2 and not ((found[1] > 0) | (zero_std & (found[1] == 0))).all():
         raise ValueError(f"Got y_std down to {found[1].min():g}, but expected positive values.")
     return [values.reshape(len(target), -1) for values in (target, *found)]
@@ -232,15 +255,22 @@ def _aggregate(values: Vector, multioutput: Average) -> Score:
         if multioutput == "raw_values":
             return values
         if multioutput != "uniform_average":
-            raise ValueError(f"Got {multioutput=}, but expected 'raw_values', 'uniform_average' or weights.")
+            raise ValueError(
+                f"Got {multioutput=}, but expected 'raw_values', 'uniform_average' or weights."
+            )
         multioutput = np.ones(len(values))
     known = ~np.isnan(values)
-    return float(np.average(values[known], weights=np.asarray(multioutput)[known])) if known.any() else np.nan
+    return (
+        float(np.average(values[known], weights=np.asarray(multioutput)[known]))
+        if known.any()
+        else np.nan
+    )
 
 
 def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
     warnings.warn(
-        f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, so {consequence}: NaN, and left out of the "
+        f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, so {consequence}: NaN, and "
+        f"left out of the "
         "mean.",
         UndefinedMetricWarning,
         stacklevel=4,
@@ -255,12 +285,13 @@ def make_predictive_scorer(
     Parameters
     ----------
     metric : callable
-        ``metric(y_true, y_pred, **kwargs)``; with ``needs_std``, ``metric(y_true, y_pred, y_std, **kwargs)``.
+        ``metric(y_true, y_pred, **kwargs)``; with ``needs_std``, ``metric(y_true, y_pred, y_std,
+        **kwargs)``.
     greater_is_better : bool
         False flips the sign, as scikit-learn maximises scores.
     needs_std : bool, default=False
-        Whether to call ``predict(X, return_std=True)``, with ``include_noise=True`` where the estimator takes it, as
-        the targets are measurements.
+        Whether to call ``predict(X, return_std=True)``, with ``include_noise=True`` where the
+        estimator takes it, as the targets are measurements.
     **kwargs
         Passed to the metric.
 
@@ -300,10 +331,16 @@ class _PredictiveScorer:
 
 
 POINT = (median_relative_error, normalized_rmse)
-PROBABILISTIC = (negative_log_predictive_density, continuous_ranked_probability_score, interval_coverage)
+PROBABILISTIC = (
+    negative_log_predictive_density,
+    continuous_ranked_probability_score,
+    interval_coverage,
+)
 
 SCORERS = {
-    name: make_predictive_scorer(metric, greater_is_better=greater, needs_std=metric in PROBABILISTIC)
+    name: make_predictive_scorer(
+        metric, greater_is_better=greater, needs_std=metric in PROBABILISTIC
+    )
     for name, metric, greater in (
         ("neg_median_relative_error", median_relative_error, False),
         ("neg_normalized_rmse", normalized_rmse, False),
@@ -312,14 +349,16 @@ SCORERS = {
         ("interval_coverage", interval_coverage, True),
     )
 }
-"""Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near its level."""
+"""Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near
+its level.
+"""
 
 
 def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
     """Return the metrics of each output, ``{"normalized_rmse_CX": ..., ...}``, for ``scoring=`` of ``cross_validate``.
 
-    There are five metrics where the estimator predicts standard deviations, otherwise the two that need none. Outputs
-    are named by the columns of ``y``, or numbered.
+    There are five metrics where the estimator predicts standard deviations, otherwise the two that
+    need none. Outputs are named by the columns of ``y``, or numbered.
 
     Examples
     --------
@@ -331,16 +370,21 @@ def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
     """
     rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
     scores = _scores(safe_indexing(y, rows), *predicted)
-    return {f"{metric}_{name}": float(value) for metric, values in scores.items() for name, value in values.items()}
+    return {
+        f"{metric}_{name}": float(value)
+        for metric, values in scores.items()
+        for name, value in values.items()
+    }
 
 
 def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
     """Return the metrics of a fitted estimator or pipeline by flight and output.
 
-    The table (n, ...), regressors or the flights of an identification pipeline, names flights in its column ``flight``;
-    Y (n,) or (n, P) are measured targets. The result has a row per flight and output, with ``n_observed`` and the
-    metrics of :func:`score_outputs`; NaN where an output is never observed in a flight. Standard deviations include
-    measurement noise where the estimator has it. Raises ValueError if the table lacks the column.
+    The table (n, ...), regressors or the flights of an identification pipeline, names flights in
+    its column ``flight``; Y (n,) or (n, P) are measured targets. The result has a row per flight
+    and output, with ``n_observed`` and the metrics of :func:`score_outputs`; NaN where an output is
+    never observed in a flight. Standard deviations include measurement noise where the estimator
+    has it. Raises ValueError if the table lacks the column.
 
     Examples
     --------
@@ -360,7 +404,9 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
     check_columns(check_table(table), ["flight"], what="table of flights")
     values = np.asarray(Y, dtype=float).reshape(len(table), -1)
     Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
-    rows, *observed = predict_observed(estimator, table, Y, with_std=accepts(estimator, "return_std"))
+    rows, *observed = predict_observed(
+        estimator, table, Y, with_std=accepts(estimator, "return_std")
+    )
     predicted = [np.ones(values.shape) for _ in observed]  # no row without a target is scored
     for full, part in zip(predicted, observed, strict=True):
         full[rows] = part.reshape(len(rows), -1)
@@ -376,8 +422,13 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
 
 def _scores(y, *predicted) -> dict[str, dict]:
     """Return every metric that the predictions allow, by output."""
-    found: dict[str, Any] = {metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT}
+    found: dict[str, Any] = {
+        metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT
+    }
     if len(predicted) > 1:
-        found |= {metric.__name__: metric(y, *predicted, multioutput="raw_values") for metric in PROBABILISTIC}
+        found |= {
+            metric.__name__: metric(y, *predicted, multioutput="raw_values")
+            for metric in PROBABILISTIC
+        }
     names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
     return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}

@@ -1,8 +1,9 @@
 """Training subsets and splits of flights.
 
-Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column ``flight``. Neighbouring
-samples of one flight are nearly equal, so a random split inside a flight gives scores that are too good. With a single
-flight, ``BlockSplit`` holds out blocks of it, with a gap in time.
+Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column
+``flight``. Neighbouring samples of one flight are nearly equal, so a random split inside a flight
+gives scores that are too good. With a single flight, ``BlockSplit`` holds out blocks of it, with a
+gap in time.
 """
 
 from __future__ import annotations
@@ -22,27 +23,31 @@ from skdgp._flight.clock import check_clock, flight_rows
 
 __all__ = ["BlockSplit", "thin_targets"]
 
-MIN_BLOCK_ROWS = 3  # a hole of three rows is longer than 2.5 steps, so flight_segments splits the rest there
+MIN_BLOCK_ROWS = (
+    3  # a hole of three rows is longer than 2.5 steps, so flight_segments splits the rest there
+)
 
 
 class BlockSplit(BaseCrossValidator):
     """Hold out one contiguous block of every flight at a time, with a gap in time around it.
 
-    Each flight is cut into ``n_splits`` blocks of equally many rows. Split k tests on the k-th block of each flight.
-    It trains on the other blocks, without the rows of the same flight within ``gap`` seconds of the block: these are
-    nearly equal to test rows (Roberts et al. 2017, cross-validation for data with temporal structure). The transformers
-    of this package treat the two sides of the hole as two segments.
+    Each flight is cut into ``n_splits`` blocks of equally many rows. Split k tests on the k-th
+    block of each flight. It trains on the other blocks, without the rows of the same flight within
+    ``gap`` seconds of the block: these are nearly equal to test rows (Roberts et al. 2017,
+    cross-validation for data with temporal structure). The transformers of this package treat the
+    two sides of the hole as two segments.
 
-    Blocks of a flight share its weather and its sensor errors. With several flights, hold out whole ones:
-    ``LeaveOneGroupOut()`` or ``GroupKFold(5)`` of scikit-learn with ``groups=table["flight"]``.
+    Blocks of a flight share its weather and its sensor errors. With several flights, hold out whole
+    ones: ``LeaveOneGroupOut()`` or ``GroupKFold(5)`` of scikit-learn with
+    ``groups=table["flight"]``.
 
     Parameters
     ----------
     n_splits : int, default=5
         Blocks of each flight, at least 2.
     gap : float, default=2.0
-        Least time between training and test rows of one flight [s]: longer than the aircraft's motion is correlated,
-        and than the smoother's window.
+        Least time between training and test rows of one flight [s]: longer than the aircraft's
+        motion is correlated, and than the smoother's window.
 
     Examples
     --------
@@ -66,8 +71,14 @@ class BlockSplit(BaseCrossValidator):
 
     def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
         """Return the number of splits; arguments are ignored."""
-        if not isinstance(self.n_splits, Integral) or isinstance(self.n_splits, bool) or self.n_splits < 2:
-            raise ValueError(f"Got n_splits={self.n_splits!r}, but expected a number of blocks, at least 2.")
+        if (
+            not isinstance(self.n_splits, Integral)
+            or isinstance(self.n_splits, bool)
+            or self.n_splits < 2
+        ):
+            raise ValueError(
+                f"Got n_splits={self.n_splits!r}, but expected a number of blocks, at least 2."
+            )
         return int(self.n_splits)
 
     def split(
@@ -75,10 +86,11 @@ class BlockSplit(BaseCrossValidator):
     ) -> Iterator[tuple[Indices, Indices]]:
         """Yield the training rows and the test rows of each split, rising.
 
-        X (n, ...) has the column ``time`` [s], which increases within a flight. ``groups`` (n,) are the flight of each
-        row, where X has no column ``flight``; by default all rows are one flight. Raises TypeError if X is not a
-        DataFrame, ValueError if a parameter is out of range, ``time`` is missing or does not increase within a flight,
-        a flight has too few rows, or no training rows are left.
+        X (n, ...) has the column ``time`` [s], which increases within a flight. ``groups`` (n,) are
+        the flight of each row, where X has no column ``flight``; by default all rows are one
+        flight. Raises TypeError if X is not a DataFrame, ValueError if a parameter is out of range,
+        ``time`` is missing or does not increase within a flight, a flight has too few rows, or no
+        training rows are left.
         """
         n_splits, gap = self.get_n_splits(), self.gap
         if not isinstance(gap, Real) or isinstance(gap, bool) or not 0 <= float(gap) < np.inf:
@@ -93,7 +105,8 @@ class BlockSplit(BaseCrossValidator):
             check_clock(time[rows], None)
             if len(rows) < MIN_BLOCK_ROWS * n_splits:
                 raise ValueError(
-                    f"Got {len(rows)} rows of flight {name!r} for n_splits={n_splits} blocks, but expected at least "
+                    f"Got {len(rows)} rows of flight {name!r} for n_splits={n_splits} blocks, but "
+                    f"expected at least "
                     f"{MIN_BLOCK_ROWS} rows in a block: lower n_splits, or leave the flight out."
                 )
         for k in range(n_splits):
@@ -101,13 +114,16 @@ class BlockSplit(BaseCrossValidator):
             train, test = (np.sort(np.concatenate(rows)) for rows in zip(*parts, strict=True))
             if not len(train):
                 raise ValueError(
-                    f"Got gap={gap:g} s, but no row of any flight is so far from its block {k}, so no training rows "
+                    f"Got gap={gap:g} s, but no row of any flight is so far from its block {k}, "
+                    f"so no training rows "
                     "are left: lower gap, or raise n_splits."
                 )
             yield train, test
 
 
-def _split_flight(rows: Indices, time: Vector, n_splits: int, k: int, gap: float) -> tuple[Indices, Indices]:
+def _split_flight(
+    rows: Indices, time: Vector, n_splits: int, k: int, gap: float
+) -> tuple[Indices, Indices]:
     """Return the training rows and the test rows of one flight in split k."""
     edges = np.arange(n_splits + 1) * len(rows) // n_splits
     block = slice(edges[k], edges[k + 1])
@@ -119,12 +135,13 @@ def _split_flight(rows: Indices, time: Vector, n_splits: int, k: int, gap: float
 def thin_targets(Y: Any, n_samples: int) -> Any:
     """Return targets with ``n_samples`` evenly spread observed rows; the others are NaN, not observed.
 
-    Smoothing and differentiation need the flight at its full rate, exact inference a few hundred samples. So the
-    training subset is chosen in the targets: transformers get every row, the regressor learns from the observed ones.
+    Smoothing and differentiation need the flight at its full rate, exact inference a few hundred
+    samples. So the training subset is chosen in the targets: transformers get every row, the
+    regressor learns from the observed ones.
 
-    Rows that are NaN in every output do not count; where there are fewer than ``n_samples``, all stay. The result is a
-    copy of ``Y``, (n,) or (n, P), as floats, of the same type, names and index. Raises ValueError if ``n_samples`` is
-    not a positive integer.
+    Rows that are NaN in every output do not count; where there are fewer than ``n_samples``, all
+    stay. The result is a copy of ``Y``, (n,) or (n, P), as floats, of the same type, names and
+    index. Raises ValueError if ``n_samples`` is not a positive integer.
 
     Examples
     --------
@@ -133,7 +150,9 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     array([nan,  2., nan, nan,  5.])
     """
     if not isinstance(n_samples, Integral) or isinstance(n_samples, bool) or n_samples < 1:
-        raise ValueError(f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep.")
+        raise ValueError(
+            f"Got n_samples={n_samples!r}, but expected a positive number of rows to keep."
+        )
     values = np.array(Y, dtype=float)
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
@@ -146,5 +165,9 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     if isinstance(Y, pd.Series):
         return pd.Series(values, index=Y.index, name=Y.name)
     if column_names(Y):  # a table without an index, such as polars'
-        return type(Y)(dict(zip(Y.columns, values.T, strict=True))) if values.ndim == 2 else type(Y)(Y.name, values)
+        return (
+            type(Y)(dict(zip(Y.columns, values.T, strict=True)))
+            if values.ndim == 2
+            else type(Y)(Y.name, values)
+        )
     return values

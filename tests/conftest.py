@@ -22,17 +22,27 @@ from skdgp.identification import _identification
 from skdgp.inference import _search
 from skdgp.report import FlightMechanics
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of processes that tests start, as _threads below for this one
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # of processes that tests start, as _threads below for this one
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")  # nothing is written beside the tests
+set_hypothesis_home_dir(
+    Path(tempfile.gettempdir()) / "hypothesis"
+)  # nothing is written beside the tests
 settings.register_profile(
-    "skdgp", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
+    "skdgp",
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("skdgp")
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell: tests press Ctrl-C
+if (
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+):  # as in the background of a shell: tests press Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
@@ -93,7 +103,9 @@ def _flown_once(once):
 
     def fly(*how):
         name = "flown " + " ".join(map(str, how))
-        return joblib.load(once(name, lambda folder: joblib.dump(fly_here(*how), folder / "flights")) / "flights")
+        return joblib.load(
+            once(name, lambda folder: joblib.dump(fly_here(*how), folder / "flights")) / "flights"
+        )
 
     whole = lru_cache(maxsize=1)(fly)
 
@@ -127,7 +139,8 @@ def short_flights(monkeypatch, request):
 def cut_short():
     """Return a context, for fixtures that tests share, that cuts short what ``max_iter`` does not rule.
 
-    Fits of each output alone, from one width, few rows: for tests of what is done with a model, whatever it learned.
+    Fits of each output alone, from one width, few rows: for tests of what is done with a model,
+    whatever it learned.
     """
 
     @contextmanager
@@ -175,12 +188,16 @@ def few_manoeuvres(monkeypatch):
 @pytest.fixture
 def no_mechanics(monkeypatch):
     """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
-    monkeypatch.setattr(_identification, "flight_mechanics", lambda *_: FlightMechanics(note="Left out."))
+    monkeypatch.setattr(
+        _identification, "flight_mechanics", lambda *_: FlightMechanics(note="Left out.")
+    )
 
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Return the folder of shared flights and benchmarks, or skip where it is absent."""
     if not SHARED_DATA.is_dir():
-        pytest.skip(f"the shared flight data are not beside the project ({SHARED_DATA.name} folder absent)")
+        pytest.skip(
+            f"the shared flight data are not beside the project ({SHARED_DATA.name} folder absent)"
+        )
     return SHARED_DATA

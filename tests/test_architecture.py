@@ -18,12 +18,22 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "skdgp"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# Every file or folder of the package is a room, which stands on one floor and imports from floors below it alone.
+# Every file or folder of the package is a room, which stands on one floor and imports from floors
+# below it alone.
 FLOORS = [
     ["_compute"],
     ["_flight"],
     ["_mechanics"],
-    ["kernels", "metrics", "model_selection", "io", "preprocessing", "dynamics", "_excitation", "_display"],
+    [
+        "kernels",
+        "metrics",
+        "model_selection",
+        "io",
+        "preprocessing",
+        "dynamics",
+        "_excitation",
+        "_display",
+    ],
     ["inference"],
     ["_regressor", "datasets"],
     ["_effects"],
@@ -36,13 +46,25 @@ FLOORS = [
 ]
 FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part in parts}
 LEARNING = {"kernels", "inference", "_regressor"}
-AIRCRAFT = {"_flight", "_mechanics", "io", "preprocessing", "dynamics", "_excitation", "design", "datasets"}
+AIRCRAFT = {
+    "_flight",
+    "_mechanics",
+    "io",
+    "preprocessing",
+    "dynamics",
+    "_excitation",
+    "design",
+    "datasets",
+}
 LEAVES = {"export", "design"}
 MAY_IMPORT_LEAVES = {"_cli", "__init__", "__main__"}
 SHARED = {"_compute", "_flight", "_mechanics", "_excitation", "_display"}
-"""Rooms whose files any room above may import; of others it imports what their ``__init__`` shows."""
+"""Rooms whose files any room above may import; of others it imports what their ``__init__`` shows.
+"""
 READ_FOR_EXPORT = {"skdgp.kernels._features", "skdgp.kernels._prior_paths"}
-"""Functions that kernels are made of, which `export` writes term by term; kernels need none of their names."""
+"""Functions that kernels are made of, which `export` writes term by term; kernels need none of
+their names.
+"""
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),
@@ -89,7 +111,9 @@ def imports_in(code, package):
             found += [Import(alias.name, (), not later, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            found.append(Import(module, tuple(alias.name for alias in node.names), not later, node.lineno))
+            found.append(
+                Import(module, tuple(alias.name for alias in node.names), not later, node.lineno)
+            )
     return found
 
 
@@ -133,7 +157,12 @@ def later():
     from ..kernels import Sum
 """
     found = imports_in(code, "skdgp.dynamics")
-    assert {item.module for item in found} == {"skdgp._flight.smoothing", "skdgp.dynamics", "skdgp.io", "skdgp.kernels"}
+    assert {item.module for item in found} == {
+        "skdgp._flight.smoothing",
+        "skdgp.dynamics",
+        "skdgp.io",
+        "skdgp.kernels",
+    }
     assert [item.module for item in found if not item.at_once] == ["skdgp.kernels"]
 
 
@@ -144,7 +173,9 @@ def test_every_part_has_a_floor():
 def test_imports_go_downward():
     def upward(path):
         own = part_of(path)
-        return [item for part, item in own_imports(path) if part != own and FLOOR[part] >= FLOOR[own]]
+        return [
+            item for part, item in own_imports(path) if part != own and FLOOR[part] >= FLOOR[own]
+        ]
 
     assert not offenders(upward)
 
@@ -154,7 +185,11 @@ def test_leaves_are_imported_by_the_command_line_alone():
 
     def leaf(path):
         own = part_of(path)
-        return set() if own in MAY_IMPORT_LEAVES else {part for part, _ in own_imports(path)} & LEAVES - {own}
+        return (
+            set()
+            if own in MAY_IMPORT_LEAVES
+            else {part for part, _ in own_imports(path)} & LEAVES - {own}
+        )
 
     assert not offenders(leaf)
 
@@ -167,7 +202,11 @@ def test_rooms_show_each_other_their_faces():
         found = [item for part, item in own_imports(path) if part not in own]
         own_export = part_of(path) == "export"
         found = [item for item in found if not (own_export and item.module in READ_FOR_EXPORT)]
-        return [item for item in found if any(map(is_private, [*item.module.split(".")[2:], *item.names]))]
+        return [
+            item
+            for item in found
+            if any(map(is_private, [*item.module.split(".")[2:], *item.names]))
+        ]
 
     assert not offenders(behind_the_face)
 
@@ -194,7 +233,9 @@ def test_no_module_imports_itself_in_a_circle():
         if module not in done:
             open_.append(module)
             for target in graph[module]:
-                if not module.startswith(target + "."):  # a folder's face re-exports what stands inside it
+                if not module.startswith(
+                    target + "."
+                ):  # a folder's face re-exports what stands inside it
                     visit(target)
             open_.pop()
             done.add(module)
@@ -211,7 +252,9 @@ def test_neither_half_imports_the_other(half, other):
 
 def test_inference_knows_kernels_by_their_contract_alone():
     def beyond(path):
-        return {name for part, item in own_imports(path) if part == "kernels" for name in item.names}
+        return {
+            name for part, item in own_imports(path) if part == "kernels" for name in item.names
+        }
 
     paths = [path for path in MODULES if part_of(path) == "inference"]
     assert not offenders(lambda path: beyond(path) - {"MultiOutputKernel"}, paths)
@@ -225,14 +268,24 @@ def test_nothing_but_the_dependencies_is_imported():
 
     def others(path):
         roots = {(item.module.split(".")[0], item.at_once) for item in imports(path)}
-        return {root for root, at_once in roots if root not in (allowed if at_once else allowed | EXTRAS)}
+        return {
+            root
+            for root, at_once in roots
+            if root not in (allowed if at_once else allowed | EXTRAS)
+        }
 
     assert not offenders(others)
 
 
 COMPAT = PACKAGE / "_compute" / "sklearn_compat.py"
 WATCHED = {"sklearn", "joblib", "argparse", "numpy", "scipy", "pandas"}
-DOCUMENTED = {"_replace", "_fields", "_asdict", "_make", "_exit"}  # of named tuples and os, for users
+DOCUMENTED = {
+    "_replace",
+    "_fields",
+    "_asdict",
+    "_make",
+    "_exit",
+}  # of named tuples and os, for users
 
 
 def is_private(name):
@@ -244,11 +297,21 @@ def defined_here():
     """Return every private name that the package itself defines or assigns."""
     every = [node for path in MODULES for node, _ in nodes(text(path))]
     named = {node.name for node in every if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    stored = {node.id for node in every if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    stored = {
+        node.id for node in every if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
     own = [n for n in every if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
-    stored |= {node.attr for node in own if isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")}
+    stored |= {
+        node.attr
+        for node in own
+        if isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+    }
     calls = [n for n in every if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute)]
-    frozen = {n.args[1].value for n in calls if n.func.attr == "__setattr__" and isinstance(n.args[1], ast.Constant)}
+    frozen = {
+        n.args[1].value
+        for n in calls
+        if n.func.attr == "__setattr__" and isinstance(n.args[1], ast.Constant)
+    }
     return named | stored | frozen | DOCUMENTED
 
 
@@ -257,9 +320,17 @@ def private_names(code):
     found = {}
     for item in imports_in(code, "skdgp"):
         if item.module.split(".")[0] in WATCHED:
-            found |= {part: item.line for part in (*item.module.split("."), *item.names) if is_private(part)}
+            found |= {
+                part: item.line
+                for part in (*item.module.split("."), *item.names)
+                if is_private(part)
+            }
     for node, _ in nodes(code):
-        if isinstance(node, ast.Attribute) and is_private(node.attr) and node.attr not in defined_here():
+        if (
+            isinstance(node, ast.Attribute)
+            and is_private(node.attr)
+            and node.attr not in defined_here()
+        ):
             found[node.attr] = node.lineno
     return found
 
@@ -277,7 +348,10 @@ def test_private_names_of_other_packages_stand_in_one_file():
         ("from sklearn.utils._param_validation import Interval", "_param_validation"),
         ("import numpy as np\nnp.core._methods", "_methods"),
         ("def later():\n    import joblib._store_backends", "_store_backends"),
-        ("def options(parser):\n    return parser._option_string_actions", "_option_string_actions"),
+        (
+            "def options(parser):\n    return parser._option_string_actions",
+            "_option_string_actions",
+        ),
     ],
 )
 def test_each_private_name_is_seen(code, name):
@@ -288,7 +362,8 @@ def test_extras_are_not_loaded_by_the_package():
     """pandas may bring pyarrow by itself; the package adds none."""
     code = (
         "import sys, numpy, scipy, pandas, sklearn; before = set(sys.modules);"
-        "import skdgp, skdgp.kernels, skdgp.inference, skdgp.io, skdgp.preprocessing, skdgp.dynamics, skdgp.metrics,"
+        "import skdgp, skdgp.kernels, skdgp.inference, skdgp.io, skdgp.preprocessing, "
+        "skdgp.dynamics, skdgp.metrics,"
         "skdgp.model_selection, skdgp.datasets, skdgp.plotting, skdgp.report, skdgp.identification;"
         "print(sorted({m.split('.')[0] for m in set(sys.modules) - before}))"
     )
@@ -319,13 +394,23 @@ def test_public_modules_say_what_is_public():
 
 def test_no_assert_and_no_print_stand_in_for_errors():
     def lines(path):
-        calls = [n for n, _ in nodes(text(path)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
-        printed = [node.lineno for node in calls if node.func.id == "print" and part_of(path) != "_cli"]
-        return printed + [node.lineno for node, _ in nodes(text(path)) if isinstance(node, ast.Assert)]
+        calls = [
+            n
+            for n, _ in nodes(text(path))
+            if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+        ]
+        printed = [
+            node.lineno for node in calls if node.func.id == "print" and part_of(path) != "_cli"
+        ]
+        return printed + [
+            node.lineno for node, _ in nodes(text(path)) if isinstance(node, ast.Assert)
+        ]
 
     assert not offenders(lines)
 
 
 def test_no_global_random_state_is_touched():
-    pattern = re.compile(r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b")
+    pattern = re.compile(
+        r"np\.random\.(seed|rand|randn|normal|uniform|choice|shuffle|permutation)\b"
+    )
     assert not offenders(lambda path: pattern.findall(text(path)))

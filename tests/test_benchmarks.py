@@ -17,7 +17,9 @@ def script(monkeypatch):
     """Import a benchmark as it is when run: with its own folder first."""
     before = set(sys.modules)
     monkeypatch.syspath_prepend(FOLDER)
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # of processes that a benchmark starts, as of this one
+    monkeypatch.setenv(
+        "OMP_NUM_THREADS", "1"
+    )  # of processes that a benchmark starts, as of this one
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     yield importlib.import_module
     for name in set(sys.modules) - before:
@@ -87,18 +89,26 @@ class TestLikelihoodOfOthers:
         case = likelihood.Case(20, 3, 2, 4)
         X, Y = case.table()
         model, noise = gpytorch.exact_lcm(X, Y, case.M, length_scale=2.0, noise=0.3)
-        factors = [kernel.task_covar_module.covar_factor for kernel in model.covar_module.covar_module_list]
+        factors = [
+            kernel.task_covar_module.covar_factor for kernel in model.covar_module.covar_module_list
+        ]
         extra = [kernel.task_covar_module.var for kernel in model.covar_module.covar_module_list]
         w = np.concatenate(
-            [f.detach().numpy().T for f in factors] + [np.diag(np.sqrt(v.detach().numpy())) for v in extra]
+            [f.detach().numpy().T for f in factors]
+            + [np.diag(np.sqrt(v.detach().numpy())) for v in extra]
         )
         kernel = likelihood.ConvolvedGaussian(
-            feeds=w != 0, covariance_type="tied", amplitude=w, length_scale=np.full((len(w), 3, 4), 2.0)
+            feeds=w != 0,
+            covariance_type="tied",
+            amplitude=w,
+            length_scale=np.full((len(w), 3, 4), 2.0),
         )
         data = likelihood.Data.from_table(X, Y)
         with gpytorch.cholesky():
             theirs = gpytorch.likelihood_and_gradient(model, noise)()
-        assert likelihood.log_likelihood(kernel, np.full(3, 0.3), data) == pytest.approx(theirs, rel=1e-6)
+        assert likelihood.log_likelihood(kernel, np.full(3, 0.3), data) == pytest.approx(
+            theirs, rel=1e-6
+        )
 
 
 class TestComparison:
@@ -108,7 +118,9 @@ class TestComparison:
         np = importlib.import_module("numpy")
         rng = np.random.default_rng(0)
         X = rng.normal(size=(400, 4))
-        Y = np.column_stack([X[:, 0] * X[:, 1] - 2 * X[:, 3], X[:, 2] ** 2]) + 0.1 * rng.normal(size=(400, 2))
+        Y = np.column_stack([X[:, 0] * X[:, 1] - 2 * X[:, 3], X[:, 2] ** 2]) + 0.1 * rng.normal(
+            size=(400, 2)
+        )
         model = script("_peers").EquationError(2, stepwise=True).fit(X, Y)
         names = model.features.get_feature_names_out()
         assert [set(names[terms]) for terms in model.terms] == [{"x3", "x0 x1"}, {"x2^2"}]
@@ -139,7 +151,9 @@ class TestComparison:
     def test_finite_differences_stay_within_a_flight(self, script):
         np, pd = importlib.import_module("numpy"), importlib.import_module("pandas")
         t = np.tile(np.arange(5.0), 2)
-        table = pd.DataFrame({"time": t, "flight": np.repeat(["a", "b"], 5), "alpha": t, "beta": -2 * t})
+        table = pd.DataFrame(
+            {"time": t, "flight": np.repeat(["a", "b"], 5), "alpha": t, "beta": -2 * t}
+        )
         out = script("_comparison_methods").finite_differences(table)
         assert (out["alpha_dot"] == 1).all()
         assert (out["beta_dot"] == -2).all()
@@ -151,15 +165,22 @@ class TestComparison:
         before = (tmp_path / "comparison.json").read_text()
         monkeypatch.setattr(comparison, "run", None)
         comparison.main(words)
-        tables = (json.loads(text)["toy"] for text in (before, (tmp_path / "comparison.json").read_text()))
+        tables = (
+            json.loads(text)["toy"] for text in (before, (tmp_path / "comparison.json").read_text())
+        )
         assert next(tables) == next(tables)
 
     def test_gpytorchs_predictions_are_those_of_its_covariance(self, script):
         pytest.importorskip("gpytorch", reason="compares with GPyTorch, which is not installed")
-        np, rng = importlib.import_module("numpy"), importlib.import_module("numpy").random.default_rng(0)
+        np, rng = (
+            importlib.import_module("numpy"),
+            importlib.import_module("numpy").random.default_rng(0),
+        )
         X, asked = rng.normal(size=(20, 3)), rng.normal(size=(5, 3))
         lcm = script("_peers").ExactLCM(n_steps=3, length_scale=3.0).fit(X, np.sin(X[:, :2]))
-        joint = lcm.model.covar_module(*(2 * [importlib.import_module("torch").as_tensor(np.vstack([X, asked]))]))
+        joint = lcm.model.covar_module(
+            *(2 * [importlib.import_module("torch").as_tensor(np.vstack([X, asked]))])
+        )
         K, noise = joint.to_dense().detach().numpy(), lcm.likelihood.task_noises.detach().numpy()
         mean = np.array([each.constant.item() for each in lcm.model.mean_module.base_means])
         seen, new = K[:40, :40] + np.kron(np.eye(20), np.diag(noise)), K[40:, :40]

@@ -11,7 +11,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 NOT_RUN = {"skdgp"}  # itself, and tools that no test of the numerics needs:
-NOT_RUN |= {"ruff", "hatchling", "mypy", "pandas-stubs", "scipy-stubs", "joblib-stubs", "pytest-cov"}
+NOT_RUN |= {
+    "ruff",
+    "hatchling",
+    "mypy",
+    "pandas-stubs",
+    "scipy-stubs",
+    "joblib-stubs",
+    "pytest-cov",
+}
 NOT_RUN |= {"jsbsim", "onnxruntime", "fmpy", "lupa"}  # and programs that read what is exported
 
 
@@ -19,7 +27,9 @@ def requirements(name=None):
     """Return what pyproject.toml requires, an extra or the package itself, as {name: lower bound}."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     lines = project["dependencies"] if name is None else project["optional-dependencies"][name]
-    return dict(re.fullmatch(r"([\w-]+)(?:\[\w+\])?(?:>=([\w.]+))?", line).groups() for line in lines)
+    return dict(
+        re.fullmatch(r"([\w-]+)(?:\[\w+\])?(?:>=([\w.]+))?", line).groups() for line in lines
+    )
 
 
 def test_the_oldest_versions_that_are_tested_are_the_bounds():
@@ -39,7 +49,9 @@ def tracked():
     """Return the files of the repository that git does not ignore, if this is one."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     try:
-        listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        listed = subprocess.run(
+            command, cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("this is not a clone: its files are those that a distribution held")
     return {name for name in listed.split("\0") if (ROOT / name).is_file()}
@@ -56,7 +68,9 @@ class TestDistributions:
         with tarfile.open(tmp_path / name) as archive:
             held = {member.name.partition("/")[2] for member in archive if member.isfile()}
         assert not tracked() - held
-        assert {name for name in held if name.startswith(("skdgp", "tests", "docs", "examples"))} <= tracked()
+        assert {
+            name for name in held if name.startswith(("skdgp", "tests", "docs", "examples"))
+        } <= tracked()
 
     def test_to_install_hold_the_package_alone(self, tmp_path):
         build = pytest.importorskip("hatchling.build", exc_type=ImportError)

@@ -23,19 +23,30 @@ KNOWN = Aerodynamics(
 """The example aircraft as it is."""
 RUN_ELSEWHERE = {
     "README.md": "test_docs.py",  # its code is judged below
-    "export.md": "export/test_jsbsim.py",  # its code needs jsbsim, or a model: export/portable/test_command.py
+    # its code needs jsbsim, or a model: export/portable/test_command.py
+    "export.md": "export/test_jsbsim.py",
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
     "logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
 UNJUDGED = {"ten_minutes.md"}  # what their models learned matters little: short fits do
 SHORT = {"ten_minutes.md"}  # and short flights
-SECONDS = {"preprocessing.md": 40.0, "simulation.md": 90.0, "design.md": 60.0}  # of flights, as far as pages use them
-PAGES = [path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()]
+SECONDS = {
+    "preprocessing.md": 40.0,
+    "simulation.md": 90.0,
+    "design.md": 60.0,
+}  # of flights, as far as pages use them
+PAGES = [
+    path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()
+]
 
 
 def blocks(page, language="python"):
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```",
+        page.read_text(encoding="utf-8"),
+        flags=re.DOTALL | re.MULTILINE,
+    )
 
 
 RUN_HERE = [page for page in PAGES if blocks(page) and page.name not in RUN_ELSEWHERE]
@@ -76,11 +87,15 @@ def test_front_page_shows_the_known_derivatives(capsys):
     assert len(printed) == 3
     for name, value, std in printed:
         assert abs(float(value) - known[name]) < 2 * float(std) < 0.4 * abs(known[name]), name
-    (text,) = re.findall(r"^The known derivatives .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    (text,) = re.findall(
+        r"^The known derivatives .*$", page.read_text(encoding="utf-8"), re.MULTILINE
+    )
     known_words, found_words = text.split("The model finds")
     stated = [float(word) for word in re.findall(r"-?\.\d+", known_words)]
     assert stated == pytest.approx([known[name] for name, *_ in printed], rel=0.03)
-    found = [(float(value), float(std)) for value, std in re.findall(r"(-?\.\d+) ± (\.\d+)", found_words)]
+    found = [
+        (float(value), float(std)) for value, std in re.findall(r"(-?\.\d+) ± (\.\d+)", found_words)
+    ]
     for truth, (value, std) in zip(stated, found, strict=True):
         assert abs(value - truth) < 2 * std < 0.4 * abs(truth)
 
@@ -93,13 +108,23 @@ def test_code_of_every_page_runs_somewhere():
 
 def found_on_pages(pattern):
     """Return (page, match) of every match of a pattern."""
-    return [(page, found) for page in PAGES for found in set(re.findall(pattern, page.read_text(encoding="utf-8")))]
+    return [
+        (page, found)
+        for page in PAGES
+        for found in set(re.findall(pattern, page.read_text(encoding="utf-8")))
+    ]
 
 
 def test_links_between_pages_lead_somewhere():
     links = found_on_pages(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
-    inside = [(page, target) for page, target in links if "://" not in target and not target.startswith("mailto:")]
-    assert [(page.name, target) for page, target in inside if not (page.parent / target).exists()] == []
+    inside = [
+        (page, target)
+        for page, target in links
+        if "://" not in target and not target.startswith("mailto:")
+    ]
+    assert [
+        (page.name, target) for page, target in inside if not (page.parent / target).exists()
+    ] == []
 
 
 def test_skdgp_names_on_pages_exist():
@@ -109,7 +134,9 @@ def test_skdgp_names_on_pages_exist():
         try:
             importlib.import_module(name)
         except ImportError:
-            assert hasattr(importlib.import_module(module), attribute), f"{page.name} speaks of {name}"
+            assert hasattr(importlib.import_module(module), attribute), (
+                f"{page.name} speaks of {name}"
+            )
 
 
 class TestNotation:
@@ -123,11 +150,16 @@ class TestNotation:
             if line.startswith("## "):
                 heading = line[3:]
             elif line.startswith("|") and not set(line) <= set("|-: "):
-                found.setdefault(heading, []).append([c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]])
+                found.setdefault(heading, []).append(
+                    [c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1]]
+                )
         return {heading: cells[1:] for heading, cells in found.items()}
 
     def test_columns_of_a_flight_table_are_the_vocabulary_with_unit_and_meaning(self, rows):
-        expected = [[f"`{name}`", channel.unit or "-", channel.meaning] for name, channel in CHANNELS.items()]
+        expected = [
+            [f"`{name}`", channel.unit or "-", channel.meaning]
+            for name, channel in CHANNELS.items()
+        ]
         assert [row[:3] for row in rows["Columns of a flight table"]] == expected
 
     def test_every_code_name_exists(self, rows):
@@ -194,7 +226,11 @@ def test_limits_on_the_page_are_those_of_the_code():
 
 def test_every_part_of_the_house_is_on_its_page():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    rooms = [path for path in (ROOT / "skdgp").iterdir() if path.suffix == ".py" or any(path.glob("*.py"))]
+    rooms = [
+        path
+        for path in (ROOT / "skdgp").iterdir()
+        if path.suffix == ".py" or any(path.glob("*.py"))
+    ]
     parts = {path.name.removesuffix(".py") for path in rooms}
     missing = [part for part in parts if f"`{part}`" not in text]
     assert missing == []
@@ -202,7 +238,13 @@ def test_every_part_of_the_house_is_on_its_page():
 
 def test_every_public_estimator_and_kernel_is_on_a_page():
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
-    for module in ("skdgp", "skdgp.kernels", "skdgp.inference", "skdgp.preprocessing", "skdgp.dynamics"):
+    for module in (
+        "skdgp",
+        "skdgp.kernels",
+        "skdgp.inference",
+        "skdgp.preprocessing",
+        "skdgp.dynamics",
+    ):
         for name in importlib.import_module(module).__all__:
             obj = getattr(importlib.import_module(module), name)
             if inspect.isclass(obj) and name not in ("Fit", "Optimum", "Sum"):

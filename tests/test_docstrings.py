@@ -32,7 +32,8 @@ NOT_ASKED = {
 }
 OF_SECTIONS = {"PR01", "RT01"}  # one line may say it all, arguments and what is returned included
 MOST_IN_A_LINE = 3  # parameters of such a function
-ITSELF = "Self"  # the annotation of a method that returns its object or makes one needs no section Returns
+# the annotation of a method that returns its object or makes one needs no section Returns
+ITSELF = "Self"
 
 
 def of(cls):
@@ -41,7 +42,9 @@ def of(cls):
         if base.__module__.startswith("skdgp."):
             for name, value in vars(base).items():
                 function = getattr(value, "__func__", value)
-                public = not name.startswith("_") and (inspect.isfunction(function) or isinstance(value, property))
+                public = not name.startswith("_") and (
+                    inspect.isfunction(function) or isinstance(value, property)
+                )
                 if public and inspect.getattr_static(cls, name) is value:
                     yield name
 
@@ -54,7 +57,9 @@ def public_things():
             if inspect.isfunction(thing) or inspect.isclass(thing):
                 yield f"{module.__name__}.{name}", thing
             if inspect.isclass(thing):
-                yield from ((f"{module.__name__}.{name}.{own}", getattr(thing, own)) for own in of(thing))
+                yield from (
+                    (f"{module.__name__}.{name}.{own}", getattr(thing, own)) for own in of(thing)
+                )
 
 
 THINGS = dict(public_things())

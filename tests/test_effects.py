@@ -21,7 +21,9 @@ MODELS = {
     "additive": {"structure": "additive", "n_latent": 0},
     "sparse": {"structure": "additive", "n_latent": 0, "inference": "sparse", "n_inducing": 25},
     "pairs": {
-        "kernel": LinearTrend() + ConvolvedGaussian(0, regressors=[0, 1]) + ConvolvedGaussian(0, regressors=[2]),
+        "kernel": LinearTrend()
+        + ConvolvedGaussian(0, regressors=[0, 1])
+        + ConvolvedGaussian(0, regressors=[2]),
         "trend": None,
         "structure": "joint",
     },
@@ -34,7 +36,9 @@ MODELS = {
 def alone(X):
     """Return the effect of each regressor on each output, (n, 3, 2)."""
     a, b, e = (np.asarray(X) / SCALE).T
-    return np.stack([[np.sin(2 * a), 0.5 * a], [0 * b, b**2], [0.3 * e, -e]], axis=0).transpose(2, 0, 1)
+    return np.stack([[np.sin(2 * a), 0.5 * a], [0 * b, b**2], [0.3 * e, -e]], axis=0).transpose(
+        2, 0, 1
+    )
 
 
 pytestmark = pytest.mark.usefixtures("short_fits")
@@ -67,7 +71,9 @@ def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
     model, new = fitted(name), data[0] * 1.7 + 0.1
     found = effects(model)
     mean, std = found.evaluate(new, return_std=True)
-    np.testing.assert_allclose(sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8
+    )
     assert list(mean) == list(std) == list(found.importance.index)
     assert all((values >= 0).all() for values in std.values())
     for values in found.evaluate(data[0]).values():
@@ -79,7 +85,9 @@ def test_sum_holds_for_a_compact_model(fitted, data):
     small = model[-1].compact(60)
     X = model[:-1].transform(data[0])
     found = effects(small, X)
-    np.testing.assert_allclose(sum(found.evaluate(X).values()) + found.intercept, small.predict(X), atol=1e-8)
+    np.testing.assert_allclose(
+        sum(found.evaluate(X).values()) + found.intercept, small.predict(X), atol=1e-8
+    )
     of_samples = effects(model[-1])
     for name, curve in found.curves.items():
         np.testing.assert_allclose(curve.mean, of_samples.curves[name].mean, atol=0.02)
@@ -96,8 +104,14 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
     model, X, Z = pipeline[-1], *(pipeline[:-1].transform(x) for x in (data[0], new))
     Y = ((data[1] - model.center_) / model.scale_).to_numpy()
     observed = [np.isfinite(y) for y in Y.T]
-    inputs, y = [X[rows] for rows in observed], np.concatenate([Y[rows, i] for i, rows in enumerate(observed)])
-    kernel, noise = model.kernel_, np.repeat(model.posterior_.noise, [rows.sum() for rows in observed])
+    inputs, y = (
+        [X[rows] for rows in observed],
+        np.concatenate([Y[rows, i] for i, rows in enumerate(observed)]),
+    )
+    kernel, noise = (
+        model.kernel_,
+        np.repeat(model.posterior_.noise, [rows.sum() for rows in observed]),
+    )
     C = kernel(inputs) + np.diag(noise)
     points = np.concatenate([Z, X])
     centring = np.hstack([np.eye(len(Z)), np.full((len(Z), len(X)), -1 / len(X))])
@@ -110,7 +124,9 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
             expected = centring @ cross[rows] @ np.linalg.solve(C, y)
             np.testing.assert_allclose(mean[title][:, i], expected * model.scale_[i], atol=1e-7)
             variance = np.diag(centring @ covariance[rows, rows] @ centring.T)
-            np.testing.assert_allclose(std[title][:, i], np.sqrt(variance) * model.scale_[i], rtol=1e-4, atol=1e-6)
+            np.testing.assert_allclose(
+                std[title][:, i], np.sqrt(variance) * model.scale_[i], rtol=1e-4, atol=1e-6
+            )
 
 
 def test_sparse_terms_approach_the_exact_ones(data):
@@ -156,7 +172,9 @@ def test_importance_is_the_spread_of_each_effect(fitted, data):
     expected = alone(data[0]).std(axis=0)
     np.testing.assert_allclose(found.importance.loc[NAMES], expected, atol=0.05)
     assert (found.importance.loc["joint"] < 0.1).all()
-    np.testing.assert_allclose(found.intercept, fitted("additive").predict(data[0]).mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(
+        found.intercept, fitted("additive").predict(data[0]).mean(axis=0), atol=1e-8
+    )
 
 
 def test_axes_are_in_the_units_before_the_scaler(fitted, data):
@@ -191,19 +209,30 @@ def test_a_calibrated_pipeline(data):
     regressor = CalibratedRegressor(DependentGPRegressor(structure="trend"))
     model = make_pipeline(StandardScaler(), regressor).fit(X[:100], Y[:100])
     found = effects(model)
-    np.testing.assert_allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X), atol=1e-8)
+    np.testing.assert_allclose(
+        sum(found.evaluate(X).values()) + found.intercept, model.predict(X), atol=1e-8
+    )
 
 
 class TestBadInput:
     def test_unfitted(self):
-        for model in (DependentGPRegressor(), make_pipeline(StandardScaler(), DependentGPRegressor())):
+        for model in (
+            DependentGPRegressor(),
+            make_pipeline(StandardScaler(), DependentGPRegressor()),
+        ):
             with pytest.raises(NotFittedError):
                 effects(model)
 
     def test_another_estimator(self, data):
         X, Y = data
-        for model in (LinearRegression().fit(X, Y[["CZ"]]), make_pipeline(LinearRegression()).fit(X, Y[["CZ"]]), None):
-            with pytest.raises(TypeError, match="expected a fitted DependentGPRegressor, or a pipeline"):
+        for model in (
+            LinearRegression().fit(X, Y[["CZ"]]),
+            make_pipeline(LinearRegression()).fit(X, Y[["CZ"]]),
+            None,
+        ):
+            with pytest.raises(
+                TypeError, match="expected a fitted DependentGPRegressor, or a pipeline"
+            ):
                 effects(model)
 
     def test_points(self, fitted, data):

@@ -26,7 +26,13 @@ def waves(n=300, sigma=SIGMA, seed=0):
 
 def fitted(input_noise, inference="exact", **options):
     X, Y, *_ = waves()
-    options = {"structure": "joint", "n_latent": 1, "max_iter": 40, "random_state": 0, "n_inducing": 20} | options
+    options = {
+        "structure": "joint",
+        "n_latent": 1,
+        "max_iter": 40,
+        "random_state": 0,
+        "n_inducing": 20,
+    } | options
     return DependentGPRegressor(input_noise=input_noise, inference=inference, **options).fit(X, Y)
 
 
@@ -40,7 +46,9 @@ def test_what_is_learned_is_the_noise_that_was_made(inference):
     model = fitted("learned", inference)
     assert model.input_covariance_.shape == (1, 1)
     assert np.sqrt(model.input_covariance_[0, 0]) == pytest.approx(SIGMA, rel=0.3)
-    assert fitted(None, inference).noise_variance_.mean() > 3 * model.noise_variance_.mean()  # else it is the outputs'
+    assert (
+        fitted(None, inference).noise_variance_.mean() > 3 * model.noise_variance_.mean()
+    )  # else it is the outputs'
 
 
 def test_bands_hold_the_truth_at_noisy_regressors(learned):
@@ -54,7 +62,10 @@ def test_bands_hold_the_truth_at_noisy_regressors(learned):
 
 def test_the_wider_part_goes_with_the_slope(learned):
     X = waves(seed=1)[0][:30]
-    variance = [learned.predict(X, return_std=True, include_input_noise=times)[1] ** 2 for times in (0.0, 1.0, 4.0)]
+    variance = [
+        learned.predict(X, return_std=True, include_input_noise=times)[1] ** 2
+        for times in (0.0, 1.0, 4.0)
+    ]
     slope = learned.predict_gradient(X)[..., 0]
     carried = slope**2 * learned.input_covariance_[0, 0]
     np.testing.assert_allclose(variance[1] - variance[0], carried, rtol=1e-6, atol=1e-12)
@@ -67,12 +78,17 @@ def test_the_wider_part_goes_with_the_slope(learned):
 def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
     X = waves(seed=1)[0][:5]
     words = {"include_noise": True, "include_input_noise": True}
-    std, cov = learned.predict(X, return_std=True, **words)[1], learned.predict(X, return_cov=True, **words)[1]
+    std, cov = (
+        learned.predict(X, return_std=True, **words)[1],
+        learned.predict(X, return_cov=True, **words)[1],
+    )
     np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std)
     exact = learned.predict(X, return_cov=True, include_noise=True, include_input_noise=False)[1]
     slope = learned.predict_gradient(X)[..., 0]
     off = (cov - exact)[:5, 5:]  # of the first output with the second
-    np.testing.assert_allclose(np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9
+    )
     np.testing.assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
 
 
@@ -86,10 +102,16 @@ def test_given_noise_may_be_a_number_deviations_or_a_covariance():
 
 @pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[-1.0]], [[np.nan]]])
 def test_nonsense_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"Got input_noise .*expected a standard deviation, 1 of them, or a"):
+    with pytest.raises(
+        ValueError, match=r"Got input_noise .*expected a standard deviation, 1 of them, or a"
+    ):
         fitted(wrong)
-    with pytest.raises(ValueError, match=r"Got include_input_noise of shape \(2,\), but expected a bool"):
-        fitted(0.1, optimizer=None).predict([[0.0]], return_std=True, include_input_noise=[1.0, 1.0])
+    with pytest.raises(
+        ValueError, match=r"Got include_input_noise of shape \(2,\), but expected a bool"
+    ):
+        fitted(0.1, optimizer=None).predict(
+            [[0.0]], return_std=True, include_input_noise=[1.0, 1.0]
+        )
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
@@ -98,7 +120,9 @@ def test_survives_pickling_compaction_and_further_samples(inference):
     X, Y, *_ = waves(seed=2)
     words = {"return_std": True, "include_input_noise": True}
     before = model.predict(X, **words)
-    for mine, theirs in zip(pickle.loads(pickle.dumps(model)).predict(X, **words), before, strict=True):
+    for mine, theirs in zip(
+        pickle.loads(pickle.dumps(model)).predict(X, **words), before, strict=True
+    ):
         np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
     small = model.compact(30)
     np.testing.assert_allclose(small.predict(X), before[0], atol=0.1)
@@ -116,15 +140,21 @@ def test_bands_of_a_flight_widen_with_its_gusts():
     model.set_params(dependentgpregressor__max_iter=4, dependentgpregressor__random_state=0)
     model.fit(train, learned)
     rougher, calmer = (flight_regressors(model, test)[1] for test in tests)
-    assert rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()  # the test flight's air is the rougher
+    assert (
+        rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()
+    )  # the test flight's air is the rougher
     spread = [predict_flight(model, test, include_noise=True)[1].mean(axis=0) for test in tests]
     assert (spread[0] > spread[1]).all()
 
 
 def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     t = np.arange(0, 20, 0.1)
-    flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    model = make_identification_pipeline(BRUMBY, regressors=["alpha"], cutoff=None, mixer="passthrough")
+    flight = pd.DataFrame(
+        {"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)}
+    )
+    model = make_identification_pipeline(
+        BRUMBY, regressors=["alpha"], cutoff=None, mixer="passthrough"
+    )
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight.alpha}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
     np.testing.assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))
@@ -141,7 +171,13 @@ def test_an_interrupted_fit_counts_no_noise_twice():
             raise KeyboardInterrupt
         return theta, 0.0
 
-    options = {"inference": "sparse", "n_latent": 1, "n_inducing": 20, "random_state": 0, "optimizer": interrupted}
+    options = {
+        "inference": "sparse",
+        "n_latent": 1,
+        "n_inducing": 20,
+        "random_state": 0,
+        "optimizer": interrupted,
+    }
     with pytest.warns(UserWarning, match="interrupted"):
         model = DependentGPRegressor(input_noise=0.1, **options).fit(X, Y)
     carried = np.mean(model.predict_gradient(X)[..., 0] ** 2, axis=0) * 0.1**2

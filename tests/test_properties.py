@@ -1,4 +1,7 @@
-"""What holds of the regressor for every problem: units, order, uncertainty, bounds, draws. Problems by hypothesis."""
+"""What holds of the regressor for every problem: units, order, uncertainty, bounds, draws.
+
+Problems by hypothesis.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +13,9 @@ from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:The regressors .* are constant", "ignore:Got n_inducing", "ignore:.* samples repeat another"
+    "ignore:The regressors .* are constant",
+    "ignore:Got n_inducing",
+    "ignore:.* samples repeat another",
 )
 EXAMPLES = settings(max_examples=15)
 FEW = settings(max_examples=6)
@@ -90,7 +95,9 @@ def test_units_and_zero_points_decide_nothing(seed, inference):
     there = DependentGPRegressor(**how).fit((X + zero) * unit, (Y + level) * gain)
     at = X + 0.3 * rng.normal(size=X.shape) * X.std(axis=0)
     mean, std = (each.reshape(len(X), -1) for each in here.predict(at, return_std=True))
-    other, other_std = (each.reshape(len(X), -1) for each in there.predict((at + zero) * unit, return_std=True))
+    other, other_std = (
+        each.reshape(len(X), -1) for each in there.predict((at + zero) * unit, return_std=True)
+    )
     spread = np.nanstd(Y, axis=0)
     close(other / gain - level, mean, spread, 1e-5)
     close(other_std / gain, std, spread, 1e-5)
@@ -106,7 +113,11 @@ def test_the_order_of_regressors_outputs_and_rows_decides_nothing(seed, inferenc
     there = fixed(given_kernel(seed, X, Y, order, outputs), inference=inference, n_inducing=40)
     there.fit(X[rows][:, order], Y[rows][:, outputs])
     for got, expected in zip(there.predict(X[:, order], True), here.predict(X, True), strict=True):
-        close(got.reshape(len(X), -1), expected.reshape(len(X), -1)[:, outputs], np.nanstd(Y, axis=0)[outputs])
+        close(
+            got.reshape(len(X), -1),
+            expected.reshape(len(X), -1)[:, outputs],
+            np.nanstd(Y, axis=0)[outputs],
+        )
 
 
 @EXAMPLES
@@ -132,12 +143,17 @@ def test_a_regressor_given_twice_is_one_with_a_longer_scale(seed):
     once = given_kernel(seed, X, Y).k1
     lengths = once.length_scale[..., [0, *range(X.shape[1])]].copy()
     lengths[..., :2] *= np.sqrt(2)
-    # Each of two equal columns has half the squared distance; the normalisation of unlike filters is the product over
-    # columns, so amplitudes of shared latents would differ: private latents alone.
+    # Each of two equal columns has half the squared distance; the normalisation of unlike filters
+    # is the product over columns, so amplitudes of shared latents would differ: private latents
+    # alone.
     private = {"feeds": np.eye(Y.shape[1]), "amplitude": np.diag(np.diag(once.amplitude[1:]))}
     single = fixed(ConvolvedGaussian(length_scale=once.length_scale[1:], **private)).fit(X, Y)
-    double = fixed(ConvolvedGaussian(length_scale=lengths[1:], **private)).fit(X[:, [0, *range(X.shape[1])]], Y)
-    for got, expected in zip(double.predict(X[:, [0, *range(X.shape[1])]], True), single.predict(X, True), strict=True):
+    double = fixed(ConvolvedGaussian(length_scale=lengths[1:], **private)).fit(
+        X[:, [0, *range(X.shape[1])]], Y
+    )
+    for got, expected in zip(
+        double.predict(X[:, [0, *range(X.shape[1])]], True), single.predict(X, True), strict=True
+    ):
         close(got.reshape(len(X), -1), expected.reshape(len(X), -1), np.nanstd(Y, axis=0))
 
 
@@ -148,7 +164,9 @@ def test_uncertainty_is_one(seed, inference):
     X, Y = problem(seed)
     model = DependentGPRegressor(**options(seed) | {"inference": inference}).fit(X, Y)
     rng = np.random.default_rng(seed + 3)
-    at = np.concatenate([X[:5], X.mean(axis=0) + 3 * rng.normal(size=(5, X.shape[1])) * X.std(axis=0)])
+    at = np.concatenate(
+        [X[:5], X.mean(axis=0) + 3 * rng.normal(size=(5, X.shape[1])) * X.std(axis=0)]
+    )
     spread = np.repeat(np.nanstd(Y, axis=0), len(at))
     _, std = model.predict(at, return_std=True)
     _, cov = model.predict(at, return_cov=True)
@@ -156,7 +174,9 @@ def test_uncertainty_is_one(seed, inference):
     np.testing.assert_allclose(cov, cov.T, atol=1e-9 * cov.max())
     assert np.linalg.eigvalsh(cov).min() > -1e-9 * cov.max()
     own = std.reshape(len(at), -1).T.ravel() / spread
-    np.testing.assert_allclose(np.sqrt(np.diag(cov)), own, rtol=1e-6, atol=1e-7 * np.sqrt(cov.max()))
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(cov)), own, rtol=1e-6, atol=1e-7 * np.sqrt(cov.max())
+    )
     assert (own > 0).all()
     prior = np.sqrt(model.kernel_.diag(at)) * np.repeat(model.scale_, len(at))
     assert (own <= prior / spread * (1 + 1e-9)).all()
@@ -183,7 +203,11 @@ def test_the_bound_is_below_the_likelihood(seed):
     how = options(seed) | {"input_noise": None}
     few = int(np.random.default_rng(seed + 3).integers(1, 40))
     sparse = DependentGPRegressor(**how | {"inference": "sparse", "n_inducing": few}).fit(X, Y)
-    exact = DependentGPRegressor(**how | {"inference": "exact"}).fit(X, Y).log_marginal_likelihood(sparse.theta_)
+    exact = (
+        DependentGPRegressor(**how | {"inference": "exact"})
+        .fit(X, Y)
+        .log_marginal_likelihood(sparse.theta_)
+    )
     assert sparse.log_marginal_likelihood_value_ <= exact + 1e-8 * abs(exact)
 
 
@@ -194,7 +218,9 @@ def test_learning_step_by_step_is_learning_at_once(seed, inference):
     X, Y = problem(seed, missing=False)
     how = {"inference": inference, "n_inducing": 40}
     half = len(X) // 2
-    first, other, start = (fixed(given_kernel(seed, X, Y), **how).fit(X[:half], Y[:half]) for _ in range(3))
+    first, other, start = (
+        fixed(given_kernel(seed, X, Y), **how).fit(X[:half], Y[:half]) for _ in range(3)
+    )
     first.partial_fit(X[half:], Y[half:])
     for row in range(len(X) - 1, half - 1, -1):
         other.partial_fit(X[row : row + 1], Y[row : row + 1])
@@ -216,7 +242,9 @@ def test_exact_inference_is_the_textbook(seed):
     observed = [X[s] for s in seen.T]
     noise = np.repeat(model.noise_variance_ / size**2, seen.sum(axis=0))
     K, k = kernel(observed) + np.diag(noise), kernel([X] * Y.shape[1], observed)
-    mean = k @ np.linalg.solve(K, np.concatenate([y[s] for y, s in zip((Y / size).T, seen.T, strict=True)]))
+    mean = k @ np.linalg.solve(
+        K, np.concatenate([y[s] for y, s in zip((Y / size).T, seen.T, strict=True)])
+    )
     variance = kernel.diag(X) - np.einsum("ab,ba->a", k, np.linalg.solve(K, k.T))
     got, std = (each.reshape(len(X), -1).T.ravel() for each in model.predict(X, return_std=True))
     size = np.repeat(size, len(X))
@@ -233,21 +261,33 @@ def test_draws_are_of_what_is_predicted(seed, inference):
     mean, std = (each.reshape(3, -1) for each in model.predict(at, return_std=True))
     values = np.moveaxis(model.sample_y(at, n, random_state=1), -1, 0).reshape(n, 3, -1)
     paths = model.sample_paths(n, random_state=1)(at).reshape(n, 3, -1)
-    for draws in (values, paths):  # a mean of 600 is known within 5 / sqrt(600) deviations, a deviation within 15 %
+    for draws in (
+        values,
+        paths,
+    ):  # a mean of 600 is known within 5 / sqrt(600) deviations, a deviation within 15 %
         assert (np.abs(draws.mean(axis=0) - mean) < 0.21 * std).all()
         np.testing.assert_allclose(draws.std(axis=0), std, rtol=0.15)
 
 
 @EXAMPLES
 @given(SEEDS, st.floats(0, 8), st.sampled_from(["diag", "tied", "full"]))
-def test_covariances_are_right_however_far_points_are_from_each_other(seed, decades, covariance_type):
+def test_covariances_are_right_however_far_points_are_from_each_other(
+    seed, decades, covariance_type
+):
     """In length scales, against differences one by one: nothing cancels."""
     rng = np.random.default_rng(seed)
     d = int(rng.integers(1, 4))
     base = 10.0**decades * rng.normal(size=(4, d))
-    X, Z = (np.concatenate([base + rng.normal(size=base.shape), rng.normal(size=(2, d))]) for _ in range(2))
+    X, Z = (
+        np.concatenate([base + rng.normal(size=base.shape), rng.normal(size=(2, d))])
+        for _ in range(2)
+    )
     kernel = ConvolvedGaussian(
-        1, private_latents=False, amplitude=[[1.0, 2.0]], length_scale=np.ones(d), covariance_type=covariance_type
+        1,
+        private_latents=False,
+        amplitude=[[1.0, 2.0]],
+        length_scale=np.ones(d),
+        covariance_type=covariance_type,
     )
     expected = np.exp(-0.5 * cdist(X, Z, "sqeuclidean"))
     assume(np.isfinite(expected).all())

@@ -18,7 +18,9 @@ CONVOLVED_GP = 0.4552  # mean absolute error of Cd, Alvarez & Lawrence (2011)
 
 def benchmark(name):
     """Return a module of tests/benchmarks."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / "benchmarks" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(
+        name, Path(__file__).parent / "benchmarks" / f"{name}.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -36,15 +38,21 @@ def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     """On four minutes of a flight at two altitudes, from 100 noisy samples of two minutes at one."""
     folder = shared_data / "flights"
     aircraft = Aircraft.from_json(folder / "viggen_uav.json")
-    train, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in ("train_latlon", "test_twoalt"))
+    train, test = (
+        read_flight(folder / f"viggen_uav_{part}.parquet")
+        for part in ("train_latlon", "test_twoalt")
+    )
     train, test = train.iloc[:4800], test.iloc[:9600]
     targets = thin_targets(aerodynamic_coefficients(train, aircraft), 100)
     model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
     transform, regressor = model[:-1], model[-1]
-    X, asked = np.asarray(transform.fit_transform(train)), np.asarray(transform.transform(test))[::10]
+    X, asked = (
+        np.asarray(transform.fit_transform(train)),
+        np.asarray(transform.transform(test))[::10],
+    )
     truth = test[[f"{name}_true" for name in targets]].to_numpy()[::10]
     learned = targets.notna().all(axis=1).to_numpy()
     line = LinearRegression().fit(X[learned], targets.to_numpy()[learned])
-    assert normalized_rmse(truth, regressor.fit(X, targets).predict(asked)) < 0.95 * normalized_rmse(
-        truth, line.predict(asked)
-    )
+    assert normalized_rmse(
+        truth, regressor.fit(X, targets).predict(asked)
+    ) < 0.95 * normalized_rmse(truth, line.predict(asked))

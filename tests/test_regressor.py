@@ -44,7 +44,9 @@ def new():
 
 @pytest.fixture(scope="module", params=["exact", "sparse"])
 def model(request, data):
-    return DependentGPRegressor(inference=request.param, n_inducing=30, random_state=0, max_iter=25).fit(*data)
+    return DependentGPRegressor(
+        inference=request.param, n_inducing=30, random_state=0, max_iter=25
+    ).fit(*data)
 
 
 class TestScikitLearnContract:
@@ -60,7 +62,9 @@ class TestScikitLearnContract:
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
         results = check_estimator(estimator, on_skip=None, on_fail=None)
-        failed = [(r["check_name"], r["exception"]) for r in results if r["status"] in ("failed", "xfail")]
+        failed = [
+            (r["check_name"], r["exception"]) for r in results if r["status"] in ("failed", "xfail")
+        ]
         assert failed == []
         skipped = {r["check_name"] for r in results if r["status"] == "skipped"}
         assert skipped <= {"check_array_api_input"}
@@ -70,7 +74,8 @@ class TestScikitLearnContract:
     def test_no_estimator_of_the_package_goes_unchecked(self):
         """Who is found here is held to check_estimator here, in tests/preprocessing or in tests/calibration.
 
-        A pipeline has no estimator of its own to check: tests/identification/test_flight_pipeline.py.
+        A pipeline has no estimator of its own to check:
+        tests/identification/test_flight_pipeline.py.
         """
         found = set()
         for module in pkgutil.walk_packages(skdgp.__path__, "skdgp."):
@@ -87,9 +92,15 @@ class TestScikitLearnContract:
                 ):
                     found.add(name)
         others = (
-            "ElevonSplitter FlightCheck FlightPathReconstruction FlightSmoother LagCorrector RateNondimensionalizer"
+            "ElevonSplitter FlightCheck FlightPathReconstruction FlightSmoother LagCorrector "
+            "RateNondimensionalizer"
         )
-        assert found == {"CalibratedRegressor", "DependentGPRegressor", *others.split(), "RegressorSelector"}
+        assert found == {
+            "CalibratedRegressor",
+            "DependentGPRegressor",
+            *others.split(),
+            "RegressorSelector",
+        }
 
     def test_constructor_stores_and_fit_leaves_the_arguments(self, data):
         kernel = ConvolvedGaussian(1)
@@ -106,7 +117,9 @@ class TestScikitLearnContract:
         text = inspect.getdoc(DependentGPRegressor)
         for name in inspect.signature(DependentGPRegressor).parameters:
             assert f"\n{name} : " in text, name
-        for name in [name for name in vars(model) if name.endswith("_") and not name.startswith("_")]:
+        for name in [
+            name for name in vars(model) if name.endswith("_") and not name.startswith("_")
+        ]:
             assert name in text, name
 
 
@@ -137,12 +150,17 @@ class TestShapesAndNames:
         assert list(model.feature_names_in_) == ["alpha", "q"]
         assert model.output_names_ == ["CZ", "Cm"]
         assert model.output_correlation().output_names == ["CZ", "Cm"]
-        assert DependentGPRegressor(max_iter=2).fit(X, Y["Cm"].dropna().reindex(X.index)).output_names_ == ["Cm"]
+        assert DependentGPRegressor(max_iter=2).fit(
+            X, Y["Cm"].dropna().reindex(X.index)
+        ).output_names_ == ["Cm"]
 
     def test_names_where_there_are_none(self, data):
         X, Y = data
         assert DependentGPRegressor(max_iter=2).fit(X, Y).output_names_ == ["y0", "y1"]
-        assert DependentGPRegressor(max_iter=2).fit(X, pd.DataFrame(Y)).output_names_ == ["y0", "y1"]
+        assert DependentGPRegressor(max_iter=2).fit(X, pd.DataFrame(Y)).output_names_ == [
+            "y0",
+            "y1",
+        ]
         assert not hasattr(DependentGPRegressor(max_iter=2).fit(X, Y), "feature_names_in_")
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
@@ -158,15 +176,24 @@ class TestShapesAndNames:
 class TestPrediction:
     def test_one_output_with_a_given_kernel_is_scikit_learns(self, new):
         X, Y = make_data(25)
-        kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[1.2, 35.0]]], amplitude_bounds="fixed")
+        kernel = ConvolvedGaussian(
+            0, amplitude=[[1.0]], length_scale=[[[1.2, 35.0]]], amplitude_bounds="fixed"
+        )
         kernel.length_scale_bounds = "fixed"
         model = DependentGPRegressor(kernel, trend="constant").fit(X, Y[:, 0])
         theirs = GaussianProcessRegressor(
-            RBF([1.2, 35.0]), alpha=model.noise_variance_[0] / Y[:, 0].var(), optimizer=None, normalize_y=True
+            RBF([1.2, 35.0]),
+            alpha=model.noise_variance_[0] / Y[:, 0].var(),
+            optimizer=None,
+            normalize_y=True,
         ).fit(X, Y[:, 0])
-        for mine, other in zip(model.predict(new, return_std=True), theirs.predict(new, return_std=True), strict=True):
+        for mine, other in zip(
+            model.predict(new, return_std=True), theirs.predict(new, return_std=True), strict=True
+        ):
             np.testing.assert_allclose(mine, other, rtol=1e-6)
-        assert model.log_marginal_likelihood_value_ == pytest.approx(theirs.log_marginal_likelihood_value_)
+        assert model.log_marginal_likelihood_value_ == pytest.approx(
+            theirs.log_marginal_likelihood_value_
+        )
 
     def test_noise_is_added_to_std_and_covariance(self, model, new):
         mean, std = model.predict(new, return_std=True)
@@ -174,9 +201,13 @@ class TestPrediction:
         np.testing.assert_allclose(again, mean)
         np.testing.assert_allclose(model.predict(new), mean)
         _, noisy = model.predict(new, return_std=True, include_noise=True)
-        np.testing.assert_allclose(noisy**2 - std**2, np.broadcast_to(model.noise_variance_, std.shape), rtol=1e-6)
+        np.testing.assert_allclose(
+            noisy**2 - std**2, np.broadcast_to(model.noise_variance_, std.shape), rtol=1e-6
+        )
         _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
-        np.testing.assert_allclose(noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max())
+        np.testing.assert_allclose(
+            noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max()
+        )
 
     def test_it_learned_something(self, model, data):
         X, Y = make_data(200, seed=4)
@@ -211,8 +242,12 @@ class TestSamples:
 
 class TestLikelihood:
     def test_at_the_fitted_values(self, model):
-        assert model.log_marginal_likelihood() == pytest.approx(model.log_marginal_likelihood_value_)
-        assert model.log_marginal_likelihood(model.theta_) == pytest.approx(model.log_marginal_likelihood_value_)
+        assert model.log_marginal_likelihood() == pytest.approx(
+            model.log_marginal_likelihood_value_
+        )
+        assert model.log_marginal_likelihood(model.theta_) == pytest.approx(
+            model.log_marginal_likelihood_value_
+        )
         value, gradient = model.log_marginal_likelihood(eval_gradient=True)
         assert value == pytest.approx(model.log_marginal_likelihood_value_)
         assert gradient.shape == model.theta_.shape
@@ -227,12 +262,16 @@ class TestLikelihood:
 
     def test_wrong_length(self, model):
         n = len(model.theta_)
-        with pytest.raises(ValueError, match=rf"\({n - 1},\), but expected \({n},\).*2 noise variances"):
+        with pytest.raises(
+            ValueError, match=rf"\({n - 1},\), but expected \({n},\).*2 noise variances"
+        ):
             model.log_marginal_likelihood(model.theta_[:-1])
 
     def test_optimizer_none_keeps_the_kernel(self, data):
         kernel = ConvolvedGaussian(
-            1, amplitude=[[0.8, -0.8], [0.5, 0], [0, 0.5]], length_scale=np.broadcast_to([1.0, 30.0], (3, 2, 2))
+            1,
+            amplitude=[[0.8, -0.8], [0.5, 0], [0, 0.5]],
+            length_scale=np.broadcast_to([1.0, 30.0], (3, 2, 2)),
         )
         model = DependentGPRegressor(kernel, optimizer=None, trend="constant").fit(*data)
         np.testing.assert_array_equal(model.kernel_.amplitude, kernel.amplitude)
@@ -244,7 +283,9 @@ class TestInvariance:
     """Units are the user's affair."""
 
     def test_seed_decides(self, data, new):
-        first, again = (DependentGPRegressor(max_iter=5, random_state=7).fit(*data) for _ in range(2))
+        first, again = (
+            DependentGPRegressor(max_iter=5, random_state=7).fit(*data) for _ in range(2)
+        )
         np.testing.assert_allclose(first.theta_, again.theta_, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(first.predict(new), again.predict(new), rtol=1e-6, atol=1e-9)
         np.random.seed(0)  # noqa: NPY002 - the global state is neither read nor moved
@@ -268,7 +309,9 @@ class TestCoupling:
 
     def test_trend_does_not_count(self, data):
         model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=5).fit(*data)
-        np.testing.assert_allclose(model.output_correlation().correlation, np.eye(2), rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(
+            model.output_correlation().correlation, np.eye(2), rtol=1e-9, atol=1e-10
+        )
 
 
 def test_sharing_helps_where_an_output_is_rarely_observed():
@@ -283,7 +326,9 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
         Y[np.arange(75) % 5 != 0, 1] = np.nan
         errors = []
         for n_latent in (1, 0):
-            model = DependentGPRegressor(n_latent=n_latent, structure="joint", random_state=0, max_iter=60).fit(X, Y)
+            model = DependentGPRegressor(
+                n_latent=n_latent, structure="joint", random_state=0, max_iter=60
+            ).fit(X, Y)
             errors.append(np.sqrt(np.mean((model.predict(X)[:, 1] - truth[:, 1]) ** 2)))
         ratios.append(errors[0] / errors[1])
     assert np.median(ratios) < 0.5
@@ -297,7 +342,9 @@ def test_smallest_widths_reach_the_fit():
     for bounds in (None, "spacing", (0.7, 10.0)):
         kernel = ConvolvedGaussian(0, length_scale_bounds=bounds)
         model = DependentGPRegressor(kernel, trend="constant", max_iter=30, random_state=0)
-        own = np.einsum("kkd->kd", model.fit(X, Y).kernel_.length_scale)  # of each output, by its own process
+        own = np.einsum(
+            "kkd->kd", model.fit(X, Y).kernel_.length_scale
+        )  # of each output, by its own process
         found[bounds] = (own / X.std(axis=0)).min() if bounds != (0.7, 10.0) else own.min()
     assert found[None] < 0.3
     assert found["spacing"] >= 200 ** (-1 / 6) * (1 - 1e-9)
@@ -317,13 +364,22 @@ class TestInterrupted:
             if len(heard) == at or (at == "last stage" and sum(s == "fit" for s, _ in heard) == 3):
                 raise KeyboardInterrupt
 
-        model = DependentGPRegressor(inference=inference, n_inducing=20, random_state=0, max_iter=60)
-        with listening(press), pytest.warns(ConvergenceWarning, match=r"interrupted.*kept") as caught:
+        model = DependentGPRegressor(
+            inference=inference, n_inducing=20, random_state=0, max_iter=60
+        )
+        with (
+            listening(press),
+            pytest.warns(ConvergenceWarning, match=r"interrupted.*kept") as caught,
+        ):
             model.fit(*data)
         assert len([w for w in caught if w.category is ConvergenceWarning]) == 1
         assert caught[0].filename == __file__  # where fit was called
         assert np.isfinite(model.predict(new, return_std=True)).all()
-        pressed = at if isinstance(at, int) else max(k for k, (s, _) in enumerate(heard) if s != "output") + 1
+        pressed = (
+            at
+            if isinstance(at, int)
+            else max(k for k, (s, _) in enumerate(heard) if s != "output") + 1
+        )
         assert len(heard) <= pressed + 4  # what still had to start did so once
         assert list(model.weights_) == ["joint"]
         if (inference, at) == ("exact", "last stage"):
@@ -340,12 +396,20 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
         model = DependentGPRegressor(optimizer=None, n_inducing=10, structure="joint")
         model.fit(X[:n], Y[:n], time=None if time is None else time * np.arange(n))
         found[n, time] = model.inference_, model.max_iter_
-    assert found[2001, None] == found[1200, None] == ("exact", 150)  # searches of one output learn from 1000 values
+    assert (
+        found[2001, None] == found[1200, None] == ("exact", 150)
+    )  # searches of one output learn from 1000 values
     assert found[1200, 0.1] == ("sparse", 60)
     assert found[400, 0.1] == ("exact", 60)
     Y = np.repeat(Y, 6, axis=1)
-    for n, longest in ((250, 150), (300, 86), (900, 86)):  # 1500 and 1800 values: 150 (1500 / 1800)^3
-        model = DependentGPRegressor(optimizer=None, structure="joint", inference="sparse", n_inducing=10)
+    for n, longest in (
+        (250, 150),
+        (300, 86),
+        (900, 86),
+    ):  # 1500 and 1800 values: 150 (1500 / 1800)^3
+        model = DependentGPRegressor(
+            optimizer=None, structure="joint", inference="sparse", n_inducing=10
+        )
         assert model.fit(X[:n], Y[:n]).max_iter_ == longest
     assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7
 
@@ -355,8 +419,12 @@ def test_rounding_of_the_regressors_decides_nothing():
     """Far from an optimum a search would multiply it, and end at another one."""
     rng = np.random.default_rng(0)
     X = rng.normal(size=(120, 5))
-    Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]]) + rng.normal(0, 0.1, (120, 2))
-    model = DependentGPRegressor(structure="additive", n_latent=1, input_noise="learned", random_state=0)
+    Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]]) + rng.normal(
+        0, 0.1, (120, 2)
+    )
+    model = DependentGPRegressor(
+        structure="additive", n_latent=1, input_noise="learned", random_state=0
+    )
     mean, std = model.fit(X, Y).predict(X, return_std=True)
     moved = model.fit(X + 1e-12 * rng.normal(size=X.shape), Y).predict(X)
     assert (np.abs(moved - mean) < 0.05 * std).all()
@@ -365,11 +433,17 @@ def test_rounding_of_the_regressors_decides_nothing():
 @pytest.mark.filterwarnings("default")
 def test_a_fit_stopped_far_from_an_optimum_says_so():
     X = np.linspace(0, 6, 60)[:, None]
-    with pytest.warns(ConvergenceWarning, match=r"stopped at max_iter=1 before.*rise by \S+ nats. Raise max_iter\.$"):
+    with pytest.warns(
+        ConvergenceWarning,
+        match=r"stopped at max_iter=1 before.*rise by \S+ nats. Raise max_iter\.$",
+    ):
         model = DependentGPRegressor(max_iter=1, random_state=0).fit(X, np.sin(3 * X[:, 0]))
     assert not model.converged_
     with pytest.warns(
-        ConvergenceWarning, match=r"Raise max_iter, or scale the regressors \['x0'\] .StandardScaler.\.$"
+        ConvergenceWarning,
+        match=r"Raise max_iter, or scale the regressors \['x0'\] .StandardScaler.\.$",
     ):
         DependentGPRegressor(max_iter=1, random_state=0).fit(100 * X, np.sin(3 * X[:, 0]))
-    assert DependentGPRegressor(random_state=0, max_iter=2000).fit(X, np.sin(3 * X[:, 0])).converged_
+    assert (
+        DependentGPRegressor(random_state=0, max_iter=2000).fit(X, np.sin(3 * X[:, 0])).converged_
+    )

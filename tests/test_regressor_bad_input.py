@@ -49,7 +49,9 @@ class TestRegressors:
 
     @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
     def test_of_another_number_at_prediction(self, X, Y, call):
-        with pytest.raises(ValueError, match="X has 3 features, but DependentGPRegressor is expecting 2"):
+        with pytest.raises(
+            ValueError, match="X has 3 features, but DependentGPRegressor is expecting 2"
+        ):
             getattr(quick().fit(X, Y), call)(np.zeros((4, 3)))
 
     @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
@@ -65,11 +67,20 @@ class TestRegressors:
 
     @pytest.mark.parametrize(
         ("constant", "inference"),
-        [(0.6, "exact"), (0.6, "sparse"), (1e-9, "exact"), (0.1 + 0.2, "sparse"), (-1.7e9, "exact"), (0.0, "sparse")],
+        [
+            (0.6, "exact"),
+            (0.6, "sparse"),
+            (1e-9, "exact"),
+            (0.1 + 0.2, "sparse"),
+            (-1.7e9, "exact"),
+            (0.0, "sparse"),
+        ],
     )
     def test_a_constant_one_is_named_and_changes_nothing(self, X, Y, constant, inference):
         """The standard deviation of equal numbers is not zero but rounding: np.std([.6] * 20) is 1e-16."""
-        more = pd.DataFrame(np.column_stack([X, np.full(30, constant)]), columns=["alpha", "q", "throttle"])
+        more = pd.DataFrame(
+            np.column_stack([X, np.full(30, constant)]), columns=["alpha", "q", "throttle"]
+        )
         more.loc[3, "throttle"] *= 1 + 1e-15
         with pytest.warns(UserWarning, match=r"\['throttle'\] are constant") as caught:
             model = quick(inference=inference, n_inducing=10, covariance_type="tied").fit(more, Y)
@@ -100,18 +111,30 @@ class TestRegressors:
         options = {"structure": "joint", "inference": inference, "n_inducing": 30, "max_iter": 40}
         here, there = quick(**options).fit(X, Y), quick(**options).fit(X + offset, Y)
         for rows in (slice(0, 5), slice(None)):
-            for got, expected in zip(there.predict(X[rows] + offset, True), here.predict(X[rows], True), strict=True):
-                np.testing.assert_allclose(got, expected, rtol=0.01, atol=0.01)  # rounded to 2e-7 of their spread
-        np.testing.assert_allclose(there.predict_gradient(X + offset), here.predict_gradient(X), rtol=0.01, atol=0.01)
-        np.testing.assert_allclose(there.sample_paths(3)(X[:5] + offset).mean(), Y[:5].mean(), atol=0.5)
+            for got, expected in zip(
+                there.predict(X[rows] + offset, True), here.predict(X[rows], True), strict=True
+            ):
+                np.testing.assert_allclose(
+                    got, expected, rtol=0.01, atol=0.01
+                )  # rounded to 2e-7 of their spread
+        np.testing.assert_allclose(
+            there.predict_gradient(X + offset), here.predict_gradient(X), rtol=0.01, atol=0.01
+        )
+        np.testing.assert_allclose(
+            there.sample_paths(3)(X[:5] + offset).mean(), Y[:5].mean(), atol=0.5
+        )
 
     def test_whose_noise_is_more_than_they_vary(self, X, Y):
         with pytest.raises(ValueError, match=r"input_noise.*'x0'.*in the units of X"):
             quick(input_noise=0.1).fit(X * [1e-8, 1.0], Y)
 
     def test_that_are_alike_but_for_rounding_are_few_inducing_inputs(self, X, Y):
-        X = np.repeat(X[:6], 5, axis=0) * (1 + 1e-15 * np.random.default_rng(2).integers(0, 3, (30, 1)))
-        assert np.isfinite(quick(inference="sparse", n_inducing=10).fit(X, Y).predict(X, return_std=True)).all()
+        X = np.repeat(X[:6], 5, axis=0) * (
+            1 + 1e-15 * np.random.default_rng(2).integers(0, 3, (30, 1))
+        )
+        assert np.isfinite(
+            quick(inference="sparse", n_inducing=10).fit(X, Y).predict(X, return_std=True)
+        ).all()
 
     def test_of_unlike_scales_share_no_length(self, X, Y):
         with pytest.raises(ValueError, match=r"from .* to .*StandardScaler.*'diag'"):
@@ -140,9 +163,13 @@ class TestTargets:
     def test_of_integers_and_nullable_numbers(self, X, Y):
         whole = (10 * Y).round()
         expected = quick().fit(X, whole).predict(X)
-        np.testing.assert_allclose(quick().fit(X, whole.astype(int)).predict(X), expected, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            quick().fit(X, whole.astype(int)).predict(X), expected, rtol=1e-6, atol=1e-9
+        )
         nullable = pd.DataFrame(whole).astype("Float64")
-        np.testing.assert_allclose(quick().fit(X, nullable).predict(X), expected, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            quick().fit(X, nullable).predict(X), expected, rtol=1e-6, atol=1e-9
+        )
         nullable.iloc[0, 0] = pd.NA
         assert np.isfinite(quick().fit(X, nullable).predict(X)).all()
 
@@ -150,7 +177,9 @@ class TestTargets:
     def test_observed_less_than_twice(self, tables, n):
         X, Y = tables
         Y.loc[n:, "Cm"] = np.nan
-        with pytest.raises(ValueError, match=rf"fewer than two samples.*'Cm': {n}.*Leave these columns out"):
+        with pytest.raises(
+            ValueError, match=rf"fewer than two samples.*'Cm': {n}.*Leave these columns out"
+        ):
             quick().fit(X, Y)
         Y.loc[n:] = np.nan
         with pytest.raises(ValueError, match="fewer than two samples"):
@@ -163,10 +192,14 @@ class TestTargets:
 
     def test_that_are_constant(self, tables):
         X, Y = tables
-        with pytest.warns(UserWarning, match=r"\['Cm'\] are constant.*nothing can be learned.*check the log") as caught:
+        with pytest.warns(
+            UserWarning, match=r"\['Cm'\] are constant.*nothing can be learned.*check the log"
+        ) as caught:
             model = quick().fit(X, Y.assign(Cm=3.0))
         assert caught[0].filename == __file__
-        np.testing.assert_allclose(model.predict(X)[:, 1], 3.0, atol=1e-4)  # a tenth of the least noise
+        np.testing.assert_allclose(
+            model.predict(X)[:, 1], 3.0, atol=1e-4
+        )  # a tenth of the least noise
 
     def test_of_very_different_and_very_large_sizes(self, X, Y):
         here = quick().fit(X, Y).predict(X)
@@ -179,7 +212,8 @@ class TestTargets:
             quick().fit(X, Y * [1.0, size])
 
     @pytest.mark.parametrize(
-        ("value", "trend"), [(0.6, "linear"), (0.6, None), (1e-9, "constant"), (-3e25, "linear"), (-3e25, None)]
+        ("value", "trend"),
+        [(0.6, "linear"), (0.6, None), (1e-9, "constant"), (-3e25, "linear"), (-3e25, None)],
     )
     def test_that_are_constant_are_told_in_their_own_size(self, X, Y, value, trend):
         """And leave the others alone: the deviation of equal numbers is rounding."""
@@ -198,7 +232,9 @@ class TestRows:
     def test_repeated(self, tables):
         X, Y = tables
         twice = pd.concat([X, X], ignore_index=True), pd.concat([Y, Y], ignore_index=True)
-        with pytest.warns(UserWarning, match=r"30 of 60 samples repeat.*drop repeated rows") as caught:
+        with pytest.warns(
+            UserWarning, match=r"30 of 60 samples repeat.*drop repeated rows"
+        ) as caught:
             quick().fit(*twice)
         assert caught[0].filename == __file__
 
@@ -243,8 +279,14 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("kernel", "message"),
         [
-            (ConvolvedGaussian(1, length_scale=np.ones((3, 2, 5))), r"length_scale of shape \(3, 2, 5\)"),
-            (ConvolvedGaussian(1, length_scale_bounds="free"), "length_scale_bounds='free'.*'fixed'"),
+            (
+                ConvolvedGaussian(1, length_scale=np.ones((3, 2, 5))),
+                r"length_scale of shape \(3, 2, 5\)",
+            ),
+            (
+                ConvolvedGaussian(1, length_scale_bounds="free"),
+                "length_scale_bounds='free'.*'fixed'",
+            ),
             (ConvolvedGaussian(1, length_scale_bounds=(2.0, 1.0)), "length_scale_bounds"),
             (ConvolvedGaussian(1, length_scale_bounds=(-1.0, 1.0)), "length_scale_bounds"),
         ],
@@ -256,7 +298,9 @@ class TestParameters:
 
 
 class TestQuestions:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y", "score", "output_correlation"])
+    @pytest.mark.parametrize(
+        "call", ["predict", "predict_gradient", "sample_y", "score", "output_correlation"]
+    )
     def test_before_fit(self, X, Y, call):
         arguments = {"score": (X, Y), "output_correlation": ()}.get(call, (X,))
         with pytest.raises(NotFittedError, match="not fitted yet"):
@@ -282,14 +326,17 @@ class TestMemory:
     def test_exact_inference_on_a_long_log_is_refused_before_it_starts(self):
         X = np.random.default_rng(0).normal(size=(400_000, 2))
         with pytest.raises(
-            ValueError, match=r"Exact inference on 400000 values needs about 2384 GiB.*sparse.*thin_targets"
+            ValueError,
+            match=r"Exact inference on 400000 values needs about 2384 GiB.*sparse.*thin_targets",
         ):
             quick(inference="exact").fit(X, X[:, 0])
 
     def test_a_joint_covariance_of_very_many_samples_is_refused(self, X, Y):
         model, many = quick().fit(X, Y), np.zeros((200_000, X.shape[1]))
         for call in (lambda: model.predict(many, return_cov=True), lambda: model.sample_y(many)):
-            with pytest.raises(ValueError, match=r"joint covariance of 400000 values.*fewer samples"):
+            with pytest.raises(
+                ValueError, match=r"joint covariance of 400000 values.*fewer samples"
+            ):
                 call()
 
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
@@ -297,11 +344,15 @@ class TestMemory:
         with pytest.raises(ValueError, match="Exact inference on 60 values"):
             quick(inference="exact").fit(X, Y)
         quick(inference="sparse", n_inducing=3).fit(X, Y)
-        with pytest.raises(ValueError, match=r"Sparse inference with \d+ values needs.*Lower n_inducing"):
+        with pytest.raises(
+            ValueError, match=r"Sparse inference with \d+ values needs.*Lower n_inducing"
+        ):
             quick(inference="sparse", n_inducing=25).fit(X, Y)
 
     def test_more_inducing_inputs_than_samples_are_said_to_be_a_waste(self, X, Y):
-        with pytest.warns(UserWarning, match=r"Got n_inducing=31 for 30 samples.*use inference='exact'"):
+        with pytest.warns(
+            UserWarning, match=r"Got n_inducing=31 for 30 samples.*use inference='exact'"
+        ):
             model = quick(inference="sparse", n_inducing=31).fit(X, Y)
         assert np.isfinite(model.predict(X, return_std=True)).all()
 
@@ -324,11 +375,16 @@ class TestFewRows:
         return X, X @ rng.normal(size=(d, 2)) / np.sqrt(d) + 0.1 * lasting
 
     def test_are_said(self):
-        with pytest.warns(FewRowsWarning, match=r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"):
+        with pytest.warns(
+            FewRowsWarning, match=r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"
+        ):
             quick().fit(*self.linear(30, 8))
 
     def test_that_errors_which_last_leave_are_said(self):
-        with pytest.warns(FewRowsWarning, match=r"Got 400 rows, worth \d\d independent .* last (1|2)\d rows, for 8"):
+        with pytest.warns(
+            FewRowsWarning,
+            match=r"Got 400 rows, worth \d\d independent .* last (1|2)\d rows, for 8",
+        ):
             quick(structure="trend").fit(*self.linear(400, 8, memory=20))
 
     def test_errors_in_another_order_do_not_last(self):
@@ -344,7 +400,9 @@ class TestFewRows:
 
     def test_of_a_function_of_one_regressor_are_enough(self):
         x = np.linspace(0.0, 6.0, 40)[:, None]
-        self.fit_in_silence(quick(max_iter=20), x, np.sin(x) + 0.1 * np.random.default_rng(0).normal(size=x.shape))
+        self.fit_in_silence(
+            quick(max_iter=20), x, np.sin(x) + 0.1 * np.random.default_rng(0).normal(size=x.shape)
+        )
 
     def fit_in_silence(self, model, X, Y):
         with warnings.catch_warnings():

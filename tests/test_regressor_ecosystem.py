@@ -17,9 +17,14 @@ from skdgp.metrics import SCORERS
 def flights():
     """Three short flights of a table, one coefficient not always observed."""
     rng = np.random.default_rng(0)
-    X = pd.DataFrame(rng.normal(size=(60, 3)) * [0.05, 0.3, 10.0] + [0.1, 0, 40], columns=["alpha", "q", "airspeed"])
+    X = pd.DataFrame(
+        rng.normal(size=(60, 3)) * [0.05, 0.3, 10.0] + [0.1, 0, 40],
+        columns=["alpha", "q", "airspeed"],
+    )
     lift = -4 * X["alpha"] + 0.1 * np.sin(5 * X["q"])
-    Y = pd.DataFrame({"CZ": lift, "Cm": 0.1 - 0.2 * lift + 0.01 * X["q"]}) + rng.normal(0, 0.005, (60, 2))
+    Y = pd.DataFrame({"CZ": lift, "Cm": 0.1 - 0.2 * lift + 0.01 * X["q"]}) + rng.normal(
+        0, 0.005, (60, 2)
+    )
     Y.loc[::4, "Cm"] = np.nan
     return X, Y, np.repeat(["one", "two", "three"], 20)
 
@@ -40,8 +45,13 @@ class TestScikitLearn:
     def test_grid_search_over_held_out_flights(self, flights):
         X, Y, flight = flights
         model = make_pipeline(StandardScaler(), quick(max_iter=3))
-        grid = {"dependentgpregressor__n_latent": [0, 1], "dependentgpregressor__trend": ["linear", "constant"]}
-        search = GridSearchCV(model, grid, cv=GroupKFold(3), scoring=SCORERS, refit="neg_normalized_rmse")
+        grid = {
+            "dependentgpregressor__n_latent": [0, 1],
+            "dependentgpregressor__trend": ["linear", "constant"],
+        }
+        search = GridSearchCV(
+            model, grid, cv=GroupKFold(3), scoring=SCORERS, refit="neg_normalized_rmse"
+        )
         search.fit(X, Y, groups=flight)
         assert np.isfinite(search.cv_results_["mean_test_neg_normalized_rmse"]).all()
         assert search.predict(X).shape == (60, 2)

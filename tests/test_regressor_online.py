@@ -43,7 +43,9 @@ KINDS = pytest.mark.parametrize("kind", ["exact", "sparse", "compact"])
 
 @pytest.fixture(scope="module")
 def models(data):
-    return {kind: fitted_on(data[0][:40], data[1][:40], kind) for kind in ("exact", "sparse", "compact")}
+    return {
+        kind: fitted_on(data[0][:40], data[1][:40], kind) for kind in ("exact", "sparse", "compact")
+    }
 
 
 @pytest.fixture
@@ -61,14 +63,18 @@ class TestPartialFit:
         for rows in (slice(40, 41), slice(41, 60)):
             assert model.partial_fit(X[rows], Y[rows]) is model
         if kind == "exact":
-            reference = ExactPosterior(before.kernel, before.noise, Data.from_table(X, (Y - center) / scale))
+            reference = ExactPosterior(
+                before.kernel, before.noise, Data.from_table(X, (Y - center) / scale)
+            )
         else:
             reference = before.updated(Data.from_table(X[40:], (Y[40:] - center) / scale))
         mean, variance = reference.predict(NEW, True)
         got, std = model.predict(NEW, return_std=True)
         np.testing.assert_allclose(got, mean * scale + center, rtol=1e-8)
         np.testing.assert_allclose(std, np.sqrt(variance) * scale, rtol=1e-8)
-        assert model.log_marginal_likelihood_value_ == pytest.approx(reference.log_marginal_likelihood, rel=1e-8)
+        assert model.log_marginal_likelihood_value_ == pytest.approx(
+            reference.log_marginal_likelihood, rel=1e-8
+        )
         np.testing.assert_array_equal(model.theta_, theta)
         assert (model.center_ is center, model.scale_ is scale) == (True, True)
 
@@ -94,7 +100,10 @@ class TestPartialFit:
         assert model.predict(NEW).ndim == ndim == len(shape)
 
     def test_tables(self, data):
-        X, Y = (pd.DataFrame(a, columns=c) for a, c in zip(data, (["alpha", "q"], ["CZ", "Cm"]), strict=True))
+        X, Y = (
+            pd.DataFrame(a, columns=c)
+            for a, c in zip(data, (["alpha", "q"], ["CZ", "Cm"]), strict=True)
+        )
         model = DependentGPRegressor(max_iter=5, random_state=0).fit(X[:40], Y[:40])
         plain = DependentGPRegressor(max_iter=5, random_state=0).fit(data[0][:40], data[1][:40])
         model.partial_fit(X[40:], Y[40:])
@@ -102,7 +111,9 @@ class TestPartialFit:
         np.testing.assert_allclose(model.predict(X), plain.predict(data[0]), rtol=1e-6, atol=1e-9)
         with pytest.raises(ValueError, match="feature names"):
             model.partial_fit(X[["q", "alpha"]], Y)
-        with pytest.raises(ValueError, match=r"Got y with the columns \['Cm', 'CZ'\].*\['CZ', 'Cm'\]"):
+        with pytest.raises(
+            ValueError, match=r"Got y with the columns \['Cm', 'CZ'\].*\['CZ', 'Cm'\]"
+        ):
             model.partial_fit(X, Y[["Cm", "CZ"]])
         with pytest.warns(UserWarning, match="indices of X and y differ"):
             model.partial_fit(X[:2], Y[2:4])
@@ -157,7 +168,9 @@ class TestCompact:
         for name in ("n_iter_", "n_evaluations_", "n_features_in_", "output_names_", "kernel_"):
             assert getattr(small, name) is getattr(model, name)
         np.testing.assert_array_equal(small.theta_, model.theta_)
-        assert small.log_marginal_likelihood() == pytest.approx(small.log_marginal_likelihood_value_)
+        assert small.log_marginal_likelihood() == pytest.approx(
+            small.log_marginal_likelihood_value_
+        )
         assert small.log_marginal_likelihood_value_ <= model.log_marginal_likelihood_value_ + 1e-6
         small.partial_fit(*data)
         np.testing.assert_allclose(model.predict(NEW), before, rtol=1e-9, atol=1e-10)
@@ -181,19 +194,26 @@ class TestCompact:
 
     def test_a_tolerance_that_cannot_be_kept_is_told(self, models):
         with pytest.warns(
-            UserWarning, match=r"16 inducing variables changes.*more than the tolerance 0\.001.*Raise n_inducing"
+            UserWarning,
+            match=r"16 inducing variables changes.*more than the tolerance 0\.001.*Raise "
+            r"n_inducing",
         ) as caught:
             models["exact"].compact(10, tolerance=1e-3)
         assert caught[0].filename == __file__
 
     def test_much_change_is_told_unasked(self, models):
-        with pytest.warns(UserWarning, match=r"16 inducing variables changes.*standard deviation.*Raise n_inducing"):
+        with pytest.warns(
+            UserWarning,
+            match=r"16 inducing variables changes.*standard deviation.*Raise n_inducing",
+        ):
             models["exact"].compact(10)
 
     @pytest.mark.parametrize(("n", "trend"), [(2, "linear"), (3, None), (6, "constant")])
     def test_of_few_samples(self, data, n, trend):
         X, y = data[0][:n], data[1][:n, 0]
-        model = DependentGPRegressor(optimizer=None, trend=trend, n_latent=1, random_state=0).fit(X, y)
+        model = DependentGPRegressor(optimizer=None, trend=trend, n_latent=1, random_state=0).fit(
+            X, y
+        )
         small = model.compact()
         np.testing.assert_allclose(small.predict(NEW), model.predict(NEW), rtol=1e-3)
         assert small.partial_fit(X[:1] + 1.0, y[:1]).predict(NEW).shape == (7,)
@@ -213,7 +233,9 @@ class TestCompact:
 
     def test_memory_is_looked_at_first(self, models, monkeypatch):
         monkeypatch.setattr(linalg, "_physical_memory", lambda: 1000)
-        with pytest.raises(ValueError, match=r"A compact model of 26 values needs.*fewer n_inducing"):
+        with pytest.raises(
+            ValueError, match=r"A compact model of 26 values needs.*fewer n_inducing"
+        ):
             models["exact"].compact(20)
 
 
@@ -223,7 +245,12 @@ class TestPlainRows:
     def test_other_forms_give_the_same(self, models):
         small = models["compact"]
         expected = small.predict(NEW)
-        for form in (NEW.tolist(), np.asfortranarray(NEW), NEW.astype(">f8"), np.repeat(NEW, 2, axis=1)[:, ::2]):
+        for form in (
+            NEW.tolist(),
+            np.asfortranarray(NEW),
+            NEW.astype(">f8"),
+            np.repeat(NEW, 2, axis=1)[:, ::2],
+        ):
             np.testing.assert_allclose(small.predict(form), expected, rtol=1e-12)
         np.testing.assert_allclose(small.predict(NEW.astype(np.float32)), expected, rtol=1e-4)
         np.testing.assert_allclose(small.predict(pd.DataFrame(NEW)), expected, rtol=1e-12)

@@ -20,7 +20,13 @@ def table(n=30, seed=0):
 
 
 def fitted(inference="exact", y=slice(None), **options):
-    options = {"n_latent": 1, "n_inducing": 12, "max_iter": 10, "optimizer": None, "random_state": 0} | options
+    options = {
+        "n_latent": 1,
+        "n_inducing": 12,
+        "max_iter": 10,
+        "optimizer": None,
+        "random_state": 0,
+    } | options
     X, Y = table()
     return DependentGPRegressor(inference=inference, **options).fit(X, Y[:, y])
 
@@ -58,8 +64,12 @@ def test_one_output_has_no_axis_of_outputs():
 def test_the_same_seed_gives_the_same_functions_in_any_process(model):
     X = table()[0]
     paths = model.sample_paths(4, random_state=5)
-    np.testing.assert_allclose(model.sample_paths(4, random_state=5)(X), paths(X), rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(pickle.loads(pickle.dumps(paths))(X), paths(X), rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(
+        model.sample_paths(4, random_state=5)(X), paths(X), rtol=1e-9, atol=1e-10
+    )
+    np.testing.assert_allclose(
+        pickle.loads(pickle.dumps(paths))(X), paths(X), rtol=1e-9, atol=1e-10
+    )
     assert not np.allclose(model.sample_paths(4, random_state=6)(X), paths(X))
 
 
@@ -79,7 +89,13 @@ def test_bad_input_is_refused(model):
 def test_columns_in_another_order_are_refused():
     X, Y = table()
     flight = pd.DataFrame(X, columns=["alpha", "beta"])
-    path = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0).fit(flight, Y).sample_paths()[0]
+    path = (
+        DependentGPRegressor(n_latent=1, optimizer=None, random_state=0)
+        .fit(flight, Y)
+        .sample_paths()[0]
+    )
     np.testing.assert_allclose(path(flight), path(X), rtol=1e-9, atol=1e-10)
-    with pytest.raises(ValueError, match=r"columns \['beta', 'alpha'\], but expected.*\['alpha', 'beta'\]"):
+    with pytest.raises(
+        ValueError, match=r"columns \['beta', 'alpha'\], but expected.*\['alpha', 'beta'\]"
+    ):
         path(flight[["beta", "alpha"]])

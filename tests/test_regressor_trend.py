@@ -7,7 +7,12 @@ import pytest
 from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.feature_selection import SelectKBest
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, SplineTransformer, StandardScaler
+from sklearn.preprocessing import (
+    FunctionTransformer,
+    PolynomialFeatures,
+    SplineTransformer,
+    StandardScaler,
+)
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, ExactPosterior
@@ -51,7 +56,9 @@ def model(data):
     """A trend, and processes that are as good as nothing."""
     kernel = ConvolvedGaussian(1, private_latents=False, **TINY)
     trend = PolynomialFeatures(2, include_bias=False)
-    return DependentGPRegressor(kernel, trend=trend, structure="joint", random_state=0).fit(*data)  # of one noise
+    return DependentGPRegressor(kernel, trend=trend, structure="joint", random_state=0).fit(
+        *data
+    )  # of one noise
 
 
 class TestIsBayesianLinearRegression:
@@ -59,13 +66,21 @@ class TestIsBayesianLinearRegression:
         X, Y = data
         new = np.random.default_rng(1).normal([3.0, 0.0], 1.0, (7, 2))
         mean, std = model.predict(new, return_std=True)
-        phi, there = (PolynomialFeatures(2, include_bias=False).fit(X).transform(x) for x in (X, new))
+        phi, there = (
+            PolynomialFeatures(2, include_bias=False).fit(X).transform(x) for x in (X, new)
+        )
         center = phi.mean(axis=0)
         phi, there = (np.column_stack([np.ones(len(p)), p - center]) for p in (phi, there))
         for i in range(2):
             seen = np.isfinite(Y[:, i])
             middle, scale = np.mean(Y[seen, i]), np.std(Y[seen, i])
-            w, cov = weights_of(model, phi[seen], (Y[seen, i] - middle) / scale, i, model.noise_variance_[i] / scale**2)
+            w, cov = weights_of(
+                model,
+                phi[seen],
+                (Y[seen, i] - middle) / scale,
+                i,
+                model.noise_variance_[i] / scale**2,
+            )
             np.testing.assert_allclose(mean[:, i], middle + scale * there @ w, rtol=1e-6)
             variance = np.einsum("nk,kl,nl->n", there, cov, there)
             np.testing.assert_allclose(std[:, i], scale * np.sqrt(variance), rtol=1e-5)
@@ -74,7 +89,9 @@ class TestIsBayesianLinearRegression:
 def test_a_linear_trend_is_the_trend_in_the_regressors_themselves(data):
     X, Y = data
     own = DependentGPRegressor(n_latent=1, random_state=0, max_iter=15).fit(X, Y)
-    same = DependentGPRegressor(n_latent=1, random_state=0, max_iter=15, trend=FunctionTransformer()).fit(X, Y)
+    same = DependentGPRegressor(
+        n_latent=1, random_state=0, max_iter=15, trend=FunctionTransformer()
+    ).fit(X, Y)
     np.testing.assert_allclose(same.predict(X), own.predict(X), rtol=1e-5)
     assert isinstance(own.kernel_.k1, LinearTrend)
 
@@ -98,7 +115,9 @@ class TestInEveryInference:
     @pytest.mark.parametrize("transformer", TRANSFORMERS.values(), ids=TRANSFORMERS)
     def test_of_any_transformer(self, data, transformer):
         X, Y = data
-        model = DependentGPRegressor(n_latent=1, trend=transformer, optimizer=None, random_state=0).fit(X, Y)
+        model = DependentGPRegressor(
+            n_latent=1, trend=transformer, optimizer=None, random_state=0
+        ).fit(X, Y)
         mean, std = model.predict(X, return_std=True)
         assert np.nanmean((mean - Y) ** 2) < 0.1
         assert np.isfinite(std).all()
@@ -109,7 +128,9 @@ class TestInEveryInference:
 
     def test_sparse_compact_and_online(self, data):
         X, Y = data
-        model = DependentGPRegressor(n_latent=1, trend=PolynomialFeatures(2), random_state=0, max_iter=10).fit(X, Y)
+        model = DependentGPRegressor(
+            n_latent=1, trend=PolynomialFeatures(2), random_state=0, max_iter=10
+        ).fit(X, Y)
         small = model.compact(200)
         np.testing.assert_allclose(small.predict(X), model.predict(X), atol=0.02)
         new = X + 0.01
@@ -157,7 +178,9 @@ class TestRefused:
             DependentGPRegressor(trend=SelectKBest(k=1)).fit(*data)
 
     def test_values_before_a_fit(self, data):
-        with pytest.raises(ValueError, match=r"transformer of BasisTrend.*not fitted yet: call initialize"):
+        with pytest.raises(
+            ValueError, match=r"transformer of BasisTrend.*not fitted yet: call initialize"
+        ):
             BasisTrend(PolynomialFeatures(2), [1.0], [[1.0, 1.0]])(data[0])
 
 
@@ -176,23 +199,41 @@ class TestStructure:
         new = np.random.default_rng(1).uniform(-1.8, 1.8, (200, 4))
         errors = {}
         for structure in ("joint", "additive"):
-            options = {"structure": structure, "inference": inference, "n_latent": 0, "n_inducing": 40, "max_iter": 100}
+            options = {
+                "structure": structure,
+                "inference": inference,
+                "n_latent": 0,
+                "n_inducing": 40,
+                "max_iter": 100,
+            }
             model = DependentGPRegressor(**options, random_state=0).fit(X, y)
-            errors[structure] = np.sqrt(np.mean((model.predict(new) - np.sin(3 * new).sum(axis=1)) ** 2))
+            errors[structure] = np.sqrt(
+                np.mean((model.predict(new) - np.sin(3 * new).sum(axis=1)) ** 2)
+            )
         assert errors["additive"] < 0.5 * errors["joint"]
 
     @pytest.mark.parametrize("trend", ["linear", "constant"])
     def test_goes_with_any_trend(self, sample, trend):
         X, y = sample
-        model = DependentGPRegressor(structure="additive", trend=trend, n_latent=0, optimizer=None).fit(X, y)
-        parts = [part for part in model.kernel_.get_params().values() if isinstance(part, ConvolvedGaussian)]
+        model = DependentGPRegressor(
+            structure="additive", trend=trend, n_latent=0, optimizer=None
+        ).fit(X, y)
+        parts = [
+            part
+            for part in model.kernel_.get_params().values()
+            if isinstance(part, ConvolvedGaussian)
+        ]
         assert sorted(part.regressors for part in parts if part.regressors) == [[0], [1], [2], [3]]
 
-    @pytest.mark.parametrize("options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}])
+    @pytest.mark.parametrize(
+        "options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}]
+    )
     def test_a_trend_alone_needs_a_trend(self, sample, options):
         with pytest.raises(ValueError, match="structure='trend'"):
             DependentGPRegressor(structure="trend", **options).fit(*sample)
 
     def test_refuses_a_kernel(self, sample):
-        with pytest.raises(ValueError, match=r"structure='additive' with kernel=.*expected kernel=None"):
+        with pytest.raises(
+            ValueError, match=r"structure='additive' with kernel=.*expected kernel=None"
+        ):
             DependentGPRegressor(structure="additive", kernel=ConvolvedGaussian(1)).fit(*sample)

@@ -61,8 +61,21 @@ def test_the_site_builds_without_a_warning(tmp_path):
     shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns(*MADE))
     for name in ("skdgp", "examples", "README.md"):
         (tmp_path / name).symlink_to(ROOT / name)
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "dummy", "-D", "plot_gallery=0"]
-    done = subprocess.run([*command, "docs", "built"], cwd=tmp_path, capture_output=True, text=True, timeout=540)
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "dummy",
+        "-D",
+        "plot_gallery=0",
+    ]
+    done = subprocess.run(
+        [*command, "docs", "built"], cwd=tmp_path, capture_output=True, text=True, timeout=540
+    )
     assert done.returncode == 0, done.stderr[-5000:]
 
 
@@ -73,11 +86,17 @@ def load(path):
     return module
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name
+)
 def test_the_gallery_gives_an_example_what_it_takes(path, monkeypatch):
-    pytest.importorskip("sphinx_gallery", reason='shows examples in a gallery: pip install -e ".[docs]"')
+    pytest.importorskip(
+        "sphinx_gallery", reason='shows examples in a gallery: pip install -e ".[docs]"'
+    )
     pytest.importorskip("matplotlib", reason="examples draw")
-    words = load(DOCS / "_extensions" / "examples_in_gallery.py").arguments({}, {"src_file": str(path)})
+    words = load(DOCS / "_extensions" / "examples_in_gallery.py").arguments(
+        {}, {"src_file": str(path)}
+    )
     parse, parsed = argparse.ArgumentParser.parse_args, []
 
     def stop(self, arguments):

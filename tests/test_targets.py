@@ -15,7 +15,12 @@ from skdgp.dynamics._inputs import as_starts
 from skdgp.dynamics._replay import _coefficient_array
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import (
+    ElevonSplitter,
+    FlightSmoother,
+    RateNondimensionalizer,
+    RegressorSelector,
+)
 
 X = np.random.default_rng(0).normal(size=(40, 2))
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
@@ -36,7 +41,9 @@ def test_names(library):
     assert column_names(library.Series([1.0, 2.0])) == []
 
 
-@pytest.mark.parametrize("y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1]), pd.Series([1.0])])
+@pytest.mark.parametrize(
+    "y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1]), pd.Series([1.0])]
+)
 def test_what_has_no_names(y):
     assert column_names(y) == []
 
@@ -61,7 +68,9 @@ def test_regressor(library):
 @pytest.mark.filterwarnings("ignore:Got .* flights")
 def test_the_model_inside_a_calibration_learns_the_names(library):
     model = DependentGPRegressor(n_latent=0, max_iter=1)
-    model = CalibratedRegressor(model, cv=2, level=0.5).fit(X, library.DataFrame(TARGETS), groups=[1, 2] * 20)
+    model = CalibratedRegressor(model, cv=2, level=0.5).fit(
+        X, library.DataFrame(TARGETS), groups=[1, 2] * 20
+    )
     assert model.output_names_ == model.estimator_.output_names_ == ["CZ", "Cm"]
 
 
@@ -79,7 +88,9 @@ def test_coverage(library):
 
 def test_coefficients_and_starts_are_taken_by_name(library):
     names = ["Cn", "Cm", "Cl", "CZ", "CY", "CX"]
-    values = _coefficient_array(library.DataFrame({name: [float(k)] for k, name in enumerate(names)}), X[:1])
+    values = _coefficient_array(
+        library.DataFrame({name: [float(k)] for k, name in enumerate(names)}), X[:1]
+    )
     assert values.tolist() == [[5, 4, 3, 2, 1, 0]]
     starts = as_starts(library.DataFrame({name: [1.0] for name in reversed(STATE_NAMES)}))
     assert isinstance(starts, pd.DataFrame)
@@ -98,7 +109,9 @@ def test_transformers_hand_tables_of_polars_to_the_regressor():
     polars = pytest.importorskip("polars")
     rng = np.random.default_rng(1)
     flight = pd.DataFrame({"time": 0.02 * np.arange(200), "airspeed": 20.0, "note": "calm"})
-    waves = np.sin(flight[["time"]].to_numpy() * [3.0, 5.0, 7.0, 4.0]) + 0.01 * rng.normal(size=(200, 4))
+    waves = np.sin(flight[["time"]].to_numpy() * [3.0, 5.0, 7.0, 4.0]) + 0.01 * rng.normal(
+        size=(200, 4)
+    )
     flight[["alpha", "q", "elevon_left", "elevon_right"]] = 0.1 * waves
     Y = pd.DataFrame({"CZ": -4.0 * flight["alpha"], "Cm": flight["q"] - flight["elevon_left"]})
     Y.iloc[np.arange(200) % 5 > 0] = np.nan

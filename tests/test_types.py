@@ -8,7 +8,9 @@ from pathlib import Path
 import skdgp
 
 ROOMS = ["skdgp"] + [
-    f"skdgp.{room.name}" for room in pkgutil.iter_modules(skdgp.__path__) if not room.name.startswith("_")
+    f"skdgp.{room.name}"
+    for room in pkgutil.iter_modules(skdgp.__path__)
+    if not room.name.startswith("_")
 ]
 
 
@@ -22,7 +24,9 @@ def public_functions(room):
         elif inspect.isclass(thing) and thing.__module__.startswith("skdgp."):
             for method, value in vars(thing).items():
                 function = getattr(value, "__func__", value)
-                written_here = inspect.isfunction(function) and function.__module__.startswith("skdgp.")
+                written_here = inspect.isfunction(function) and function.__module__.startswith(
+                    "skdgp."
+                )
                 if written_here and (method == "__init__" or not method.startswith("_")):
                     found[f"{name}.{method}"] = function
     return found
@@ -32,10 +36,17 @@ def test_every_public_function_is_annotated():
     rooms = {name: public_functions(importlib.import_module(name)) for name in ROOMS}
     assert all(rooms.values())
     bare = []
-    for called, function in ((f"{name}.{called}", one) for name, room in rooms.items() for called, one in room.items()):
+    for called, function in (
+        (f"{name}.{called}", one) for name, room in rooms.items() for called, one in room.items()
+    ):
         signature = inspect.signature(function)
-        parameters = [one for one in signature.parameters.values() if one.name not in ("self", "cls")]
-        if any(one.annotation is one.empty for one in parameters) or signature.return_annotation is signature.empty:
+        parameters = [
+            one for one in signature.parameters.values() if one.name not in ("self", "cls")
+        ]
+        if (
+            any(one.annotation is one.empty for one in parameters)
+            or signature.return_annotation is signature.empty
+        ):
             bare.append(called)
     assert bare == []
 

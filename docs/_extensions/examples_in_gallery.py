@@ -10,7 +10,16 @@ STARTED = time.time()
 SMALLER = {
     "closed_loop.py": ["--rounds", "1"],
     "fly_the_model.py": ["--samples", "400", "--paths", "30"],
-    "grid_search_flights.py": ["--days", "1", "--samples", "120", "--max-iter", "10", "--n-jobs", "1"],
+    "grid_search_flights.py": [
+        "--days",
+        "1",
+        "--samples",
+        "120",
+        "--max-iter",
+        "10",
+        "--n-jobs",
+        "1",
+    ],
     "identify_example_flights.py": ["--samples", "150"],
     "pull_up_casadi.py": ["--paths", "100"],
 }
@@ -23,7 +32,11 @@ def arguments(gallery_conf, script_vars):
 
 def pictures(block, block_vars, gallery_conf):
     """Move the pictures that a block wrote beside its script into the gallery."""
-    written = [path for path in Path(block_vars["src_file"]).parent.glob("*.png") if path.stat().st_mtime >= STARTED]
+    written = [
+        path
+        for path in Path(block_vars["src_file"]).parent.glob("*.png")
+        if path.stat().st_mtime >= STARTED
+    ]
     places = [next(block_vars["image_path_iterator"]) for _ in written]
     for path, place in zip(sorted(written), places, strict=True):
         shutil.move(path, place)

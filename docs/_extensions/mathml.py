@@ -19,9 +19,18 @@ def check(app, doctree):
         try:
             tex2mathml(tex)
         except MathError as error:
-            logger.warning("Got the equation %s, but expected LaTeX that docutils knows: %s", tex, error, location=node)
+            logger.warning(
+                "Got the equation %s, but expected LaTeX that docutils knows: %s",
+                tex,
+                error,
+                location=node,
+            )
         if BARE_FRACTION.search(tex):
-            logger.warning("Got a fraction without braces in %s, but expected \\frac{1}{2}.", tex, location=node)
+            logger.warning(
+                "Got a fraction without braces in %s, but expected \\frac{1}{2}.",
+                tex,
+                location=node,
+            )
 
 
 def visit_math(self, node):

@@ -65,7 +65,9 @@ def main(argv: list[str] | None = None) -> int:
             with folder or nullcontext():
                 command.run(run)
     except KeyboardInterrupt:
-        console.print_error("stopped" if folder is None or folder.is_written else "stopped: no output was written")
+        console.print_error(
+            "stopped" if folder is None or folder.is_written else "stopped: no output was written"
+        )
         return INTERRUPTED
     except Exception as error:
         if "--traceback" in argv:
@@ -78,9 +80,14 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of a command line that does not begin with a command."""
     parser = argparse.ArgumentParser(
-        prog=PROGRAM, description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog=PROGRAM,
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"skdgp {version('skdgp')}", help="the version")
+    parser.add_argument(
+        "--version", action="version", version=f"skdgp {version('skdgp')}", help="the version"
+    )
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help=", ".join(COMMANDS))
     return parser
 

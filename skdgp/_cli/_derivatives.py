@@ -25,9 +25,10 @@ NOTABLE = 0.9
 def derivatives(run: Run) -> None:
     """Print stability and control derivatives and modes of the model, in level flight at each airspeed.
 
-    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its standard deviation, whose
-    parts are in derivatives.csv. With -o writes derivatives.csv, modes.csv, trims.csv, derivatives.json,
-    config.toml and, of several airspeeds, a picture derivatives.png into DIR, all or none.
+    CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its
+    standard deviation, whose parts are in derivatives.csv. With -o writes derivatives.csv,
+    modes.csv, trims.csv, derivatives.json, config.toml and, of several airspeeds, a picture
+    derivatives.png into DIR, all or none.
 
     For example:
       python -m skdgp derivatives results/model.joblib --airspeed 35
@@ -39,20 +40,31 @@ def derivatives(run: Run) -> None:
     run.console.stage("trimming")
     climb = None if thrust is None else 0.0  # without thrust it follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
-    trims = cast(list[Trim], trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions))
+    trims = cast(
+        list[Trim],
+        trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions),
+    )
     for one in trims:
         if one.beyond:
-            names = [f"{name} {value:.3g} ({low:.3g} to {high:.3g})" for name, (value, low, high) in one.beyond.items()]
+            names = [
+                f"{name} {value:.3g} ({low:.3g} to {high:.3g})"
+                for name, (value, low, high) in one.beyond.items()
+            ]
             warnings.warn(
-                f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: {', '.join(names)}.",
+                f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: "
+                f"{', '.join(names)}.",
                 stacklevel=2,
             )
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    table = stability_derivatives(model.pipeline, model.aircraft, trims, axes=options.axes, **spread)
+    table = stability_derivatives(
+        model.pipeline, model.aircraft, trims, axes=options.axes, **spread
+    )
     run.console.stage("modes")
     modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
-    points: list[Any] = [(one, table.loc[number], modes[number]) for number, one in enumerate(trims)]
+    points: list[Any] = [
+        (one, table.loc[number], modes[number]) for number, one in enumerate(trims)
+    ]
     numbers = {name: getattr(options, name) for name in ("model", "axes", "altitude")}
     numbers["points"] = [_point(*point) for point in points]
     blocks = [_text(*point) for point in points]
@@ -65,7 +77,10 @@ def _point(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
     """Return the numbers of one airspeed."""
     numbers = ["value", "std", "lower", "upper", "std_unmerged"]
     return {
-        **{name: getattr(one, name) for name in ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")},
+        **{
+            name: getattr(one, name)
+            for name in ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
+        },
         "beyond": {name: list(values) for name, values in one.beyond.items()},
         "derivatives": table[[name for name in numbers if name in table]].to_dict("index"),
         "modes": _real(modes).to_dict("index"),
@@ -79,14 +94,22 @@ def _real(modes: pd.DataFrame) -> pd.DataFrame:
 
 
 def _writers(trims, table, modes, numbers) -> dict[str, Writer]:
-    named = pd.concat([_real(one) for one in modes], keys=[one.airspeed for one in trims], names=["airspeed", "mode"])
+    named = pd.concat(
+        [_real(one) for one in modes],
+        keys=[one.airspeed for one in trims],
+        names=["airspeed", "mode"],
+    )
     files = {
         "derivatives.csv": table_writer(table.reset_index(names=["point", "derivative"]), ".csv"),
         "modes.csv": table_writer(named.reset_index(), ".csv"),
         "trims.csv": table_writer(pd.concat([one.to_frame() for one in trims]), ".csv"),
         "derivatives.json": text_writer(json_text(numbers)),
     }
-    return files | (picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table) if len(trims) > 1 else {})
+    return files | (
+        picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table)
+        if len(trims) > 1
+        else {}
+    )
 
 
 def _text(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
@@ -103,16 +126,31 @@ def _matrix(table: pd.DataFrame) -> list[str]:
         row = rows.set_index("regressor").loc[regressors]
         lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row["value"]))
         if "std" in row:
-            lines.append(f"{'':4}" + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in row["std"]))
+            lines.append(
+                f"{'':4}"
+                + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in row["std"])
+            )
     if "std_merged" in table:
         held = table[table["std_unmerged"] < NOTABLE * table["std"]]
-        named = [f"{name} {row['std_unmerged']:.2g} (without {row['merged']})" for name, row in held.iterrows()]
-        lines += ["", *wrap(f"std_unmerged, which plan counts: {', '.join(named) or 'the same'}", WIDTH)]
+        named = [
+            f"{name} {row['std_unmerged']:.2g} (without {row['merged']})"
+            for name, row in held.iterrows()
+        ]
+        lines += [
+            "",
+            *wrap(f"std_unmerged, which plan counts: {', '.join(named) or 'the same'}", WIDTH),
+        ]
     if "std_aircraft" in table:
         known = table[(table["value"].abs() > 0) & (table["regressor"] == "")]
         words = [f"{name} {100 * row['std_aircraft'] / abs(row['value']):.2g} % ({row['aircraft']})"
                  for name, row in known.iterrows()]  # fmt: skip
-        lines += ["", *wrap(f"std_aircraft, errors of the aircraft that derivatives share: {', '.join(words)}", WIDTH)]
+        lines += [
+            "",
+            *wrap(
+                f"std_aircraft, errors of the aircraft that derivatives share: {', '.join(words)}",
+                WIDTH,
+            ),
+        ]
     return lines
 
 
@@ -121,8 +159,13 @@ def _mode_rows(modes: pd.DataFrame) -> list[str]:
     for name, row in _real(modes).iterrows():
         frequency, damping = f"{row['frequency']:.3g}", f"{row['damping']:.2f}"
         if "frequency_std" in modes:
-            frequency, damping = f"{frequency} +- {row['frequency_std']:.2g}", f"{damping} +- {row['damping_std']:.2f}"
-        lines.append(f"{name:14}{frequency + ' rad/s':>25}{damping:>15}{row['time_constant']:>13.3g} s")
+            frequency, damping = (
+                f"{frequency} +- {row['frequency_std']:.2g}",
+                f"{damping} +- {row['damping_std']:.2f}",
+            )
+        lines.append(
+            f"{name:14}{frequency + ' rad/s':>25}{damping:>15}{row['time_constant']:>13.3g} s"
+        )
     return lines
 
 
@@ -131,9 +174,13 @@ DERIVATIVES = opt.Command(
     {
         "": [
             *(opt.MODEL, opt.AIRCRAFT, opt.SEED, opt.OPTIONAL_FOLDER),
-            opt.option("--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True),
+            opt.option(
+                "--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True
+            ),
             opt.option("--altitude M", "of the trims [m] (default: 0)", opt.number(), default=0.0),
-            opt.choice("--axes", ["body", "stability"], "of forces, moments and rates (default: body)"),
+            opt.choice(
+                "--axes", ["body", "stability"], "of forces, moments and rates (default: body)"
+            ),
             opt.paths(200, "for the standard deviations; 0: none"),
         ]
     },

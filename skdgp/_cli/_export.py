@@ -27,10 +27,11 @@ def export(run: Run) -> None:
     gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
     dave-ml   aero.dml: functions with standard deviations and check cases, or tables with --form tables
 
-    MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With --max-kb the form gets
-    fewer basis functions; the loss is printed in standard deviations of the posterior. Derivatives and tables are
-    fitted to the model at the samples; the loss is printed beside the posterior deviation, that of jsbsim stands in its
-    file. All files are written into DIR, or none, with config.toml, all options of this run.
+    MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With
+    --max-kb the form gets fewer basis functions; the loss is printed in standard deviations of the
+    posterior. Derivatives and tables are fitted to the model at the samples; the loss is printed
+    beside the posterior deviation, that of jsbsim stands in its file. All files are written into
+    DIR, or none, with config.toml, all options of this run.
 
     For example:
       python -m skdgp export results/model.joblib --to portable -o portable
@@ -42,7 +43,8 @@ def export(run: Run) -> None:
         model = read_model(options)
     elif options.aircraft is not None:
         raise ValueError(
-            "Got --aircraft with a portable model, but expected model.joblib: a portable model has its own."
+            "Got --aircraft with a portable model, but expected model.joblib: a portable model "
+            "has its own."
         )
     else:
         model = load_portable(options.model)
@@ -66,8 +68,15 @@ def _text(folder, numbers) -> str:
     if loss := numbers.get("loss"):
         columns = list(next(iter(loss.values())))
         what = ", in posterior deviations" if columns == ["mean", "std"] else ""
-        lines += ["", f"loss, root mean square{what}", f"{'':6}" + "".join(f"{column:>12}" for column in columns)]
-        lines += [f"{name:6}" + "".join(f"{row[column]:>12.2g}" for column in columns) for name, row in loss.items()]
+        lines += [
+            "",
+            f"loss, root mean square{what}",
+            f"{'':6}" + "".join(f"{column:>12}" for column in columns),
+        ]
+        lines += [
+            f"{name:6}" + "".join(f"{row[column]:>12.2g}" for column in columns)
+            for name, row in loss.items()
+        ]
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
@@ -75,21 +84,36 @@ EXPORT = opt.Command(
     export,
     {
         "": [
-            opt.option("model MODEL", "the model.joblib that identify wrote, or a portable model.npz"),
+            opt.option(
+                "model MODEL", "the model.joblib that identify wrote, or a portable model.npz"
+            ),
             opt.AIRCRAFT,
             opt.option("--to", "the format", choices=list(FORMATS), required=True),
             opt.FOLDER,
             opt.option(
-                "--max-kb KB", "largest size of code or portable form (default: whole model)", opt.positive("kB")
+                "--max-kb KB",
+                "largest size of code or portable form (default: whole model)",
+                opt.positive("kB"),
             ),
-            opt.option("--precision", "of arguments and results, of c (default: double)", choices=CHOICES["precision"]),
+            opt.option(
+                "--precision",
+                "of arguments and results, of c (default: double)",
+                choices=CHOICES["precision"],
+            ),
             opt.option(
                 "--form",
-                "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) or coefficients",
+                "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) "
+                "or coefficients",
                 choices=CHOICES["form"],
             ),
-            opt.option("--fmi", "version of the standard, of fmu (default: 2.0)", choices=CHOICES["fmi"]),
-            opt.option("--draws K", "aircraft drawn from the posterior, of jsbsim (default: none)", opt.at_least(1)),
+            opt.option(
+                "--fmi", "version of the standard, of fmu (default: 2.0)", choices=CHOICES["fmi"]
+            ),
+            opt.option(
+                "--draws K",
+                "aircraft drawn from the posterior, of jsbsim (default: none)",
+                opt.at_least(1),
+            ),
         ]
     },
 )

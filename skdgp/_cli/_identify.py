@@ -26,22 +26,29 @@ SIZES = {
     "length": "from nose to tail [m]",
 }
 ENGINE = {
-    "propeller": "diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of this size",
-    "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it was not logged",
+    "propeller": "diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of "
+    "this size",
+    "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
+    "was not logged",
 }
 INCH = 0.0254
-CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model", "config.toml": "options"}
+CONTENTS = {
+    "report.html": "report",
+    "metrics.json": "numbers",
+    "model.joblib": "model",
+    "config.toml": "options",
+}
 
 
 def identify(run: Run) -> None:
     """Learn the coefficients CX CY CZ Cl Cm Cn from the flights TRAIN, and judge the model on other flights.
 
-     1. Inverse dynamics: forces and moments from accelerations and rates, less thrust and other known loads, over
-        rho V^2 S / 2.
-     2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian process learns all six
-        coefficients at once from --samples rows.
-     3. On flights it has not seen its coefficients are compared with the measured ones and replayed: integrated from
-        the measured state, restarted every --horizons seconds.
+     1. Inverse dynamics: forces and moments from accelerations and rates, less thrust and other
+        known loads, over rho V^2 S / 2.
+     2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian
+        process learns all six coefficients at once from --samples rows.
+     3. On flights it has not seen its coefficients are compared with the measured ones and
+        replayed: integrated from the measured state, restarted every --horizons seconds.
 
     Writes into DIR, all or none:
       report.html    tables and pictures; open it in a browser, print it
@@ -50,21 +57,24 @@ def identify(run: Run) -> None:
       config.toml    all options of this run: --config DIR/config.toml -o ELSEWHERE runs the same again
 
     Flight tables:
-      CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header: "alpha [deg]"):
-      time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force, what accelerometers read),
-      elevator, aileron, rudder (or elevon_left, elevon_right), throttle, and thrust_x, thrust_y, thrust_z
-      (or propeller_speed, with a propeller in the aircraft's file). For the replay also phi, theta, psi,
-      v_north, v_east, v_down. A column "flight" tells several flights in one file apart.
-      Logs of PX4 (.ulg), ArduPilot (.bin) and telemetry (.tlog) are read too; --servos gives angles of surfaces.
+      CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header:
+      "alpha [deg]"): time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force,
+      what accelerometers read), elevator, aileron, rudder (or elevon_left, elevon_right), throttle,
+      and thrust_x, thrust_y, thrust_z (or propeller_speed, with a propeller in the aircraft's
+      file). For the replay also phi, theta, psi, v_north, v_east, v_down. A column "flight" tells
+      several flights in one file apart. Logs of PX4 (.ulg), ArduPilot (.bin) and telemetry (.tlog)
+      are read too; --servos gives angles of surfaces.
 
     Aircraft file:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
        "wing_area": 1.3, "span": 2.6, "chord": 0.55}
-      kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or TOML.
-      Without a file: --mass and --span. The rest is estimated, and the summary says what was assumed, how far that may
-      be off, and what to measure next. A log of an autopilot then needs no servo file and no thrust either.
+      kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or
+      TOML. Without a file: --mass and --span. The rest is estimated, and the summary says what was
+      assumed, how far that may be off, and what to measure next. A log of an autopilot then needs
+      no servo file and no thrust either.
 
-    Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing is written.
+    Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing
+    is written.
 
     For example:
       python -m skdgp identify sortie.ulg --mass 3.2 --span 1.6
@@ -74,7 +84,14 @@ def identify(run: Run) -> None:
     """
     options = run.options
     known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
-    _learn(run, options.train, _aircraft(run), options.test or None, **known, reading=opt.reading(options))
+    _learn(
+        run,
+        options.train,
+        _aircraft(run),
+        options.test or None,
+        **known,
+        reading=opt.reading(options),
+    )
 
 
 def _aircraft(run: Run) -> Aircraft | str:
@@ -87,23 +104,31 @@ def _aircraft(run: Run) -> Aircraft | str:
     if "aircraft" in told or not {"mass", "span"} <= set(told):
         got = " ".join(f"--{name.replace('_', '-')}" for name in told) or "no aircraft"
         run.command.parser({}).error(
-            f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is estimated"
+            f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
+            f"estimated"
         )
     if "motor" in told and "propeller" not in told:
-        run.command.parser({}).error("got --motor without --propeller, but expected its size, such as --propeller 10x5")
+        run.command.parser({}).error(
+            "got --motor without --propeller, but expected its size, such as --propeller 10x5"
+        )
     known: dict = {name: opt.value_and_std(text) for name, text in told.items() if name in SIZES}
     if "propeller" in told:
         diameter, pitch = (INCH * value for value in opt.factors_of(told["propeller"]))
         constant, voltage = opt.factors_of(told["motor"]) if "motor" in told else (None, None)
         constant = None if constant is None else constant * np.pi / 30  # rad/s of rpm
-        known["propeller"] = Propeller.from_size(diameter, pitch, motor_constant=constant, voltage=voltage)
-    return Aircraft.estimate(**known, kind=told.get("kind", "conventional"), name=Path(options.train[0]).stem)
+        known["propeller"] = Propeller.from_size(
+            diameter, pitch, motor_constant=constant, voltage=voltage
+        )
+    return Aircraft.estimate(
+        **known, kind=told.get("kind", "conventional"), name=Path(options.train[0]).stem
+    )
 
 
 def demo(run: Run) -> None:
     """Do what identify does on the example flights: a simulated delta-wing UAV in turbulence, 45 kg.
 
-    Its true coefficients are known. Two flights to learn from, one to be tested on. About a minute on two cores.
+    Its true coefficients are known. Two flights to learn from, one to be tested on. About a minute
+    on two cores.
 
     For example:
       python -m skdgp demo
@@ -111,12 +136,18 @@ def demo(run: Run) -> None:
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()
-    _learn(run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV")
+    _learn(
+        run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV"
+    )
 
 
 def _learn(run, train, aircraft, test, title=None, **known):
     options, console = run.options, run.console
-    given = {"n_latent": options.latents, "max_iter": options.max_iter, "n_inducing": options.inducing}
+    given = {
+        "n_latent": options.latents,
+        "max_iter": options.max_iter,
+        "n_inducing": options.inducing,
+    }
     regressor = DependentGPRegressor(
         structure=options.structure,
         trend=opt.none_of(options.trend),
@@ -157,18 +188,22 @@ def finish(run: Run, result: Identification) -> None:
 
 LEARNING = [
     opt.option(
-        "--samples N|all", "rows to learn from (default: all; 755 with --inference exact)", opt.at_least(2, "all")
+        "--samples N|all",
+        "rows to learn from (default: all; 755 with --inference exact)",
+        opt.at_least(2, "all"),
     ),
     opt.choice(
         "--inference",
         ["auto", "exact", "sparse"],
-        "exact conditions on every row, in time that grows with their cube; sparse on inducing variables, in time "
+        "exact conditions on every row, in time that grows with their cube; sparse on inducing "
+        "variables, in time "
         "that grows with the rows (default: auto, exact up to a thousand rows)",
     ),
     opt.option("--inducing N", "inducing inputs of sparse inference", opt.at_least(1)),
     opt.option(
         "--regressors SET",
-        "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper (accelerations too), "
+        "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper "
+        "(accelerations too), "
         "or columns such as alpha,beta,q_hat,elevator (default: quasi-steady)",
         opt.regressor_names,
         default="quasi-steady",
@@ -176,7 +211,8 @@ LEARNING = [
     opt.choice(
         "--reconstruction",
         ["auto", "none"],
-        "auto reconstructs the path of each flight from all its sensors, where the log holds accelerations, attitude, "
+        "auto reconstructs the path of each flight from all its sensors, where the log holds "
+        "accelerations, attitude, "
         "ground velocity and airspeed that agree; none smooths channel by channel (default: auto)",
     ),
     opt.flag("--lags", "estimate and correct lags of air data, surfaces, attitude and GPS"),
@@ -184,13 +220,22 @@ LEARNING = [
     opt.choice(
         "--structure",
         ["average", "joint", "additive", "trend"],
-        "trend: the trend alone; joint: with processes; additive: also with functions of one regressor each; average: "
-        "of these, weighted by what they predict of blocks of the training flights that are held out in turn (default: "
+        "trend: the trend alone; joint: with processes; additive: also with functions of one "
+        "regressor each; average: "
+        "of these, weighted by what they predict of blocks of the training flights that are held "
+        "out in turn (default: "
         "average)",
     ),
-    opt.choice("--trend", ["linear", "constant", "none"], "linear extrapolates beyond the data (default: linear)"),
+    opt.choice(
+        "--trend",
+        ["linear", "constant", "none"],
+        "linear extrapolates beyond the data (default: linear)",
+    ),
     opt.option("--latents M", "latents that the outputs share (default: 2)", opt.at_least(0)),
-    opt.flag("--calibrate", "scale standard deviations to what training flights show that are held out in turn"),
+    opt.flag(
+        "--calibrate",
+        "scale standard deviations to what training flights show that are held out in turn",
+    ),
     opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
     opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
     opt.SEED,
@@ -204,18 +249,30 @@ IDENTIFY = opt.Command(
             opt.option("--aircraft FILE", "the aircraft, JSON or TOML (or --mass and --span)"),
             opt.option(
                 "--test TEST",
-                "flights to judge the model on (default: the last of several, or the last quarter of one, is held out)",
+                "flights to judge the model on (default: the last of several, or the last quarter "
+                "of one, is held out)",
                 nargs="+",
                 default=[],
             ),
             *opt.loads("auto", [], "auto, columns where the flights have them, else the propeller"),
             *(opt.SERVOS, opt.AIRBORNE, opt.HORIZONS),
-            opt.option("-o --output DIR", "folder for the outputs (default: skdgp-results)", default="skdgp-results"),
+            opt.option(
+                "-o --output DIR",
+                "folder for the outputs (default: skdgp-results)",
+                default="skdgp-results",
+            ),
         ],
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
-            *(opt.option(f"--{name.replace('_', '-')} X", words, opt.size) for name, words in SIZES.items()),
+            *(
+                opt.option(f"--{name.replace('_', '-')} X", words, opt.size)
+                for name, words in SIZES.items()
+            ),
             *(opt.option(f"--{name} AxB", words, opt.factors) for name, words in ENGINE.items()),
-            opt.option("--kind", "what is not given is that of its kind (default: conventional)", choices=list(KINDS)),
+            opt.option(
+                "--kind",
+                "what is not given is that of its kind (default: conventional)",
+                choices=list(KINDS),
+            ),
         ],
         "model": LEARNING,
     },
@@ -223,7 +280,10 @@ IDENTIFY = opt.Command(
 DEMO = opt.Command(
     demo,
     {
-        "": [opt.HORIZONS, opt.option("-o --output DIR", "folder (default: skdgp-demo)", default="skdgp-demo")],
+        "": [
+            opt.HORIZONS,
+            opt.option("-o --output DIR", "folder (default: skdgp-demo)", default="skdgp-demo"),
+        ],
         "model": LEARNING,
     },
 )

@@ -17,9 +17,9 @@ from skdgp.preprocessing import LagCorrector
 def inspect(run: Run) -> None:
     """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
 
-    And what is missing for coefficients, reconstruction, regressors, replay; which channels contradict physics (a wrong
-    sign, unit or axis); and how late air data, surfaces, attitude and GPS are against the inertial unit (identify
-    --lags corrects them).
+    And what is missing for coefficients, reconstruction, regressors, replay; which channels
+    contradict physics (a wrong sign, unit or axis); and how late air data, surfaces, attitude and
+    GPS are against the inertial unit (identify --lags corrects them).
 
     LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 
@@ -34,12 +34,17 @@ def inspect(run: Run) -> None:
         path, text = Path(options.servo_template), servo_template(options.log)
         if path.exists():
             raise FileExistsError(
-                f"Got {str(path)!r} for the servo template, but it is there already: name another one."
+                f"Got {str(path)!r} for the servo template, but it is there already: name another "
+                f"one."
             )
         write_atomically(path, text_writer(text))
     run.console.stage("estimating lags")
     lags, why = _lags(options) if summary.flights else (None, "there is no flight")
-    lines = ["", "  lags              " + (f"not estimated: {why}" if lags is None else "seconds, positive where late")]
+    lines = [
+        "",
+        "  lags              "
+        + (f"not estimated: {why}" if lags is None else "seconds, positive where late"),
+    ]
     for name, row in {} if lags is None else lags.iterrows():
         known = row["std"] == row["std"]  # not NaN
         value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s  " if known else " " * 20
@@ -65,7 +70,10 @@ INSPECT = opt.Command(
         "": [
             opt.option("log LOG", "the log"),
             opt.SERVOS,
-            opt.option("--servo-template FILE", "write such a file for this log, to be filled in with the angles"),
+            opt.option(
+                "--servo-template FILE",
+                "write such a file for this log, to be filled in with the angles",
+            ),
         ]
     },
 )

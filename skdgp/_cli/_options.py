@@ -32,7 +32,9 @@ class FileName(str):
         try:
             text.encode()
         except UnicodeEncodeError:
-            raise argparse.ArgumentTypeError(f"got {text!a}, but expected a name in UTF-8: rename it") from None
+            raise argparse.ArgumentTypeError(
+                f"got {text!a}, but expected a name in UTF-8: rename it"
+            ) from None
         return super().__new__(cls, text)
 
 
@@ -107,13 +109,19 @@ jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int
 def table_file(text: str) -> FileName:
     """Return the name of a table to write."""
     if Path(text).suffix not in (".csv", ".parquet"):
-        raise argparse.ArgumentTypeError(f"got {text}, but expected a name that ends in .csv or .parquet")
+        raise argparse.ArgumentTypeError(
+            f"got {text}, but expected a name that ends in .csv or .parquet"
+        )
     return FileName(text)
 
 
 def regressor_names(text: str) -> str | list[str]:
     """Return the name of a set of regressors, or names of columns with commas between."""
-    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",") if name.strip()]
+    return (
+        text
+        if text in REGRESSOR_SETS
+        else [name.strip() for name in text.split(",") if name.strip()]
+    )
 
 
 COMMON = [
@@ -123,11 +131,17 @@ COMMON = [
 ]
 MODEL = option("model MODEL", "the model.joblib that identify wrote")
 FLIGHTS = option("flight FLIGHT", "flights, as of identify", nargs="+")
-AIRCRAFT = option("--aircraft FILE", "the aircraft, JSON or TOML, as with another mass (default: that of the model)")
-SERVOS = option("--servos FILE", "TOML for logs of autopilots: servos and angles; inspect writes a template")
+AIRCRAFT = option(
+    "--aircraft FILE",
+    "the aircraft, JSON or TOML, as with another mass (default: that of the model)",
+)
+SERVOS = option(
+    "--servos FILE", "TOML for logs of autopilots: servos and angles; inspect writes a template"
+)
 AIRBORNE = option(
     "--airborne V|all",
-    "airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: estimated)",
+    "airspeed [m/s] above which logs of autopilots are flights, or all of a log (default: "
+    "estimated)",
     positive("m/s", "all"),
 )
 HORIZONS = option(
@@ -155,8 +169,12 @@ def loads(thrust: str | None, forces: list[str] | None, default: str) -> list[Op
 
 def paths(default: int, use: str) -> Option:
     """Return the option of how many functions of the posterior are drawn."""
-    kind = number("0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int)
-    return option("--paths N", f"functions of the posterior {use} (default: {default})", kind, default=default)
+    kind = number(
+        "0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int
+    )
+    return option(
+        "--paths N", f"functions of the posterior {use} (default: {default})", kind, default=default
+    )
 
 
 def by_axis(words: list[str]) -> dict[str, float]:
@@ -165,7 +183,10 @@ def by_axis(words: list[str]) -> dict[str, float]:
 
 
 def value_and_std(text: str) -> tuple[float, float]:
-    """Return the numbers of ``3.2+-0.05``; without a deviation it is 0. Raise ValueError if it is no size."""
+    """Return the numbers of ``3.2+-0.05``; without a deviation it is 0.
+
+    Raise ValueError if it is no size.
+    """
     value, _, std = text.partition("+-")
     found = float(value), float(std or 0.0)
     if not (0 < found[0] < math.inf and 0 <= found[1] < math.inf):
@@ -226,7 +247,8 @@ class Command:
     options: dict[str, list[Option]]
     """By the title of their group."""
     outputs: str = ""
-    """Pattern of the names of files that not every run writes: those of an earlier run are removed."""
+    """Pattern of the names of files that not every run writes: those of an earlier run are removed.
+    """
     writes_table: bool = False
     """Whether its output is the file of a single table, not a folder."""
 
@@ -243,13 +265,18 @@ class Command:
     def parse(self, words: list[str]) -> argparse.Namespace:
         """Return the options of a command line; those that it lacks are the ones of ``--config``.
 
-        SystemExit, as of argparse, ends wrong usage; a wrong configuration raises ValueError or OSError.
+        SystemExit, as of argparse, ends wrong usage; a wrong configuration raises ValueError or
+        OSError.
         """
         self._refuse_unknown(words)
-        finder = argparse.ArgumentParser(prog=f"{PROGRAM} {self.name}", add_help=False, allow_abbrev=False)
+        finder = argparse.ArgumentParser(
+            prog=f"{PROGRAM} {self.name}", add_help=False, allow_abbrev=False
+        )
         finder.add_argument("--config", type=FileName)
         config = finder.parse_known_args(words)[0].config
-        return self.parser({} if config is None else self._read_config(config)).parse_intermixed_args(words)
+        return self.parser(
+            {} if config is None else self._read_config(config)
+        ).parse_intermixed_args(words)
 
     def parser(self, values: dict) -> argparse.ArgumentParser:
         """Return the argument parser; ``values`` are the defaults from a configuration."""
@@ -273,7 +300,10 @@ class Command:
 
     def _refuse_unknown(self, words) -> None:
         """End with a message that names the nearest option, before a missing operand is complained of."""
-        known = ["help", *(each.key for each in self.all_options if each.names[-1].startswith("--"))]
+        known = [
+            "help",
+            *(each.key for each in self.all_options if each.names[-1].startswith("--")),
+        ]
         words = words[: words.index("--")] if "--" in words else words
         for key in (word[2:].split("=")[0] for word in words if word.startswith("--")):
             if key not in known:
@@ -287,7 +317,10 @@ class Command:
         values = read_toml(path)
         command = values.pop("command", self.name)
         if command != self.name:
-            raise ValueError(f"Got {path} of the command {command}, but the command is {self.name}: say {command}.")
+            raise ValueError(
+                f"Got {path} of the command {command}, but the command is {self.name}: say "
+                f"{command}."
+            )
         _warn_of_versions(path, values.pop("versions", {}))
         known = {each.key: each for each in self.all_options if each.key != "config"}
         options = {}
@@ -295,7 +328,11 @@ class Command:
             key = name.replace("_", "-")
             if key not in known:
                 near = get_close_matches(key, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"known options are {', '.join(known)}."
+                hint = (
+                    f"did you mean {near[0]!r}?"
+                    if near
+                    else f"known options are {', '.join(known)}."
+                )
                 raise ValueError(f"Got unknown option {name!r} in {path}: {hint}")
             try:
                 options[key] = _converted(known[key], value)
@@ -306,7 +343,11 @@ class Command:
 
     def config_text(self, options: argparse.Namespace) -> str:
         """Return all options of a run as TOML, files by their whole paths, and the versions that it ran on."""
-        kept = {name: value for name, value in vars(options).items() if name not in NOT_KEPT and value is not None}
+        kept = {
+            name: value
+            for name, value in vars(options).items()
+            if name not in NOT_KEPT and value is not None
+        }
         lines = [
             f"{HEAD}{self.name} --config THIS_FILE -o ELSEWHERE runs the same again.",
             f"command = {_toml(self.name)}",
@@ -320,13 +361,21 @@ class Command:
 
 def _warn_of_versions(path, made_by) -> None:
     if not isinstance(made_by, dict):
-        raise ValueError(f"Got versions = {made_by!r} in {path}, but expected a table of names and versions.")
+        raise ValueError(
+            f"Got versions = {made_by!r} in {path}, but expected a table of names and versions."
+        )
     here = software_versions()
-    others = [f"{name} {made_by[name]}" for name in COMPARED if made_by.get(name, here.get(name)) != here.get(name)]
+    others = [
+        f"{name} {made_by[name]}"
+        for name in COMPARED
+        if made_by.get(name, here.get(name)) != here.get(name)
+    ]
     if others:
         now = ", ".join(f"{name} {here.get(name)}" for name in COMPARED)
         warnings.warn(
-            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may differ.", stacklevel=2
+            f"{path} is of a run with {', '.join(others)}, and this is {now}: the numbers may "
+            f"differ.",
+            stacklevel=2,
         )
 
 
@@ -353,7 +402,9 @@ def _converted(each: Option, value):
     if not words and each.keywords.get("default") == []:
         return []
     parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
-    parser.add_argument("--value", **{key: each.keywords[key] for key in PARSED if key in each.keywords})
+    parser.add_argument(
+        "--value", **{key: each.keywords[key] for key in PARSED if key in each.keywords}
+    )
     try:
         return parser.parse_args(["--value", *map(str, words)]).value
     except argparse.ArgumentError as error:

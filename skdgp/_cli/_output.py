@@ -25,7 +25,8 @@ from skdgp._cli._options import HEAD, Command
 from skdgp._compute.files import Writer, csv_writer, json_text, text_writer, write_together
 
 CLEAR = "\r\x1b[K"
-PERIOD = 0.2  # seconds between two states of the progress line, so that a terminal is not what takes the time
+# seconds between two states of the progress line, so that a terminal is not what takes the time
+PERIOD = 0.2
 
 
 @contextmanager
@@ -93,7 +94,9 @@ class Console:
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Show the stage of an identification; the listener of ``skdgp.listening``, called from any thread."""
-        if self.interrupts > 1:  # both ended searches of the fit; the second one shall end everything
+        if (
+            self.interrupts > 1
+        ):  # both ended searches of the fit; the second one shall end everything
             raise KeyboardInterrupt
         if n_evaluations == 0:
             self.stage(stage)
@@ -116,7 +119,9 @@ class Console:
     def counting_interrupts(self) -> Iterator[None]:
         """Count Ctrl-C: the first one ends a search, which keeps the best so far, if any; the second one everything."""
         with ctrl_c() as set_handler:
-            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background, where it is for others
+            if (
+                signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+            ):  # as in the background, where it is for others
                 set_handler(self._interrupt)
             yield
 
@@ -134,7 +139,11 @@ class Console:
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
         """Print a warning the first time."""
-        place = f" ({Path(filename).name}, line {lineno})" if issubclass(category, RuntimeWarning) else ""
+        place = (
+            f" ({Path(filename).name}, line {lineno})"
+            if issubclass(category, RuntimeWarning)
+            else ""
+        )
         text = " ".join(str(message).split()) + place
         if text not in self.messages:
             self.messages.append(text)
@@ -158,8 +167,8 @@ def _redirect_to_null(stream) -> None:
 class OutputFolder:
     """A folder made for outputs, or that of a single table; removed again if nothing was written into it.
 
-    The ``with`` block begins with an OSError if the folder cannot be made or written to, or if the configuration of the
-    run would replace a file that no run wrote.
+    The ``with`` block begins with an OSError if the folder cannot be made or written to, or if the
+    configuration of the run would replace a file that no run wrote.
     """
 
     def __init__(self, output, is_table: bool = False):
@@ -178,12 +187,14 @@ class OutputFolder:
             self._remove()
             reason = "it is a file" if self.path.is_file() else error.strerror
             raise OSError(
-                f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be written there ({reason}): "
+                f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be "
+                f"written there ({reason}): "
                 "name another one after -o."
             ) from error
         if self.config.is_file() and not _text(self.config).startswith(HEAD):
             raise FileExistsError(
-                f"Got {str(self.config)!r}, where the configuration of this run belongs, but it is there already and "
+                f"Got {str(self.config)!r}, where the configuration of this run belongs, but it "
+                f"is there already and "
                 "no run wrote it: name another output after -o, or move it."
             )
         return self
@@ -225,7 +236,8 @@ class Run:
     def write(self, writers: dict[str, Writer]) -> list[Path]:
         """Write all outputs, and the configuration that repeats them, or none; return where they are.
 
-        Outputs of an earlier run of the same command that this one does not write do not stay beside them.
+        Outputs of an earlier run of the same command that this one does not write do not stay
+        beside them.
         """
         if self.folder is None:
             return []
@@ -255,7 +267,10 @@ def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
 def check_writable(suffix: str) -> None:
     """Raise ImportError if tables of this suffix cannot be written here."""
     if suffix == ".parquet" and find_spec("pyarrow") is None:
-        raise ImportError('Parquet needs pyarrow, which is not installed: pip install "skdgp[parquet]", or write CSV.')
+        raise ImportError(
+            'Parquet needs pyarrow, which is not installed: pip install "skdgp[parquet]", or '
+            "write CSV."
+        )
 
 
 def picture_writers(name: str, draw: Callable, *data, **more) -> dict[str, Writer]:

@@ -16,11 +16,19 @@ from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._compute.progress import listening
 from skdgp.design import flown_plan
 from skdgp.dynamics import Aircraft
-from skdgp.identification import check_identified, load_model, named_flights, predict_flight, usable_flights_of_model
+from skdgp.identification import (
+    check_identified,
+    load_model,
+    named_flights,
+    predict_flight,
+    usable_flights_of_model,
+)
 from skdgp.identification import validate as judge
 
 NOTABLE_GUSTS = 0.5
-"""Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C."""
+"""Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
+MIL-F-8785C.
+"""
 
 
 def read_model(options) -> Bunch:
@@ -32,7 +40,8 @@ def read_model(options) -> Bunch:
     check_identified(model.pipeline)
     if getattr(model.pipeline, "control_units_", {}):
         warnings.warn(
-            "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians are expected of them: "
+            "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
+            "are expected of them: "
             "in controls, limits, plans and exports.",
             stacklevel=2,
         )
@@ -47,7 +56,8 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     learned, pipeline = model.get("options", {}), model.pipeline
     if learned.get("external_forces"):
         warnings.warn(
-            f"The simulation flies without the external forces {learned['external_forces']} of the flights that the "
+            f"The simulation flies without the external forces {learned['external_forces']} of "
+            f"the flights that the "
             "model was learned from.",
             stacklevel=2,
         )
@@ -55,7 +65,8 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     gusts = 0.0 if turbulence is None else max(turbulence.intensity)
     if gusts > NOTABLE_GUSTS:
         warnings.warn(
-            f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too small: learn from "
+            f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are "
+            f"too small: learn from "
             "flights in calmer air to simulate or to linearise.",
             UserWarning,
             stacklevel=2,
@@ -66,8 +77,8 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
 def predict(run: Run) -> None:
     """Write what a model predicts for flights: flight, time, CX CY CZ Cl Cm Cn, standard deviations CX_std ... Cn_std.
 
-    These are wider in rougher air. Rows whose regressors were not sampled are left out, with a warning. Beside OUT.csv
-    stands OUT.config.toml, all options of this run.
+    These are wider in rougher air. Rows whose regressors were not sampled are left out, with a
+    warning. Beside OUT.csv stands OUT.config.toml, all options of this run.
 
     For example:
       python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
@@ -76,10 +87,14 @@ def predict(run: Run) -> None:
     options, output = run.options, Path(run.options.output)
     check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
-        raise FileExistsError(f"Got {options.output} as the output, but it is one of the flights: name another.")
+        raise FileExistsError(
+            f"Got {options.output} as the output, but it is one of the flights: name another."
+        )
     run.console.stage("reading")
     model = read_model(options)
-    flights = usable_flights_of_model(model.pipeline, named_flights(options.flight, **opt.reading(options, model)))
+    flights = usable_flights_of_model(
+        model.pipeline, named_flights(options.flight, **opt.reading(options, model))
+    )
     tables = []
     for name, table in flights.items():
         run.console.stage(f"predicting {name}")
@@ -88,7 +103,11 @@ def predict(run: Run) -> None:
     run.write({output.name: table_writer(whole, output.suffix)})
     rows = {name: len(table) for name, table in flights.items()}
     coefficients = {
-        name: {"lowest": whole[name].min(), "highest": whole[name].max(), "median_std": whole[f"{name}_std"].median()}
+        name: {
+            "lowest": whole[name].min(),
+            "highest": whole[name].max(),
+            "median_std": whole[f"{name}_std"].median(),
+        }
         for name in whole
         if f"{name}_std" in whole
     }
@@ -97,7 +116,9 @@ def predict(run: Run) -> None:
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     lines += ["", f"{'':6}{'lowest':>12}{'highest':>12}{'std (median)':>15}"]
     for coefficient, row in coefficients.items():
-        lines.append(f"{coefficient:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}")
+        lines.append(
+            f"{coefficient:6}{row['lowest']:>12.4g}{row['highest']:>12.4g}{row['median_std']:>15.2g}"
+        )
     run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
 
 
@@ -106,15 +127,18 @@ def predictions(pipeline, table: pd.DataFrame, *, include_noise: bool) -> pd.Dat
     names = pipeline[-1].output_names_
     columns = [*names, *(f"{name}_std" for name in names)]
     values = np.hstack(predict_flight(pipeline, table, include_noise=include_noise))
-    return table[["flight", "time"]].reset_index(drop=True).join(pd.DataFrame(values, columns=columns))
+    return (
+        table[["flight", "time"]].reset_index(drop=True).join(pd.DataFrame(values, columns=columns))
+    )
 
 
 def validate(run: Run) -> None:
     """Judge a model on flights that it has not seen, as identify does on its test flights.
 
-    Its coefficients are compared with the measured ones and replayed: integrated from the measured state, restarted
-    every --horizons seconds. Prints the scores, and with -o writes report.html, metrics.json and config.toml into DIR,
-    all or none. With --plan also which of its manoeuvres were flown, their responses, and what they taught.
+    Its coefficients are compared with the measured ones and replayed: integrated from the measured
+    state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html,
+    metrics.json and config.toml into DIR, all or none. With --plan also which of its manoeuvres
+    were flown, their responses, and what they taught.
 
     For example:
       python -m skdgp validate results/model.joblib thursday.csv
@@ -124,13 +148,20 @@ def validate(run: Run) -> None:
     """
     options = run.options
     names = ("thrust", "external_forces")
-    known = {name: opt.none_of(value) for name in names if (value := getattr(options, name)) is not None}
+    known = {
+        name: opt.none_of(value) for name in names if (value := getattr(options, name)) is not None
+    }
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known)
+        result = judge(
+            model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known
+        )
         if options.plan is not None:
             tables = [one.table for one in result.evaluations if one.table is not None]
-            result = replace(result, supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)])
+            result = replace(
+                result,
+                supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)],
+            )
         finish(run, replace(result, command=run.command_line))
 
 
@@ -139,8 +170,13 @@ PREDICT = opt.Command(
     {
         "": [
             *(opt.MODEL, opt.FLIGHTS, opt.SERVOS, opt.AIRBORNE),
-            opt.flag("--include-noise", "standard deviations of new measurements, not of the coefficients themselves"),
-            opt.option("-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True),
+            opt.flag(
+                "--include-noise",
+                "standard deviations of new measurements, not of the coefficients themselves",
+            ),
+            opt.option(
+                "-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True
+            ),
         ]
     },
     writes_table=True,
@@ -149,8 +185,19 @@ VALIDATE = opt.Command(
     validate,
     {
         "": [
-            *(opt.MODEL, opt.FLIGHTS, opt.AIRCRAFT, opt.SERVOS, opt.AIRBORNE, opt.HORIZONS, opt.OPTIONAL_FOLDER),
-            opt.option("--plan FILE", "plan.json of the plan that was flown: what it expected beside what was found"),
+            *(
+                opt.MODEL,
+                opt.FLIGHTS,
+                opt.AIRCRAFT,
+                opt.SERVOS,
+                opt.AIRBORNE,
+                opt.HORIZONS,
+                opt.OPTIONAL_FOLDER,
+            ),
+            opt.option(
+                "--plan FILE",
+                "plan.json of the plan that was flown: what it expected beside what was found",
+            ),
             *opt.loads(None, None, "as of the model's fit"),
         ]
     },

@@ -22,25 +22,31 @@ Writer: TypeAlias = "Callable[[Path], object]"
 """Fills a file."""
 LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 FORMULA = re.compile(r"'*[=+\-@\t\r]")
-"""How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes."""
+"""How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes.
+"""
 
 
 def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     """Let ``write(temporary)`` fill a file beside ``path``, put it in place in one step, and return ``path``.
 
-    A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the temporary file is
-    removed and an earlier file stays as it was. A symbolic link is followed, not replaced. Raises FileNotFoundError
-    without the folder, IsADirectoryError for a folder, and OSError with ``path`` if it cannot be written.
+    A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the
+    temporary file is removed and an earlier file stays as it was. A symbolic link is followed, not
+    replaced. Raises FileNotFoundError without the folder, IsADirectoryError for a folder, and
+    OSError with ``path`` if it cannot be written.
     """
     path = Path(path)
     target = path.resolve()
     if target.is_dir():
-        raise IsADirectoryError(f"Got the folder {str(path)!r} as a file to write: name a file inside it.")
+        raise IsADirectoryError(
+            f"Got the folder {str(path)!r} as a file to write: name a file inside it."
+        )
     if not target.parent.is_dir():
         raise FileNotFoundError(
-            f"Cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist. Create it first."
+            f"Cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist. "
+            f"Create it first."
         )
-    # Not tempfile: its files are readable by their owner alone, and would stay so after the replacement.
+    # Not tempfile: its files are readable by their owner alone, and would stay so after the
+    # replacement.
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.part{target.suffix}")
     try:
         write(temporary)
@@ -111,15 +117,17 @@ def json_text(value: Any) -> str:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be read.
 
-    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply, larger than 16 MB or no
-    regular file.
+    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply,
+    larger than 16 MB or no regular file.
     """
     return parse_json(_text(path), f"{path} is not a JSON file")
 
 
 def parse_json(text: str, refusal: str) -> Any:
     """Return the content of a JSON text; raise a ValueError that begins with ``refusal`` if it is none."""
-    return _parsed(lambda: json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse), refusal)
+    return _parsed(
+        lambda: json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse), refusal
+    )
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -133,7 +141,10 @@ def _text(path) -> str:
     if path.exists() and not path.is_file():
         raise ValueError(f"Got {path}, which is a folder or a device, but expected a file.")
     if path.stat().st_size > LARGEST:
-        raise ValueError(f"Got {path} of {path.stat().st_size / 1e6:.0f} MB, but expected a file of at most 16 MB.")
+        raise ValueError(
+            f"Got {path} of {path.stat().st_size / 1e6:.0f} MB, but expected a file of at most 16 "
+            f"MB."
+        )
     return _parsed(lambda: path.read_text(encoding="utf-8-sig"), f"{path} is not a text in UTF-8")
 
 

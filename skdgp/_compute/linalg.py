@@ -15,7 +15,9 @@ from sklearn.exceptions import ConvergenceWarning
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
-CONSTANT = 1e-14  # spread of a constant column over its largest value: sums of equal numbers are rounded
+CONSTANT = (
+    1e-14  # spread of a constant column over its largest value: sums of equal numbers are rounded
+)
 
 
 class JitterWarning(UserWarning):
@@ -43,10 +45,10 @@ def _physical_memory() -> float:
 def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
     """Return the lower Cholesky factor (N, N), in Fortran order, of the symmetric matrix that ``assemble()`` returns.
 
-    The matrix is in Fortran order too; its lower triangle is read and overwritten, so that one N x N matrix of memory
-    is enough. Where a factorisation fails it is assembled again with a raised diagonal, and a JitterWarning says by how
-    much. Above the diagonal the factor holds other numbers. Raises LinAlgError if 1e-4 of the diagonal is not enough,
-    or the matrix is not finite.
+    The matrix is in Fortran order too; its lower triangle is read and overwritten, so that one N x
+    N matrix of memory is enough. Where a factorisation fails it is assembled again with a raised
+    diagonal, and a JitterWarning says by how much. Above the diagonal the factor holds other
+    numbers. Raises LinAlgError if 1e-4 of the diagonal is not enough, or the matrix is not finite.
     """
     jitter = 0.0
     while True:
@@ -54,7 +56,8 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
         diagonal = np.einsum("ii->i", K)
         if not np.isfinite(diagonal.sum()):
             raise np.linalg.LinAlgError(
-                f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or input overflowed. "
+                f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or "
+                f"input overflowed. "
                 "Scale the regressors (StandardScaler) or narrow the bounds."
             )
         if jitter:
@@ -65,14 +68,18 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
         jitter = 10 * jitter if jitter else JITTER_FIRST
         if jitter > 1.01 * JITTER_LAST:
             raise np.linalg.LinAlgError(
-                f"The covariance matrix of {len(K)} values is not positive definite even with {JITTER_LAST:g} of its "
-                "diagonal added. Raise the noise (its lower bound), remove repeated samples, or shorten the "
+                f"The covariance matrix of {len(K)} values is not positive definite even with "
+                f"{JITTER_LAST:g} of its "
+                "diagonal added. Raise the noise (its lower bound), remove repeated samples, or "
+                "shorten the "
                 "length scales."
             )
     if jitter:
         warnings.warn(
-            f"The covariance matrix of {len(L)} values was not positive definite in double precision; {jitter:g} of "
-            "its diagonal was added. The results are those of a slightly noisier model: remove repeated samples "
+            f"The covariance matrix of {len(L)} values was not positive definite in double "
+            f"precision; {jitter:g} of "
+            "its diagonal was added. The results are those of a slightly noisier model: remove "
+            "repeated samples "
             "or raise the lower bound of the noise if that matters.",
             JitterWarning,
             stacklevel=3,
@@ -83,12 +90,14 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
 def pivoted_cholesky(K: Matrix, tolerance: float) -> tuple[Indices, Vector]:
     """Return the pivots in order, each least explained by those before it, and what is left of its variance.
 
-    ``K`` (N, N), in Fortran order, is overwritten. Stops where less than ``tolerance`` is left of every variable;
-    returns at least one pivot.
+    ``K`` (N, N), in Fortran order, is overwritten. Stops where less than ``tolerance`` is left of
+    every variable; returns at least one pivot.
     """
     L, pivots, rank, info = lapack.dpstrf(K, tol=tolerance, lower=1, overwrite_a=1)
     if info < 0:
-        raise np.linalg.LinAlgError(f"The pivoted Cholesky factorisation failed (pstrf info {info}).")
+        raise np.linalg.LinAlgError(
+            f"The pivoted Cholesky factorisation failed (pstrf info {info})."
+        )
     if rank == 0:
         return np.zeros(1, dtype=int), np.zeros(1)
     return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
@@ -112,7 +121,9 @@ def covariance_root(M: Matrix) -> Matrix:
     """Return R with R R^T = M, (..., n, n), of covariances that may be singular: it changes continuously with M."""
     scale = np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(M / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2))
+    return scale[..., :, None] * (
+        (vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2)
+    )
 
 
 def cholesky_solve(L: Matrix, b: Array) -> Array:
@@ -124,7 +135,9 @@ def cholesky_inverse(L: Matrix) -> Matrix:
     """Return K^-1 in the lower triangle of ``L``, which it overwrites."""
     inverse, info = lapack.dpotri(L, lower=1, overwrite_c=1)
     if info:
-        raise np.linalg.LinAlgError(f"The inverse from the Cholesky factor failed (potri info {info}).")
+        raise np.linalg.LinAlgError(
+            f"The inverse from the Cholesky factor failed (potri info {info})."
+        )
     return inverse
 
 
@@ -149,7 +162,9 @@ def log_determinant(L: Matrix) -> float:
 def constant_columns(Z: Matrix) -> Mask:
     """Return, (k,), which columns of (n, k) have at most one finite value up to rounding."""
     finite = [z[np.isfinite(z)] for z in Z.T]
-    return np.array([not len(z) or np.ptp(z) <= CONSTANT * np.abs(z).max() for z in finite], dtype=bool)
+    return np.array(
+        [not len(z) or np.ptp(z) <= CONSTANT * np.abs(z).max() for z in finite], dtype=bool
+    )
 
 
 def column_scale(Z: Matrix) -> Vector:
@@ -175,9 +190,10 @@ def output_scale(Y: Matrix) -> Vector:
 class RowPairs:
     """The pairs of rows of X (n, d), each once, for covariances of the same rows that are computed again and again.
 
-    ``place`` (n_pairs,) is where a pair stands in the matrix (n, n): on and above the diagonal, row after row.
-    ``own`` (n,) are the pairs of a row with itself. ``squares`` (d, n_pairs) are squared differences of the columns.
-    ``scratch`` (n_pairs,) is memory for the moment: arrays of this size cost more to allocate than to compute.
+    ``place`` (n_pairs,) is where a pair stands in the matrix (n, n): on and above the diagonal, row
+    after row. ``own`` (n,) are the pairs of a row with itself. ``squares`` (d, n_pairs) are squared
+    differences of the columns. ``scratch`` (n_pairs,) is memory for the moment: arrays of this size
+    cost more to allocate than to compute.
     """
 
     def __init__(self, X: Matrix) -> None:
@@ -200,10 +216,14 @@ class RowPairs:
         return self._buffers[self._n_used - 1]
 
 
-def cluster_centres(X: Matrix, scale: Vector, n: int, random_state: Seed, max_iter: int = 300) -> Matrix:
+def cluster_centres(
+    X: Matrix, scale: Vector, n: int, random_state: Seed, max_iter: int = 300
+) -> Matrix:
     """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # of rows that are alike but for rounding
+        warnings.simplefilter(
+            "ignore", ConvergenceWarning
+        )  # of rows that are alike but for rounding
         means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
     return means.cluster_centers_ * scale
 

@@ -1,8 +1,8 @@
 """Fits side by side and sums over shares (chunks) of samples, on joblib's active backend; threads, and limits of BLAS.
 
-This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results keep the order of the
-tasks, so sums keep their bits wherever their parts are computed. What others do not finish is computed here, with a
-warning.
+This process works alone unless ``n_jobs`` or ``joblib.parallel_config`` asks for others. Results
+keep the order of the tasks, so sums keep their bits wherever their parts are computed. What others
+do not finish is computed here, with a warning.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ from threadpoolctl import ThreadpoolController
 from skdgp._compute.progress import listening
 
 SMALL = 2500
-"""Smaller matrices stay on one thread: two gain nothing over whole fits on idle cores, and lose much on busy ones."""
+"""Smaller matrices stay on one thread: two gain nothing over whole fits on idle cores, and lose
+much on busy ones.
+"""
 
 
 @lru_cache(maxsize=1)
@@ -41,7 +43,8 @@ def _libraries() -> list[Any]:
 class _OneThread:
     """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found.
 
-    It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each stage of a step.
+    It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each
+    stage of a step.
     """
 
     def __init__(self):
@@ -114,8 +117,10 @@ def check_n_jobs(n_jobs: Any) -> None:
     whole = isinstance(n_jobs, (int, np.integer)) and not isinstance(n_jobs, bool)
     if n_jobs is not None and not (whole and (n_jobs > 0 or -cpus <= n_jobs < 0)):
         raise ValueError(
-            f"Got n_jobs={n_jobs!r}, but expected None (what joblib.parallel_config says, else one process), a number "
-            f"of processes from 1 on, or counted from all processors: -1 is all {cpus} of this machine, -2 all but one."
+            f"Got n_jobs={n_jobs!r}, but expected None (what joblib.parallel_config says, else "
+            f"one process), a number "
+            f"of processes from 1 on, or counted from all processors: -1 is all {cpus} of this "
+            f"machine, -2 all but one."
         )
 
 
@@ -127,7 +132,9 @@ def share_map(function: Callable, state: tuple, shares: Sequence) -> list:
     if len(shares) > 1 and _invited(None, threads=False):
         n = min(effective_n_jobs(), len(shares))
         try:
-            parts = Parallel()(delayed(_map_on_one_core)(function, state, shares[k::n]) for k in range(n))
+            parts = Parallel()(
+                delayed(_map_on_one_core)(function, state, shares[k::n]) for k in range(n)
+            )
         except (Exception, CancelledError) as error:
             _warn_of_loss(error)
         else:
@@ -150,10 +157,15 @@ def _map_on_one_core(function, state, shares):
 def fit_map(fit: Callable, starts: Sequence[dict], n_jobs: int | None = None) -> list:
     """Return ``[fit(**start) for start in starts]``, side by side where joblib has workers.
 
-    What ``fit`` returns has ``interrupted`` and ``marked``, as :class:`skdgp.inference.Fit`. After Ctrl-C the list
-    holds the best so far of every fit that had begun; a second Ctrl-C raises KeyboardInterrupt.
+    What ``fit`` returns has ``interrupted`` and ``marked``, as :class:`skdgp.inference.Fit`. After
+    Ctrl-C the list holds the best so far of every fit that had begun; a second Ctrl-C raises
+    KeyboardInterrupt.
     """
-    results = _fit_elsewhere(fit, starts, n_jobs) if len(starts) > 1 and _invited(n_jobs, threads=True) else {}
+    results = (
+        _fit_elsewhere(fit, starts, n_jobs)
+        if len(starts) > 1 and _invited(n_jobs, threads=True)
+        else {}
+    )
     for k, start in enumerate(starts):
         if any(result.interrupted for result in results.values()):
             break
@@ -170,7 +182,9 @@ def _fit_elsewhere(fit, starts, n_jobs):
     parallel = Parallel(n_jobs=n_jobs, return_as="generator_unordered" if unordered else "list")
     with _stop_at_interrupt(stop_file) as stopped:
         try:
-            for k, result in parallel(delayed(_fit)(fit, k, start, stop_file) for k, start in enumerate(starts)):
+            for k, result in parallel(
+                delayed(_fit)(fit, k, start, stop_file) for k, start in enumerate(starts)
+            ):
                 results |= {} if result is None else {k: result}
         except (Exception, CancelledError) as error:
             if not stopped.is_set():
@@ -178,7 +192,11 @@ def _fit_elsewhere(fit, starts, n_jobs):
     _raise_first_error(results.values())
     if stopped.is_set() and not results:
         raise KeyboardInterrupt
-    return {k: result.marked(interrupted=True) for k, result in results.items()} if stopped.is_set() else results
+    return (
+        {k: result.marked(interrupted=True) for k, result in results.items()}
+        if stopped.is_set()
+        else results
+    )
 
 
 def _fit(fit, k, start, stop_file):
@@ -255,7 +273,8 @@ def _raise_first_error(results):
 def _warn_of_loss(error):
     warnings.warn(
         f"Work given to other processes or machines did not come back ({type(error).__name__}: "
-        f"{(str(error).splitlines() or [''])[0]}). It is done in this process instead, with the same results.",
+        f"{(str(error).splitlines() or [''])[0]}). It is done in this process instead, with the "
+        f"same results.",
         RuntimeWarning,
         stacklevel=3,
     )

@@ -16,8 +16,8 @@ from skdgp._compute.sklearn_compat import safe_indexing
 def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple:
     """Return the rows where some target is observed, all if none is, and mean and std there.
 
-    The transformers of a pipeline get every row. Its last step gets only the observed rows, as deviations are costly,
-    unless it has an estimator inside, which may be a transformer.
+    The transformers of a pipeline get every row. Its last step gets only the observed rows, as
+    deviations are costly, unless it has an estimator inside, which may be a transformer.
     """
     observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
     rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
@@ -25,9 +25,14 @@ def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple
         check_predicts_std(estimator)
     estimator = unwrap(estimator)
     while type(estimator) is Pipeline:  # a subclass may know more of its rows
-        X, estimator = estimator[:-1].transform(X) if len(estimator) > 1 else X, unwrap(estimator[-1])
+        X, estimator = (
+            estimator[:-1].transform(X) if len(estimator) > 1 else X,
+            unwrap(estimator[-1]),
+        )
     inside = estimator.get_params().values()
-    nested = isinstance(estimator, Pipeline) or any(isinstance(value, BaseEstimator) for value in inside)
+    nested = isinstance(estimator, Pipeline) or any(
+        isinstance(value, BaseEstimator) for value in inside
+    )
     X = X if nested else safe_indexing(X, rows)
     predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
     return rows, *([part[rows] for part in predicted] if nested else predicted)
@@ -36,16 +41,22 @@ def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple
 def predict_with_noise(estimator: Any, X: Any) -> tuple:
     """Return mean and std, with the noise of measurements and regressors where the estimator can add it."""
     check_predicts_std(estimator)
-    noise = {name: True for name in ("include_noise", "include_input_noise") if accepts(estimator, name)}
-    return tuple(np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise))
+    noise = {
+        name: True for name in ("include_noise", "include_input_noise") if accepts(estimator, name)
+    }
+    return tuple(
+        np.asarray(part) for part in unwrap(estimator).predict(X, return_std=True, **noise)
+    )
 
 
 def check_predicts_std(estimator: Any) -> None:
     """Raise TypeError if the estimator predicts no standard deviations."""
     if not accepts(estimator, "return_std"):
         raise TypeError(
-            f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric needs "
-            "predictive standard deviations: use DependentGPRegressor, also inside a Pipeline, or a metric of means."
+            f"Got {type(estimator).__name__}, whose predict takes no return_std, but this metric "
+            f"needs "
+            "predictive standard deviations: use DependentGPRegressor, also inside a Pipeline, or "
+            "a metric of means."
         )
 
 

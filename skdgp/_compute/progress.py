@@ -8,7 +8,12 @@ from contextvars import ContextVar
 from threading import Lock
 from typing import Any, TypeAlias
 
-from skdgp._compute.sklearn_compat import HAS_CALLBACKS, CallbackSupportMixin, callback_context, has_callbacks
+from skdgp._compute.sklearn_compat import (
+    HAS_CALLBACKS,
+    CallbackSupportMixin,
+    callback_context,
+    has_callbacks,
+)
 
 __all__ = ["CallbackSupportMixin", "FitTask", "listening", "notify"]
 
@@ -23,10 +28,11 @@ _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=No
 def listening(listener: Listener) -> Iterator[None]:
     """Call ``listener(stage, n_evaluations, log_likelihood)`` during every fit inside the ``with`` block.
 
-    It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each output is fitted
-    alone, side by side, "fit" where all are fitted together, "members" where parts of an average learn their noise;
-    ``n_evaluations`` counts those of a stage; ``log_likelihood`` is the best so far. What it raises reaches the fit:
-    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Fits in other processes do not call it.
+    It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each
+    output is fitted alone, side by side, "fit" where all are fitted together, "members" where parts
+    of an average learn their noise; ``n_evaluations`` counts those of a stage; ``log_likelihood``
+    is the best so far. What it raises reaches the fit: KeyboardInterrupt ends the search as Ctrl-C
+    does, with the best so far. Fits in other processes do not call it.
 
     Examples
     --------
@@ -55,10 +61,10 @@ def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("na
 class FitTask:
     """One fit as a task of scikit-learn's callbacks, which begins when this is made.
 
-    Its subtasks are each output alone, and rounds of ten evaluations of all outputs together, named after the log
-    likelihood at their begin. The end of each evaluation passes ``metadata``: ``stage``, ``n_evaluations`` (of the
-    whole fit) and ``log_likelihood`` (the best so far of this stage). A callback that returns True ends the search as
-    Ctrl-C does.
+    Its subtasks are each output alone, and rounds of ten evaluations of all outputs together, named
+    after the log likelihood at their begin. The end of each evaluation passes ``metadata``:
+    ``stage``, ``n_evaluations`` (of the whole fit) and ``log_likelihood`` (the best so far of this
+    stage). A callback that returns True ends the search as Ctrl-C does.
     """
 
     def __init__(self, estimator: CallbackSupportMixin, X: Any, y: Any = None):
@@ -98,7 +104,11 @@ class FitTask:
                 self._begin_round(stage, log_likelihood)
             self.n_left -= 1
             self.n_evaluations += 1
-            metadata = {"stage": stage, "n_evaluations": self.n_evaluations, "log_likelihood": log_likelihood}
+            metadata = {
+                "stage": stage,
+                "n_evaluations": self.n_evaluations,
+                "log_likelihood": log_likelihood,
+            }
             evaluation = self.round.subcontext(task_name=f"evaluation {self.n_evaluations}")
             self._begin(evaluation)
             if self._end(evaluation, metadata=metadata):

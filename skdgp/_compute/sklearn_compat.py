@@ -1,7 +1,7 @@
 """Names of scikit-learn that are private or new: the one file that imports them, for versions 1.6.1 to 1.9.
 
-They are not part of scikit-learn's public interface, so a new version may move them. Then this file changes, and no
-other.
+They are not part of scikit-learn's public interface, so a new version may move them. Then this file
+changes, and no other.
 """
 
 from __future__ import annotations

@@ -18,11 +18,13 @@ LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
 def autocorrelation_time(residuals: Vector) -> float:
     r"""Return the integrated autocorrelation time, in samples, at least 1.
 
-    The mean of n values with autocorrelation rho has the variance of the mean of n / tau independent values, with
+    The mean of n values with autocorrelation rho has the variance of the mean of n / tau
+    independent values, with
 
     .. math:: \tau = 1 + 2 \sum_{k=1}^{K} \rho_k,
 
-    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997, section 3).
+    summed up to the first K of at least 5 tau, since later terms add only noise (Sokal 1997,
+    section 3).
 
     Parameters
     ----------
@@ -66,7 +68,9 @@ def standardized(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> Matrix:
 def check_level(level: float) -> float:
     """Return a probability strictly between 0 and 1."""
     if not isinstance(level, Real) or not 0 < float(level) < 1:
-        raise ValueError(f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95.")
+        raise ValueError(
+            f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95."
+        )
     return float(level)
 
 
@@ -79,7 +83,9 @@ def check_levels(levels: ArrayLike) -> Vector:
     """Return probabilities inside (0, 1), rising."""
     levels = np.atleast_1d(np.asarray(levels, dtype=float))
     if levels.ndim != 1 or not ((levels > 0) & (levels < 1)).all():
-        raise ValueError(f"Got levels {levels}, but expected probabilities between 0 and 1, such as 0.95.")
+        raise ValueError(
+            f"Got levels {levels}, but expected probabilities between 0 and 1, such as 0.95."
+        )
     return np.sort(levels)
 
 
@@ -87,7 +93,10 @@ def shares_inside(z: Matrix, levels: Vector) -> Matrix:
     """Return the share of standardized errors (n, P) inside each central interval, (L, P); NaN ones do not count."""
     bounds = norm.ppf(0.5 + levels / 2)
     columns = [np.sort(np.abs(column[~np.isnan(column)])) for column in z.T]
-    shares = [np.searchsorted(c, bounds, side="right") / len(c) if len(c) else np.nan * bounds for c in columns]
+    shares = [
+        np.searchsorted(c, bounds, side="right") / len(c) if len(c) else np.nan * bounds
+        for c in columns
+    ]
     return np.column_stack(shares)
 
 
@@ -95,5 +104,7 @@ def path_quantiles(values: Array, level: float) -> Array:
     """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
     found = np.full((3, values.shape[1]), np.nan)
     some = np.isfinite(values).any(axis=0)
-    found[:, some] = np.nanquantile(values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0)
+    found[:, some] = np.nanquantile(
+        values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0
+    )
     return found

@@ -16,7 +16,11 @@ from skdgp._flight.clock import flight_rows
 
 START_MARKERS = "os^Dv*"
 PATH_POINTS = 600  # of one flight; a picture resolves no more
-LATERAL_STATES = ("v_east", "p", "r")  # the states of the paper's figure 7: east velocity, roll rate, yaw rate
+LATERAL_STATES = (
+    "v_east",
+    "p",
+    "r",
+)  # the states of the paper's figure 7: east velocity, roll rate, yaw rate
 
 
 def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
@@ -24,7 +28,8 @@ def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
         raise ValueError(
-            f"Got time of shape {time.shape} with {np.count_nonzero(~np.isfinite(time))} values that are not "
+            f"Got time of shape {time.shape} with {np.count_nonzero(~np.isfinite(time))} values "
+            f"that are not "
             "finite, but expected (n,) seconds, n at least 1: drop the rows without a time."
         )
     if n_samples is not None and len(time) != n_samples:
@@ -37,13 +42,17 @@ def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[st
     if not isinstance(flights, Mapping):
         table = check_table(flights)
         if "flight" in table.columns:
-            flights = {name: table.iloc[rows] for name, rows in flight_rows(table["flight"]).items()}
+            flights = {
+                name: table.iloc[rows] for name, rows in flight_rows(table["flight"]).items()
+            }
         else:
             flights = {"flight": table}
     if not flights:
         raise ValueError("Got no flights, but expected at least one table.")
     for name, table in flights.items():
-        check_columns(check_table(table, what=f"flight {name!r}"), ["time"], what=f"flight {name!r}")
+        check_columns(
+            check_table(table, what=f"flight {name!r}"), ["time"], what=f"flight {name!r}"
+        )
         check_time(table["time"])
     return {str(name): table for name, table in flights.items()}
 
@@ -56,20 +65,28 @@ def start_marker(k: int) -> str:
 def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:
     """Return time, north and east [m], and altitude where known, at no more than 600 points, equally far apart.
 
-    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear across holes of the log.
+    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear
+    across holes of the log.
     """
     time = flight["time"].to_numpy(dtype=float)
     if {"north", "east"} <= set(flight.columns):
         north, east = flight[["north", "east"]].to_numpy(dtype=float).T
     else:
         check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
-        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both").to_numpy()
+        velocity = (
+            flight[["v_north", "v_east"]]
+            .astype(float)
+            .interpolate(limit_direction="both")
+            .to_numpy()
+        )
         north, east = cumulative_trapezoid(velocity, time, axis=0, initial=0).T
     points = {"time": time, "north": north, "east": east}
     if "altitude" in flight.columns:
         points["altitude"] = flight["altitude"].to_numpy(dtype=float)
     distance = np.append(0.0, np.cumsum(np.nan_to_num(np.hypot(np.diff(north), np.diff(east)))))
-    rows = np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(0, len(distance) - 1)
+    rows = np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS)).clip(
+        0, len(distance) - 1
+    )
     return pd.DataFrame(points).iloc[np.unique(rows)]
 
 
@@ -80,5 +97,7 @@ def replay_rows(trajectory: pd.DataFrame, horizon: float | None) -> pd.DataFrame
     horizon = horizons[-1] if horizon is None else horizon
     rows = trajectory[np.isclose(trajectory["horizon"], horizon)]
     if len(rows) == 0:
-        raise ValueError(f"Got horizon={horizon!r} s, but the trajectory holds {horizons.tolist()} s.")
+        raise ValueError(
+            f"Got horizon={horizon!r} s, but the trajectory holds {horizons.tolist()} s."
+        )
     return rows

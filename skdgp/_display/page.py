@@ -64,7 +64,9 @@ def symbol(name: str) -> str:
     return f"<i>C</i><sub>{name[1:]}</sub>" if name in COEFFICIENTS else text(name)
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = "") -> str:
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str, classes: str = ""
+) -> str:
     """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
     heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
     body = ""
@@ -80,7 +82,11 @@ def key_of(entries) -> str:
     """Return a list of samples and names; a sample is a line (""), an area, a hatched area, or a marker's sign."""
     lines = ""
     for color, name, kind in entries:
-        sample = f'<i class="{kind}"></i>' if kind in ("", "area", "hatch") else f'<i class="mark">{kind}</i>'
+        sample = (
+            f'<i class="{kind}"></i>'
+            if kind in ("", "area", "hatch")
+            else f'<i class="mark">{kind}</i>'
+        )
         lines += f'<li style="color: var(--{color})">{sample}<span>{text(name)}</span></li>'
     return f'<ul class="key">{lines}</ul>' if lines else ""
 
@@ -88,10 +94,15 @@ def key_of(entries) -> str:
 def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> str:
     """Return a figure of panels side by side; ``key`` holds colour, name and kind of each sample.
 
-    On a screen a script makes a ``chart`` in their place; without panels there is nothing else, and nothing on paper.
+    On a screen a script makes a ``chart`` in their place; without panels there is nothing else, and
+    nothing on paper.
     """
     if not panels:
-        return f'<figure class="chart screen">{chart}<figcaption>{caption}</figcaption></figure>' if chart else ""
+        return (
+            f'<figure class="chart screen">{chart}<figcaption>{caption}</figcaption></figure>'
+            if chart
+            else ""
+        )
     classes = f"panels {layout}" if len(panels) > 1 else layout or "single"
     pictures = f'{key_of(key)}<div class="{classes}">{"".join(panels)}</div>'
     if chart:
@@ -100,11 +111,19 @@ def figure(panels, caption: str, key=(), chart: str = "", layout: str = "") -> s
     return f"<figure{kind}>{pictures}{chart}<figcaption>{caption}</figcaption></figure>"
 
 
-def render_page(kind: str, title: str, meta: str, body: str, colophon: str, *, script: str = "") -> str:
+def render_page(
+    kind: str, title: str, meta: str, body: str, colophon: str, *, script: str = ""
+) -> str:
     """Return the document; title and kind are text, ``script`` is JavaScript, the rest is HTML."""
     policy = POLICY.format(base64.b64encode(hashlib.sha256(script.encode()).digest()).decode())
     script = f"<script>{script}</script>" if script else ""
-    words = {"kind": text(kind), "title": text(title), "meta": meta, "body": body, "colophon": colophon}
+    words = {
+        "kind": text(kind),
+        "title": text(title),
+        "meta": meta,
+        "body": body,
+        "colophon": colophon,
+    }
     return PAGE.substitute(words, policy=policy, style=STYLE, script=script)
 
 
@@ -128,11 +147,14 @@ def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
     return picture(drawn, label=label, size=(WIDTH, height), margins=margins)
 
 
-def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: tuple, located: bool = False) -> str:
+def picture(
+    draw: Callable, *, label: str, size: tuple[float, float], margins: tuple, located: bool = False
+) -> str:
     """Return the SVG of what ``draw(ax)`` draws into one Axes.
 
-    ``label`` is read aloud; ``size`` is width and height [in], ``margins`` are left, right, bottom and top of the Axes
-    as parts of these. With ``located`` the attribute ``data-map`` holds "a b c d": data (X, Y) are at a + b X, c + d Y.
+    ``label`` is read aloud; ``size`` is width and height [in], ``margins`` are left, right, bottom
+    and top of the Axes as parts of these. With ``located`` the attribute ``data-map`` holds "a b c
+    d": data (X, Y) are at a + b X, c + d Y.
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -143,14 +165,22 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float], margins: t
         matplotlib.rcParams.update(_PICTURE_STYLE)
         figure = Figure(figsize=size)
         canvas = FigureCanvasSVG(figure)
-        figure.subplots_adjust(**dict(zip(("left", "right", "bottom", "top"), margins, strict=True)))
+        figure.subplots_adjust(
+            **dict(zip(("left", "right", "bottom", "top"), margins, strict=True))
+        )
         ax = figure.subplots()
         draw(ax)
         text = StringIO()
-        canvas.print_svg(text, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        canvas.print_svg(
+            text, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
         (left, low), (right, high) = ax.transData.transform([(0, 0), (1, 1)]) * POINTS / figure.dpi
     place = (left, right - left, size[1] * POINTS - low, low - high)
-    return adapt(text.getvalue(), label, f' data-map="{" ".join(f"{v:.7g}" for v in place)}"' if located else "")
+    return adapt(
+        text.getvalue(),
+        label,
+        f' data-map="{" ".join(f"{v:.7g}" for v in place)}"' if located else "",
+    )
 
 
 def adapt(svg: str, label: str, attributes: str = "") -> str:
@@ -169,14 +199,22 @@ def adapt(svg: str, label: str, attributes: str = "") -> str:
 
 def _themed(match: re.Match) -> str:
     kind, color = match.groups()
-    return "stroke: var(--paper)" if match[0] == "stroke: #ffffff" else f"{kind}: {_VARIABLES.get(color, color)}"
+    return (
+        "stroke: var(--paper)"
+        if match[0] == "stroke: #ffffff"
+        else f"{kind}: {_VARIABLES.get(color, color)}"
+    )
 
 
 def _shortened(match: re.Match) -> str:
     """Return an attribute with coordinates rounded to what a screen resolves, without letters that SVG implies."""
     name, value = match.groups()
     digits = 1 if len(value) > 1000 else 2
-    value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."), value)
+    value = re.sub(
+        r"-?\d+\.\d+",
+        lambda number: f"{float(number[0]):.{digits}f}".rstrip("0").rstrip("."),
+        value,
+    )
     value = " ".join(value.split()) if name == "d" else value
     return f'{name}="{value if set("CQ") & set(value) else value.replace(" L ", " ")}"'
 
@@ -186,13 +224,16 @@ def _renamed(body: str, label: str) -> str:
     used = set(re.findall(r"(?:url\(|href=\")#([^\")]+)", body))
     prefix = f"s{zlib.crc32((label + body).encode()):08x}"
     names = {name: f"{prefix}-{k}" for k, name in enumerate(sorted(used))}
-    body = re.sub(r' id="([^"]*)"', lambda name: f' id="{names[name[1]]}"' if name[1] in used else "", body)
+    body = re.sub(
+        r' id="([^"]*)"', lambda name: f' id="{names[name[1]]}"' if name[1] in used else "", body
+    )
     return re.sub(r"(url\(|href=\")#([^\")]+)", lambda use: f"{use[1]}#{names[use[2]]}", body)
 
 
 def _gathered(body: str) -> str:
     """Return a body in which neighbouring marks share their style."""
     several = (
-        r'((?:<use href="#[^"]*" x="[^"]*" y="[^"]*")( style="[^"]*")/>(?:<use href="#[^"]*" x="[^"]*" y="[^"]*"\2/>)+)'
+        r'((?:<use href="#[^"]*" x="[^"]*" y="[^"]*")( style="[^"]*")/>'
+        r'(?:<use href="#[^"]*" x="[^"]*" y="[^"]*"\2/>)+)'
     )
     return re.sub(several, lambda marks: f"<g{marks[2]}>{marks[1].replace(marks[2], '')}</g>", body)

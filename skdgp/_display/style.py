@@ -20,9 +20,22 @@ PALETTE = {
     "orange": "#E69F00", "yellow": "#F0E442", "grey": "#8A8A8A",
 }  # fmt: skip
 CYCLE = tuple(PALETTE.values())[:6]
-QUIET = "#5F6973"  # of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)
-MARKERS = ("o", "s", "^", "D", "v", "P")  # one per colour of ``CYCLE``, for readers who do not see colours
-ROLES = {"measured": "#333333", "mean": PALETTE["blue"], "band": PALETTE["sky"], "truth": PALETTE["vermillion"]}
+# of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)
+QUIET = "#5F6973"
+MARKERS = (
+    "o",
+    "s",
+    "^",
+    "D",
+    "v",
+    "P",
+)  # one per colour of ``CYCLE``, for readers who do not see colours
+ROLES = {
+    "measured": "#333333",
+    "mean": PALETTE["blue"],
+    "band": PALETTE["sky"],
+    "truth": PALETTE["vermillion"],
+}
 
 _SYMBOLS = {
     **{name: f"C_{name[1:]}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")},
@@ -44,7 +57,9 @@ def check_matplotlib(who: str) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        message = f'{who} draws with matplotlib, which is not installed: run pip install "skdgp[plot]".'
+        message = (
+            f'{who} draws with matplotlib, which is not installed: run pip install "skdgp[plot]".'
+        )
         raise ImportError(message) from error
 
 
@@ -97,7 +112,9 @@ def tidy(ax: Any) -> None:
     ax.margins(x=0)
 
 
-def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str) -> tuple[Any, Any]:
+def draw_curve(
+    ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str
+) -> tuple[Any, Any]:
     """Draw a line and, where its standard deviation is known, its band; return both."""
     band = None
     if std is not None:
@@ -110,14 +127,21 @@ def draw_curve(ax: Any, x: Vector, mean: Vector, std: Vector | None, level: floa
 def mark_samples(ax: Any, values: Vector) -> None:
     """Mark quantiles of samples at the lower edge."""
     at = np.quantile(values, np.linspace(0.02, 0.98, 25))
-    style = {"color": ROLES["measured"], "markersize": 4, "markeredgewidth": 0.5, "label": "samples"}
+    style = {
+        "color": ROLES["measured"],
+        "markersize": 4,
+        "markeredgewidth": 0.5,
+        "label": "samples",
+    }
     ax.plot(at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(), **style)
 
 
 def scale_beside(ax: Any, artist: Any, label: str, **options: Any) -> Any:
     """Draw the colour scale of ``artist`` beside the axes, in their height."""
     # An inset follows axes of fixed aspect; axes taken from the parent do not.
-    bar = ax.figure.colorbar(artist, cax=ax.inset_axes([1.03, 0.0, 0.035, 1.0]), label=label, **options)
+    bar = ax.figure.colorbar(
+        artist, cax=ax.inset_axes([1.03, 0.0, 0.035, 1.0]), label=label, **options
+    )
     bar.outline.set_visible(False)
     return bar
 
@@ -126,8 +150,15 @@ def legend_above(ax: Any, handles: list | None = None) -> None:
     """Draw the legend above the axes, where it covers no data."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     if handles:
-        size = {"fontsize": "small", "borderaxespad": 0.2, "handlelength": 1.6, "columnspacing": 1.4}
-        ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, **size)
+        size = {
+            "fontsize": "small",
+            "borderaxespad": 0.2,
+            "handlelength": 1.6,
+            "columnspacing": 1.4,
+        }
+        ax.legend(
+            handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, **size
+        )
 
 
 def legend_of_figure(ax: Any, handles: list | None = None) -> Any:

@@ -13,7 +13,9 @@ HEAT_RATIO = 1.4
 STANDARD_GRAVITY = 9.80665
 LOWEST, HIGHEST = -5000.0, 32000.0
 SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0  # [kg/m^3, Pa]
-BASE = np.array([0.0, 11000.0, 20000.0])  # where the layers begin [m]; the first one reaches down to `LOWEST`
+BASE = np.array(
+    [0.0, 11000.0, 20000.0]
+)  # where the layers begin [m]; the first one reaches down to `LOWEST`
 LAPSE = np.array([-0.0065, 0.0, 0.001])  # of the temperature in each layer [K/m]
 
 
@@ -33,8 +35,8 @@ def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
 
         T = T_b + L (h - h_b),   p = p_b (T / T_b)^(-g / (R L)),   rho = p / (R T),   a = sqrt(1.4 R T)
 
-    and p = p_b exp(-g (h - h_b) / (R T_b)) where L = 0. Geometric altitude z above the ellipsoid is more by
-    z^2 / 6356766 m: 1.6 m at 3.2 km. Raises ValueError outside of these altitudes.
+    and p = p_b exp(-g (h - h_b) / (R T_b)) where L = 0. Geometric altitude z above the ellipsoid is
+    more by z^2 / 6356766 m: 1.6 m at 3.2 km. Raises ValueError outside of these altitudes.
 
     Examples
     --------
@@ -46,14 +48,18 @@ def standard_atmosphere(altitude: ArrayLike) -> Atmosphere:
     altitude = np.asarray(altitude, dtype=float)
     if (outside := (altitude < LOWEST) | (altitude > HIGHEST)).any():
         raise ValueError(
-            f"Got altitude {altitude[outside].flat[0]:g} m, but expected {LOWEST:g} to {HIGHEST:g} m, where the "
-            "standard atmosphere is given: use metres above the sea, upward, or density from elsewhere."
+            f"Got altitude {altitude[outside].flat[0]:g} m, but expected {LOWEST:g} to "
+            f"{HIGHEST:g} m, where the "
+            "standard atmosphere is given: use metres above the sea, upward, or density from "
+            "elsewhere."
         )
     layer = np.searchsorted(BASE[1:], altitude)
     temperature = _TEMPERATURE[layer] + LAPSE[layer] * (altitude - BASE[layer])
     pressure = _PRESSURE[layer] * _pressure_ratio(altitude, layer)
     density = pressure / (GAS_CONSTANT * temperature)
-    return Atmosphere(density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature))
+    return Atmosphere(
+        density, pressure, temperature, np.sqrt(HEAT_RATIO * GAS_CONSTANT * temperature)
+    )
 
 
 def standard_density(altitude: ArrayLike) -> np.ndarray:
@@ -71,7 +77,9 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
 def _pressure_ratio(altitude: np.ndarray, layer: np.ndarray) -> np.ndarray:
     """Return p / p_b. The Box-Cox power (1 + k x)^(1/k), k = -R L / g, is exp(x) where L = 0."""
     scale_height = GAS_CONSTANT * _TEMPERATURE[layer] / STANDARD_GRAVITY
-    return inv_boxcox((BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / STANDARD_GRAVITY * LAPSE[layer])
+    return inv_boxcox(
+        (BASE[layer] - altitude) / scale_height, -GAS_CONSTANT / STANDARD_GRAVITY * LAPSE[layer]
+    )
 
 
 _TEMPERATURE = 288.15 + np.append(0.0, np.cumsum(LAPSE[:-1] * np.diff(BASE)))

@@ -1,6 +1,7 @@
 """Flight-table columns: units, axes and signs; non-dimensional rates.
 
-Body axes: x forward, y right, z down, origin at the centre of gravity. SI units and radians everywhere.
+Body axes: x forward, y right, z down, origin at the centre of gravity. SI units and radians
+everywhere.
 """
 
 from __future__ import annotations
@@ -21,13 +22,22 @@ VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
 HORIZONTAL = ("north", "east")
 POSITION = (*HORIZONTAL, "down")
-BODY_VELOCITY, EARTH_VELOCITY = ("u", "v", "w"), ("v_north", "v_east", "v_down")  # velocity over the ground
+BODY_VELOCITY, EARTH_VELOCITY = (
+    ("u", "v", "w"),
+    ("v_north", "v_east", "v_down"),
+)  # velocity over the ground
 EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from the body outward
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-MIXED, ELEVONS = ("elevator", "aileron"), ("elevon_left", "elevon_right")  # which move as both at once
-THRUST_FORCES, THRUST_MOMENTS = ("thrust_x", "thrust_y", "thrust_z"), ("thrust_l", "thrust_m", "thrust_n")
+MIXED, ELEVONS = (
+    ("elevator", "aileron"),
+    ("elevon_left", "elevon_right"),
+)  # which move as both at once
+THRUST_FORCES, THRUST_MOMENTS = (
+    ("thrust_x", "thrust_y", "thrust_z"),
+    ("thrust_l", "thrust_m", "thrust_n"),
+)
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
 
@@ -45,7 +55,9 @@ CHANNELS = {
     "wind_north": Channel("m/s", "velocity of the air, north"),
     "wind_east": Channel("m/s", "velocity of the air, east"),
     "wind_down": Channel("m/s", "velocity of the air, down"),
-    "gust": Channel("m/s", "how much the air changes in one second, standard deviation along one axis"),
+    "gust": Channel(
+        "m/s", "how much the air changes in one second, standard deviation along one axis"
+    ),
     # Inertial quantities.
     "p": Channel("rad/s", "roll rate, > 0 right wing down"),
     "q": Channel("rad/s", "pitch rate, > 0 nose up"),
@@ -95,7 +107,9 @@ CHANNELS = {
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 LONGITUDINAL = ("CX", "CZ", "Cm")
 LATERAL = ("CY", "Cl", "Cn")
-MIRRORED = frozenset((*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder"))
+MIRRORED = frozenset(
+    (*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder")
+)
 """Coefficients and regressors whose sign changes in a mirror at the x-z plane."""
 
 TRUTH_SUFFIX = "_true"  # columns that end so are noise-free truth of a simulation: for scoring only
@@ -107,17 +121,34 @@ LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 REGRESSOR_SETS = {
     "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
     "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
-    "paper": (*(*SPECIFIC_FORCE, *RATES, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot", "throttle", *SURFACES),),
+    "paper": (
+        *(
+            *SPECIFIC_FORCE,
+            *RATES,
+            "p_dot",
+            "q_dot",
+            "r_dot",
+            "alpha_dot",
+            "beta_dot",
+            "throttle",
+            *SURFACES,
+        ),
+    ),
 }
 """Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`."""
-LEAST_GUST = 1e-3  # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
-SENSOR_GUST = 0.1  # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
+LEAST_GUST = (
+    1e-3  # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
+)
+SENSOR_GUST = (
+    0.1  # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
+)
 
 
 def rate_factor(name: str, length: float, airspeed: np.ndarray) -> np.ndarray:
     """Return what makes a rate non-dimensional: L / 2V, of an angular acceleration (L / 2V)^2.
 
-    The length L [m] is ``RATE_LENGTHS`` or ``ACCELERATION_LENGTHS`` of the aircraft, the airspeed V is in m/s.
+    The length L [m] is ``RATE_LENGTHS`` or ``ACCELERATION_LENGTHS`` of the aircraft, the airspeed V
+    is in m/s.
     """
     factor = length / (2 * airspeed)
     return factor**2 if name in ACCELERATION_LENGTHS else factor

@@ -14,32 +14,52 @@ from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import flight_codes, flight_segments
 
-LARGEST_ANGLE = {"alpha": np.pi, "beta": np.pi / 2, "phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi}
+LARGEST_ANGLE = {
+    "alpha": np.pi,
+    "beta": np.pi / 2,
+    "phi": np.pi,
+    "theta": np.pi / 2,
+    "psi": 2 * np.pi,
+}
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
-CLEARLY_FASTER = 57.3**0.5  # an angle that changes by so many times what the gyros turn is in degrees
+CLEARLY_FASTER = (
+    57.3**0.5
+)  # an angle that changes by so many times what the gyros turn is in degrees
 NO_TURN = 0.1  # change in a second [rad] that needs no turn
-FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
-SLOW_TURN, MOST_TURNS = 1.0, 10.0  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+FASTEST_TURN = {
+    "phi": 2 * np.pi,
+    "psi": np.pi,
+}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
+SLOW_TURN, MOST_TURNS = (
+    1.0,
+    10.0,
+)  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
 ENOUGH = 5  # least number of changes from which an angle is judged
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
-LARGEST_DEFLECTION = 0.7  # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
+LARGEST_DEFLECTION = (
+    0.7  # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
+)
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
     """Return a DataFrame with unique column names and at least one row; raise TypeError or ValueError at any other."""
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
-            f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named columns "
-            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or convert another "
+            f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named "
+            f"columns "
+            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or "
+            "convert another "
             "library's with its to_pandas()."
         )
     if len(table) == 0:
         raise ValueError(f"Got {what} with no rows, but expected at least one sample.")
     twice = table.columns[table.columns.duplicated()].unique().tolist()
     if twice:
-        raise ValueError(f"Got {what} with repeated columns {twice}, but expected each name once: drop one.")
+        raise ValueError(
+            f"Got {what} with repeated columns {twice}, but expected each name once: drop one."
+        )
     return table
 
 
@@ -47,9 +67,14 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     lacking = _lacking(needed, [str(column) for column in table.columns])
     if lacking:
-        names = list(table["flight"].astype(str).unique()) if what == "flight" and "flight" in table else []
+        names = (
+            list(table["flight"].astype(str).unique())
+            if what == "flight" and "flight" in table
+            else []
+        )
         raise ValueError(
-            f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns {lacking}. "
+            f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns "
+            f"{lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."
         )
 
@@ -59,7 +84,10 @@ def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
     names = [str(name) for name in have]
     lacking = _lacking(needed, names)
     if lacking:
-        raise ValueError(f"The {what} lack {lacking}: got {names}. docs/notation.md lists every name with its unit.")
+        raise ValueError(
+            f"The {what} lack {lacking}: got {names}. docs/notation.md lists every name with its "
+            f"unit."
+        )
 
 
 def check_choice(name: str, value: object, choices: Collection[str]) -> None:
@@ -85,22 +113,33 @@ def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
     Roll and heading may be unwrapped: see `is_unwrapped`.
     """
     for name in names:
-        values = np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
+        values = (
+            np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
+        )
         top = np.max(values, initial=0.0, where=np.isfinite(values))
-        if name in LARGEST_ANGLE and top > LARGEST_ANGLE[name] + ANGLE_NOISE and not is_unwrapped(table, name):
+        if (
+            name in LARGEST_ANGLE
+            and top > LARGEST_ANGLE[name] + ANGLE_NOISE
+            and not is_unwrapped(table, name)
+        ):
             raise degrees_error(
-                f"{name} up to {top:g}", f"radians, at most {LARGEST_ANGLE[name]:.3f}", f"flight[{name!r}]", name
+                f"{name} up to {top:g}",
+                f"radians, at most {LARGEST_ANGLE[name]:.3f}",
+                f"flight[{name!r}]",
+                name,
             )
         if name in RATES and top > FASTEST_RATE:
-            raise degrees_error(f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]")
+            raise degrees_error(
+                f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]"
+            )
 
 
 def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
 
-    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees change 57 times as fast.
-    Without gyros, it begins within a turn, as unwrapping leaves it, turns slowly, and a few times only. A tenth of the
-    seconds may be faster, so spikes do not count.
+    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees
+    change 57 times as fast. Without gyros, it begins within a turn, as unwrapping leaves it, turns
+    slowly, and a few times only. A tenth of the seconds may be faster, so spikes do not count.
     """
     if name not in GYROS or "time" not in table:
         return False
@@ -112,25 +151,36 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
         return False
     fastest = float(np.nanquantile(change, 0.9))
-    turned = np.hypot.reduce([_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]])
+    turned = np.hypot.reduce(
+        [_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]]
+    )
     if _any_finite(turned) and fastest > 0:
-        return fastest <= min(max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name])
+        return fastest <= min(
+            max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name]
+        )
     begins = np.abs(angle[known][np.r_[0, 1 + np.flatnonzero(np.diff(codes[known]))]])
     turns = np.quantile(np.abs(angle[known]), 0.99) / (2 * np.pi)
-    return bool(begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS)
+    return bool(
+        begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS
+    )
 
 
 def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
-    wrap = f" If it is unwrapped, use numpy.angle(numpy.exp(1j * {name}))." if angle in GYROS else ""
-    return ValueError(f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}")
+    wrap = (
+        f" If it is unwrapped, use numpy.angle(numpy.exp(1j * {name}))." if angle in GYROS else ""
+    )
+    return ValueError(
+        f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}"
+    )
 
 
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     """Return the segments without gaps of a flight table that has the ``needed`` columns in SI units.
 
-    Raises ValueError if a column is missing or not numeric, time does not increase within a flight, airspeed is not
-    positive, or values are impossible in SI units. Warns of values that are probably of another unit or sign.
+    Raises ValueError if a column is missing or not numeric, time does not increase within a flight,
+    airspeed is not positive, or values are impossible in SI units. Warns of values that are
+    probably of another unit or sign.
     """
     check_columns(check_table(flight), needed)
     numeric(flight, needed)
@@ -145,8 +195,10 @@ def _airspeed(flight: pd.DataFrame) -> None:
     bad = np.flatnonzero(airspeed <= 0)
     if bad.size:
         raise ValueError(
-            f"Got airspeed {airspeed[bad[0]]:g} m/s at row {bad[0]} and {bad.size} rows with airspeed <= 0, but "
-            "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the ground, e.g. "
+            f"Got airspeed {airspeed[bad[0]]:g} m/s at row {bad[0]} and {bad.size} rows with "
+            f"airspeed <= 0, but "
+            "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the "
+            "ground, e.g. "
             "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
         )
     if not _any_finite(airspeed):
@@ -154,14 +206,17 @@ def _airspeed(flight: pd.DataFrame) -> None:
     middle = np.nanmedian(airspeed)
     if (slow := airspeed < 0.2 * middle).any():
         _warn(
-            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its median ({middle:.1f} "
-            "m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on the ground still in the "
+            f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its "
+            f"median ({middle:.1f} "
+            "m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on the "
+            "ground still in the "
             "flight? Cut it, e.g. flight[flight.airspeed > 5]."
         )
     ground = np.sqrt(sum(_values(flight, name) ** 2 for name in EARTH_VELOCITY))
     if _any_finite(ground) and not 0.5 < (ratio := middle / np.nanmedian(ground)) < 1.8:
         _warn(
-            f"The median airspeed is {ratio:.2f} times the median ground speed, but both should be m/s (1.94: "
+            f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "
+            f"be m/s (1.94: "
             "airspeed in knots; 3.6: in km/h). Ignore this only if the wind was that strong."
         )
 
@@ -173,7 +228,8 @@ def _density(flight: pd.DataFrame) -> None:
     middle = np.nanmedian(density)
     if not 0.05 < middle < 2.5 or np.nanmin(density) <= 0:
         raise ValueError(
-            f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air in kg/m^3 (1.225 "
+            f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air "
+            f"in kg/m^3 (1.225 "
             "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
         )
     altitude = _values(flight, "altitude")
@@ -181,7 +237,8 @@ def _density(flight: pd.DataFrame) -> None:
         standard = float(standard_density(height))
         if not 0.8 < middle / standard < 1.25:
             _warn(
-                f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of the standard "
+                f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of "
+                f"the standard "
                 f"atmosphere at the median altitude {height:.0f} m: check the units of both."
             )
 
@@ -199,11 +256,18 @@ def warn_of_commands(flight: pd.DataFrame) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
     values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES if name in flight}
     large = {name: np.nanpercentile(each, 99) for name, each in values.items() if _any_finite(each)}
-    large = {name: top for name, top in large.items() if top > LARGEST_DEFLECTION or (values[name] == 1).sum() > 1}
+    large = {
+        name: top
+        for name, top in large.items()
+        if top > LARGEST_DEFLECTION or (values[name] == 1).sum() > 1
+    }
     if large:
-        found = ", ".join(f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items())
+        found = ", ".join(
+            f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items()
+        )
         _warn(
-            f"Got surfaces up to {found}, more than most servos reach: if these are commands from -1 to 1, multiply "
+            f"Got surfaces up to {found}, more than most servos reach: if these are commands from "
+            f"-1 to 1, multiply "
             "each by its largest deflection [rad]."
         )
 
@@ -213,11 +277,15 @@ def _rates(flight: pd.DataFrame) -> None:
     change = np.angle(np.exp(1j * _over_a_second(flight, _values(flight, "phi"))))
     integral = _over_a_second(flight, _values(flight, "p"), rate=True)
     good = np.isfinite(change) & np.isfinite(integral)
-    turned, gyro = (np.sqrt(np.mean(each[good] ** 2)) if good.any() else 0.0 for each in (change, integral))
+    turned, gyro = (
+        np.sqrt(np.mean(each[good] ** 2)) if good.any() else 0.0 for each in (change, integral)
+    )
     if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
         raise ValueError(
-            f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but expected about 1: one "
-            "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r as on p."
+            f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but "
+            f"expected about 1: one "
+            "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r "
+            "as on p."
         )
 
 
@@ -242,13 +310,16 @@ def _accelerations(flight: pd.DataFrame) -> None:
         return
     if not 3.0 < (size := np.nanmedian(sizes)) < 300.0:
         _warn(
-            f"The median specific force |(ax, ay, az)| is {size:.3g} m/s^2, but level flight gives 9.8: multiply by "
-            "9.80665 if these are g; if gravity was subtracted from them, add it (an accelerometer reads specific "
+            f"The median specific force |(ax, ay, az)| is {size:.3g} m/s^2, but level flight "
+            f"gives 9.8: multiply by "
+            "9.80665 if these are g; if gravity was subtracted from them, add it (an "
+            "accelerometer reads specific "
             "force)."
         )
     elif (down := np.nanmedian(specific[:, 2])) > 3.0:
         _warn(
-            f"The median az is {down:+.2f} m/s^2, but z points down and level flight gives about -9.8: change the "
+            f"The median az is {down:+.2f} m/s^2, but z points down and level flight gives about "
+            f"-9.8: change the "
             "signs of ay and az if the sensor's z points up."
         )
 
@@ -271,8 +342,14 @@ def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:
     try:
         return table[columns].to_numpy(dtype=float, na_value=np.nan)
     except (ValueError, TypeError):
-        kinds = {name: str(table[name].dtype) for name in columns if not pd.api.types.is_numeric_dtype(table[name])}
-        raise ValueError(f"Got columns of type {kinds}, but expected numbers: convert or drop them.") from None
+        kinds = {
+            name: str(table[name].dtype)
+            for name in columns
+            if not pd.api.types.is_numeric_dtype(table[name])
+        }
+        raise ValueError(
+            f"Got columns of type {kinds}, but expected numbers: convert or drop them."
+        ) from None
 
 
 def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:

@@ -8,17 +8,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-GAP = 2.5  # a step longer than this many median steps starts a new segment (one lost sample is bridged)
-JITTER = 0.02  # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
-SHORTEST_PART = 10  # a clock that goes back after fewer samples was not restarted: the rows are in disorder
+# a step longer than this many median steps starts a new segment (one lost sample is bridged)
+GAP = 2.5
+# samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
+JITTER = 0.02
+SHORTEST_PART = (
+    10  # a clock that goes back after fewer samples was not restarted: the rows are in disorder
+)
 
 
 def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
     """Return the segments of a log: rows of one flight without gaps, in order, every row once.
 
-    A segment ends where ``flight`` (n,), identifiers, changes, and where ``time`` (n,) [s] steps by more than 2.5 times
-    the median step of the flight. Raises ValueError if time is not finite, does not increase within a flight, or has no
-    usual step; or a row names no flight.
+    A segment ends where ``flight`` (n,), identifiers, changes, and where ``time`` (n,) [s] steps by
+    more than 2.5 times the median step of the flight. Raises ValueError if time is not finite, does
+    not increase within a flight, or has no usual step; or a row names no flight.
     """
     time, codes = check_clock(time, flight)
     return _split(time, codes)
@@ -34,7 +38,8 @@ def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
     missing = np.flatnonzero((codes < 0) | np.isin(codes, blank))
     if missing.size:
         raise ValueError(
-            f"Got {missing.size} of {len(codes)} rows without a flight (the first is row {missing[0]}), but expected "
+            f"Got {missing.size} of {len(codes)} rows without a flight (the first is row "
+            f"{missing[0]}), but expected "
             "each to name its own: fill in these cells, or drop these rows."
         )
     return codes, names.tolist()
@@ -57,7 +62,11 @@ def part_restarts(time: np.ndarray, flight: ArrayLike) -> tuple[np.ndarray, np.n
     same = np.diff(codes) == 0
     back = np.flatnonzero(same & (time[1:] < time[:-1])) + 1
     edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
-    if not back.size or np.any(same & (time[1:] == time[:-1])) or np.diff(edges).min() < SHORTEST_PART:
+    if (
+        not back.size
+        or np.any(same & (time[1:] == time[:-1]))
+        or np.diff(edges).min() < SHORTEST_PART
+    ):
         return flight, np.empty(0, int)
     names, names_used = flight.copy(), set(used)
     numbers: dict[str, int] = {}
@@ -74,18 +83,25 @@ def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, 
     """Return time (n,) as float and integer flight codes (n,); ValueError if time does not increase within a flight."""
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or not np.isfinite(time).all():
-        raise ValueError(f"Got time of shape {time.shape}, but expected (n,), every value finite [s].")
+        raise ValueError(
+            f"Got time of shape {time.shape}, but expected (n,), every value finite [s]."
+        )
     codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
     if len(codes) != len(time):
-        raise ValueError(f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many.")
+        raise ValueError(
+            f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many."
+        )
     order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
     back = np.flatnonzero((np.diff(codes[order]) == 0) & ~(time[order[1:]] > time[order[:-1]]))
     if back.size:
         before, row = order[back[0] : back[0] + 2]
         raise ValueError(
-            f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} ({len(back)} such rows), but "
-            "expected time to increase strictly within a flight: sort by time, drop repeated rows, or name the flights "
-            "apart in a column 'flight' (skdgp.preprocessing.FlightCheck does where a clock was restarted)."
+            f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} ({len(back)} "
+            f"such rows), but "
+            "expected time to increase strictly within a flight: sort by time, drop repeated "
+            "rows, or name the flights "
+            "apart in a column 'flight' (skdgp.preprocessing.FlightCheck does where a clock was "
+            "restarted)."
         )
     return time, codes
 
@@ -131,7 +147,8 @@ def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
     if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
         raise ValueError(
             f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
-            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: resample the "
+            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: "
+            f"resample the "
             "log to one uniform clock first."
         )
     edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]

@@ -1,9 +1,9 @@
 """Detection and removal of faults in a flight log.
 
-A sensor with noise hardly ever repeats a value. If a share p of all runs of equal values is longer than the usual
-length, a run of k times this length has the probability p^(k-1). The usual length is that of the channel, so a sensor
-that is slower than the table is not stuck. A coarsely quantised or noise-free channel has long runs without a fault: it
-is stuck only if it jumps after the run.
+A sensor with noise hardly ever repeats a value. If a share p of all runs of equal values is longer
+than the usual length, a run of k times this length has the probability p^(k-1). The usual length is
+that of the channel, so a sensor that is slower than the table is not stuck. A coarsely quantised or
+noise-free channel has long runs without a fault: it is stuck only if it jumps after the run.
 """
 
 from __future__ import annotations
@@ -28,8 +28,19 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)  # of one sensor
-SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))  # noise and motion never let them stand still
+SIBLINGS = (
+    VANES,
+    RATES,
+    SPECIFIC_FORCE,
+    EULER,
+    EARTH_VELOCITY,
+    BODY_VELOCITY,
+    POSITION,
+)  # of one sensor
+SENSORS = (
+    "airspeed",
+    *(name for names in SIBLINGS for name in names),
+)  # noise and motion never let them stand still
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -48,8 +59,10 @@ POSSIBLE = {
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
 """Outside of these nothing can have been measured."""
-RARE = 0.05  # impossible values more frequent than this are of another unit: the checks of units name it
-LONG_GAP = 1.0  # missing samples over more seconds are findings of their own, shorter ones one finding together
+# impossible values more frequent than this are of another unit: the checks of units name it
+RARE = 0.05
+# missing samples over more seconds are findings of their own, shorter ones one finding together
+LONG_GAP = 1.0
 MOST_SHOWN = 8  # findings that a warning names one by one
 WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
 ENOUGH = 50  # least number of samples from which the usual length of runs is known
@@ -58,10 +71,15 @@ LEAST_HOLD = 0.3  # shorter holds [s] are no fault
 LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
 STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
 FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
-MOST_HELD = 4.0  # a surface held at its extremes so many times as long as it moves is not stopped, but switched
-SPIKE = 8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
+# a surface held at its extremes so many times as long as it moves is not stopped, but switched
+MOST_HELD = 4.0
+SPIKE = (
+    8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
+)
 WIDEST_SPIKE = 3
-SMOOTH = 0.5  # steps that change by less than this share of themselves show no noise (with noise: 1.7)
+SMOOTH = (
+    0.5  # steps that change by less than this share of themselves show no noise (with noise: 1.7)
+)
 MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
 NOT_MEASURED = ("stuck", "impossible", "spike")
@@ -105,7 +123,9 @@ class Finding(NamedTuple):
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
     """Return the faults of each flight in a table whose time increases within each, but those of columns to ignore."""
     ignored, time = set(ignore), table["time"].to_numpy(float)
-    codes, names = flight_codes(table["flight"] if "flight" in table else np.full(len(table), "flight"))
+    codes, names = flight_codes(
+        table["flight"] if "flight" in table else np.full(len(table), "flight")
+    )
     used = [name for name in POSSIBLE if name in table and name not in ignored]
     used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
     channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
@@ -116,7 +136,9 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, description in _faults_of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            findings.append(Finding(names[codes[first]], channel, kind, *ends, first + rows, description))
+            findings.append(
+                Finding(names[codes[first]], channel, kind, *ends, first + rows, description)
+            )
     return findings
 
 
@@ -134,7 +156,10 @@ def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataF
 def faults_message(findings: list[Finding], done: str) -> str:
     """Return one message of many findings, each flight named once, that ends with what was ``done`` about them."""
     by_flight = groupby(findings[:MOST_SHOWN], key=lambda each: str(each.flight))
-    parts = [f"flight {flight}: {'; '.join(each.message for each in group)}" for flight, group in by_flight]
+    parts = [
+        f"flight {flight}: {'; '.join(each.message for each in group)}"
+        for flight, group in by_flight
+    ]
     more = len(findings) - MOST_SHOWN
     rest = f"; and {more} more, see skdgp.preprocessing.inspect_flight" if more > 0 else ""
     return f"{WARNING_START}: {'; '.join(parts)}{rest}. {done}"
@@ -181,7 +206,12 @@ def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
     short = [rows for rows in gaps if len(rows) * step < LONG_GAP]
     if short:
         rows = np.concatenate(short)
-        yield name, "missing", rows, f"has no value {_times(rows)}, for {max(map(len, short)) * step:.2g} s at most"
+        yield (
+            name,
+            "missing",
+            rows,
+            f"has no value {_times(rows)}, for {max(map(len, short)) * step:.2g} s at most",
+        )
 
 
 def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:
@@ -202,7 +232,12 @@ def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[Fault]:
         for name in names:
             if moving and spread.get(name) == 0:
                 move = "moves" if len(moving) == 1 else "move"
-                yield name, "constant", np.arange(n), f"never changes, while {' and '.join(moving)} {move}"
+                yield (
+                    name,
+                    "constant",
+                    np.arange(n),
+                    f"never changes, while {' and '.join(moving)} {move}",
+                )
 
 
 def _times(rows: np.ndarray) -> str:
@@ -239,12 +274,21 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     leap = np.abs(np.diff(seen[runs.start], append=np.nan))
     steps = leap[:-1]
     quantum = np.quantile(steps, 0.01)
-    bend = np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps) if len(steps) > 1 else np.inf
+    bend = (
+        np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps)
+        if len(steps) > 1
+        else np.inf
+    )
     stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
-    stuck &= ~(leap <= 3 * quantum)  # a channel that turns back repeats its value, and leaves it by one quantum
+    stuck &= ~(
+        leap <= 3 * quantum
+    )  # a channel that turns back repeats its value, and leaves it by one quantum
     if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
         stuck &= leap > np.quantile(steps, 0.99)
-    return [rows[first + 1 : first + n] for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)]
+    return [
+        rows[first + 1 : first + n]
+        for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)
+    ]
 
 
 def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
@@ -261,17 +305,28 @@ def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
     out = np.abs(seen - around)
     far = out > SPIKE * np.quantile(out, 0.995)
-    found = [np.arange(run.start, run.stop) for run in true_runs(far) if run.stop - run.start <= WIDEST_SPIKE]
+    found = [
+        np.arange(run.start, run.stop)
+        for run in true_runs(far)
+        if run.stop - run.start <= WIDEST_SPIKE
+    ]
     ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)) for part in found]
-    back = [k for k, (a, b) in zip(found, ends, strict=True) if abs(seen[b] - seen[a]) < out[k].max() / 2]
+    back = [
+        k
+        for k, (a, b) in zip(found, ends, strict=True)
+        if abs(seen[b] - seen[a]) < out[k].max() / 2
+    ]
     edges = np.r_[start, len(known)]
-    return np.concatenate([known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]])
+    return np.concatenate(
+        [known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]]
+    )
 
 
 def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     """Return the rows at the smallest and the largest value, each where a surface that else moves is held there.
 
-    A command in steps, or a stick, is also held elsewhere or hardly moves between its levels: that is no stop.
+    A command in steps, or a stick, is also held elsewhere or hardly moves between its levels: that
+    is no stop.
     """
     rows = np.flatnonzero(np.isfinite(values))
     seen = values[rows]
@@ -283,7 +338,9 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
     moves = ~ends & (runs.length < STANDS * np.median(runs.length))
     held, elsewhere, moving = (int(runs.length[part].sum()) for part in (long & ends, ~ends, moves))
-    if len(np.unique(level[moves])) < FEWEST_LEVELS or moving < max(elsewhere / 2, held / MOST_HELD):
+    if len(np.unique(level[moves])) < FEWEST_LEVELS or moving < max(
+        elsewhere / 2, held / MOST_HELD
+    ):
         return []
     if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []

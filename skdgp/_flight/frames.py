@@ -1,8 +1,8 @@
 """Frames: attitude (Euler angles, quaternions, rotation matrices) and air data, vectorised over leading axes.
 
 Body axes: x forward, y right, z down. Earth axes: north, east, down (NED), flat and not rotating.
-Quaternions are scalar first and rotate body vectors into NED axes; ``q`` and ``-q`` are the same attitude.
-A quaternion need not have unit length: all functions divide by its length.
+Quaternions are scalar first and rotate body vectors into NED axes; ``q`` and ``-q`` are the same
+attitude. A quaternion need not have unit length: all functions divide by its length.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     array([ 0.3, -0.2,  1.5])
     """
     phi, theta, psi = (0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi))
-    (c_phi, c_theta, c_psi), (s_phi, s_theta, s_psi) = ([f(phi), f(theta), f(psi)] for f in (np.cos, np.sin))
+    (c_phi, c_theta, c_psi), (s_phi, s_theta, s_psi) = (
+        [f(phi), f(theta), f(psi)] for f in (np.cos, np.sin)
+    )
     return _vector(
         c_phi * c_theta * c_psi + s_phi * s_theta * s_psi,
         s_phi * c_theta * c_psi - c_phi * s_theta * s_psi,
@@ -96,15 +98,22 @@ def quaternion_rate(quaternion: ArrayLike, rates: ArrayLike) -> np.ndarray:
     q0, q1, q2, q3 = _components(quaternion)
     p, q, r = _components(rates)
     return 0.5 * _vector(
-        -q1 * p - q2 * q - q3 * r, q0 * p + q2 * r - q3 * q, q0 * q + q3 * p - q1 * r, q0 * r + q1 * q - q2 * p
+        -q1 * p - q2 * q - q3 * r,
+        q0 * p + q2 * r - q3 * q,
+        q0 * q + q3 * p - q1 * r,
+        q0 * r + q1 * q - q2 * p,
     )
 
 
-def gravity_in_body_axes(phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = 9.80665) -> np.ndarray:
+def gravity_in_body_axes(
+    phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = 9.80665
+) -> np.ndarray:
     """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
     phi, theta, gravity = (np.asarray(x, dtype=float) for x in (phi, theta, gravity))
     return _vector(
-        -gravity * np.sin(theta), gravity * np.sin(phi) * np.cos(theta), gravity * np.cos(phi) * np.cos(theta)
+        -gravity * np.sin(theta),
+        gravity * np.sin(phi) * np.cos(theta),
+        gravity * np.cos(phi) * np.cos(theta),
     )
 
 
@@ -127,8 +136,9 @@ def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
     """Return a flight table with airspeed, alpha and beta, of u, v, w if it has these and no air data.
 
-    If it has the wind, and the attitude, they are relative to the wind. If it has no wind, the air is taken to be
-    still, with a warning. Tables without u, v, w, or with any air data, are returned as they are.
+    If it has the wind, and the attitude, they are relative to the wind. If it has no wind, the air
+    is taken to be still, with a warning. Tables without u, v, w, or with any air data, are returned
+    as they are.
     """
     if not set(BODY_VELOCITY) <= set(table.columns) or set(AIR_DATA) & set(table.columns):
         return table
@@ -137,10 +147,13 @@ def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
         if not {*WIND, *EULER} <= set(table.columns):
             return table
         phi, theta, psi = table[list(EULER)].to_numpy(float, na_value=np.nan).T
-        velocity = velocity - ned_to_body(euler_to_quaternion(phi, theta, psi), table[list(WIND)].to_numpy(float))
+        velocity = velocity - ned_to_body(
+            euler_to_quaternion(phi, theta, psi), table[list(WIND)].to_numpy(float)
+        )
     else:
         warnings.warn(
-            "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are those of still air. "
+            "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are "
+            "those of still air. "
             "Add wind_north, wind_east, wind_down if there was wind.",
             stacklevel=4,
         )
@@ -150,17 +163,25 @@ def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
 def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray:
     """Return d (airspeed, alpha, beta) / d velocity, (..., 3, 3), at body velocities (..., 3) relative to the air.
 
-    ``slopes @ acceleration`` are the rates of change, alpha_dot = (u w' - w u') / (u^2 + w^2) among them. Speeds below
-    ``least_speed`` [m/s] count as that, which bounds the slopes.
+    ``slopes @ acceleration`` are the rates of change, alpha_dot = (u w' - w u') / (u^2 + w^2) among
+    them. Speeds below ``least_speed`` [m/s] count as that, which bounds the slopes.
     """
     u, v, w = _components(velocity)
     airspeed = np.maximum(np.sqrt(u * u + v * v + w * w), least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
     slopes = np.zeros((*np.shape(u), 3, 3))
-    slopes[..., 0, 0], slopes[..., 0, 1], slopes[..., 0, 2] = u / airspeed, v / airspeed, w / airspeed
+    slopes[..., 0, 0], slopes[..., 0, 1], slopes[..., 0, 2] = (
+        u / airspeed,
+        v / airspeed,
+        w / airspeed,
+    )
     slopes[..., 1, 0], slopes[..., 1, 2] = -w / across**2, u / across**2
     factor = v / (airspeed**2 * across)
-    slopes[..., 2, 0], slopes[..., 2, 1], slopes[..., 2, 2] = -u * factor, 1 / across - v * factor, -w * factor
+    slopes[..., 2, 0], slopes[..., 2, 1], slopes[..., 2, 2] = (
+        -u * factor,
+        1 / across - v * factor,
+        -w * factor,
+    )
     return slopes
 
 
@@ -168,14 +189,20 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
     """Return the body velocity relative to the air, V (cos a cos b, sin b, sin a cos b), (..., 3) [m/s]."""
     airspeed, alpha, beta = (np.asarray(x, dtype=float) for x in (airspeed, alpha, beta))
     return _vector(
-        airspeed * np.cos(alpha) * np.cos(beta), airspeed * np.sin(beta), airspeed * np.sin(alpha) * np.cos(beta)
+        airspeed * np.cos(alpha) * np.cos(beta),
+        airspeed * np.sin(beta),
+        airspeed * np.sin(alpha) * np.cos(beta),
     )
 
 
 def _components(vector: ArrayLike) -> tuple[Any, ...]:
     """Return the components along the last axis: of one vector plain numbers, which are fastest."""
     vector = np.asarray(vector, dtype=float)
-    return tuple(vector.tolist()) if vector.ndim == 1 else tuple(vector[..., k] for k in range(vector.shape[-1]))
+    return (
+        tuple(vector.tolist())
+        if vector.ndim == 1
+        else tuple(vector[..., k] for k in range(vector.shape[-1]))
+    )
 
 
 def _vector(*components: ArrayLike) -> np.ndarray:
@@ -194,7 +221,11 @@ def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
     x, y, z = _components(vector)
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
     cx, cy, cz = s * (e2 * z - e3 * y), s * (e3 * x - e1 * z), s * (e1 * y - e2 * x)
-    return _vector(x + q0 * cx + e2 * cz - e3 * cy, y + q0 * cy + e3 * cx - e1 * cz, z + q0 * cz + e1 * cy - e2 * cx)
+    return _vector(
+        x + q0 * cx + e2 * cz - e3 * cy,
+        y + q0 * cy + e3 * cx - e1 * cz,
+        z + q0 * cz + e1 * cy - e2 * cx,
+    )
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:

@@ -4,14 +4,16 @@ A relation is a pair of signals y and x that are equal by kinematics. Their agre
 
     2 sum(x y) / (sum(x^2) + sum(y^2)) * min(s, 1 / s),   s^2 = sum(y^2) / sum(x^2),
 
-the concordance of Lin (1989) about zero, times the ratio of scales: 1 if they are equal, -1 if one has the wrong sign,
-near 0 if one is in another unit. Other relations are the sign of a slope in least squares: lift grows with alpha, a
-positive aileron rolls right. Their agreement is t / sqrt(t^2 + 16), with the t value of the slope. The t values allow
-for errors that are correlated in time.
+the concordance of Lin (1989) about zero, times the ratio of scales: 1 if they are equal, -1 if one
+has the wrong sign, near 0 if one is in another unit. Other relations are the sign of a slope in
+least squares: lift grows with alpha, a positive aileron rolls right. Their agreement is t /
+sqrt(t^2 + 16), with the t value of the slope. The t values allow for errors that are correlated in
+time.
 
-A cause is named only if its correction makes signals agree that contradict each other, beyond chance, and no other
-relation worse. Of several causes the one with the largest sum of agreements is named, and its correction is the start
-of the search for the next. Noise, wind and missing channels therefore cause no finding.
+A cause is named only if its correction makes signals agree that contradict each other, beyond
+chance, and no other relation worse. Of several causes the one with the largest sum of agreements is
+named, and its correction is the start of the search for the next. Noise, wind and missing channels
+therefore cause no finding.
 """
 
 from __future__ import annotations
@@ -42,11 +44,26 @@ from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.frames import air_velocity, euler_to_matrix
 
 RATE = 20.0  # rows are averaged to about this rate [Hz]
-LONG, SHORT = 1.0, 0.1  # windows [s] over which kinematics, and effects of angles and surfaces, are integrated
-IMPROVEMENT, WORSE = 0.5, 0.3  # least improvement of an agreement by a correction, and most that another may lose
-AGREES, LEAST_T = 0.3, 4.0  # least agreement and t value after a correction; below, and at t < -4, signals contradict
-PARALLEL, MULTIPLE = 0.9, 1.5  # signals of this cosine contradict each other if one is so many times the other
-EXTRA_CHANNEL, TIE = 0.02, 0.01  # agreement that a correction's next channel must gain; nearer causes are as probable
+LONG, SHORT = (
+    1.0,
+    0.1,
+)  # windows [s] over which kinematics, and effects of angles and surfaces, are integrated
+IMPROVEMENT, WORSE = (
+    0.5,
+    0.3,
+)  # least improvement of an agreement by a correction, and most that another may lose
+AGREES, LEAST_T = (
+    0.3,
+    4.0,
+)  # least agreement and t value after a correction; below, and at t < -4, signals contradict
+PARALLEL, MULTIPLE = (
+    0.9,
+    1.5,
+)  # signals of this cosine contradict each other if one is so many times the other
+EXTRA_CHANNEL, TIE = (
+    0.02,
+    0.01,
+)  # agreement that a correction's next channel must gain; nearer causes are as probable
 CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
 ENOUGH = 40  # least number of windows
 LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
@@ -56,7 +73,16 @@ FLYING = 0.5  # rows slower than this share of the median airspeed do not count
 CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
 """Channels that only slopes, and only equalities, depend on."""
-MOTION = (*VANES, *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION, "altitude")
+MOTION = (
+    *VANES,
+    *RATES,
+    *SPECIFIC_FORCE,
+    *EULER,
+    *EARTH_VELOCITY,
+    *BODY_VELOCITY,
+    *POSITION,
+    "altitude",
+)
 SIGNED = (*MOTION, *SURFACES)
 USED = ("airspeed", *SIGNED, *ELEVONS, "throttle")
 SIGNS = {
@@ -72,12 +98,19 @@ SIGNS = {
     "v_east v_down": "the velocity is north, west, up",
     "v_east v_down east down": "velocity and position are north, west, up",
     "v_down down": "velocity and position are positive up",
-    "q r ay az theta psi v w v_east v_down east down": "all axes are y left, z up and north, west, up",
+    "q r ay az theta psi v w v_east v_down east down": "all axes are y left, z up and north, "
+    "west, up",
 }
 """Channels whose signs are changed together, and the cause."""
 UNITS = {
-    "degrees": (np.pi / 180, ("alpha", "beta", "alpha beta", *RATES, "p q r", *EULER, "phi theta psi")),
-    "degrees per second and degrees": (np.pi / 180, ("phi theta psi p q r", "alpha beta phi theta psi p q r")),
+    "degrees": (
+        np.pi / 180,
+        ("alpha", "beta", "alpha beta", *RATES, "p q r", *EULER, "phi theta psi"),
+    ),
+    "degrees per second and degrees": (
+        np.pi / 180,
+        ("phi theta psi p q r", "alpha beta phi theta psi p q r"),
+    ),
     "g": (G, ("ax ay az",)),
     "feet": (0.3048, ("altitude", "down", "north east down")),
     "feet per second": (0.3048, ("airspeed", "v_down", "v_north v_east v_down", "u v w")),
@@ -139,15 +172,17 @@ class Relation(NamedTuple):
 def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     """Return the channels of a flight table that contradict each other, with the most probable cause of each.
 
-    All flights are judged together, and each of at least 30 s by itself if nothing is found in all. Raises ValueError
-    if time does not increase within a flight.
+    All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
+    Raises ValueError if time does not increase within a flight.
     """
     found = _of_flights(table, None)
     rows = flight_rows(table["flight"]) if "flight" in table and not found else {}
     if len(rows) > 1:
         time = table["time"].to_numpy(float)
         long = {name: here for name, here in rows.items() if np.ptp(time[here]) >= LONG_FLIGHT}
-        found = [each for name, here in long.items() for each in _of_flights(table.iloc[here], name)]
+        found = [
+            each for name, here in long.items() for each in _of_flights(table.iloc[here], name)
+        ]
     return found
 
 
@@ -226,7 +261,9 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
     names = [name for name in USED if name in table and pd.api.types.is_numeric_dtype(table[name])]
     columns = {name: table[name].to_numpy(float, na_value=np.nan) for name in names}
     signals = {
-        name: np.concatenate([block_means(_continuous(name, values[run], time[run]), size) for run in runs])
+        name: np.concatenate(
+            [block_means(_continuous(name, values[run], time[run]), size) for run in runs]
+        )
         for name, values in columns.items()
         if np.isfinite(values).any()
     }
@@ -252,7 +289,9 @@ def block_means(values: np.ndarray, size: int) -> np.ndarray:
     return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
 
 
-def _relations(windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED) -> dict[str, Relation]:
+def _relations(
+    windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
+) -> dict[str, Relation]:
     """Return the relations between the channels that there are: those that depend on the changed ones."""
     found: dict[str, Relation] = {}
     with np.errstate(all="ignore"):
@@ -278,7 +317,12 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
         equal = "the change of {} and the integral of {}".format
         turn = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
         yield "phi", equal("phi", "p"), change(phi) - turn, integral(p)
-        yield "theta", equal("theta", "q"), change(theta) + integral(r * np.sin(phi)), integral(q * np.cos(phi))
+        yield (
+            "theta",
+            equal("theta", "q"),
+            change(theta) + integral(r * np.sin(phi)),
+            integral(q * np.cos(phi)),
+        )
         turn = change(psi) - integral(q * np.sin(phi) / np.cos(theta))
         yield "psi", equal("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
     for place, rate in zip((*POSITION, "altitude"), (*EARTH_VELOCITY, "v_down"), strict=True):
@@ -290,10 +334,19 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     earth, body = get(*EARTH_VELOCITY), get(*BODY_VELOCITY)
     if attitude is None or not (earth or body):
         if force is not None:
-            yield "az", "az and the -9.8 m/s^2 of level flight", force[:, 2], np.full(len(force), -G)
+            yield (
+                "az",
+                "az and the -9.8 m/s^2 of level flight",
+                force[:, 2],
+                np.full(len(force), -G),
+            )
         return
     rotation = euler_to_matrix(*attitude)
-    velocity = np.stack(earth, axis=-1) if earth else np.einsum("nij,nj->ni", rotation, np.stack(body, axis=-1))
+    velocity = (
+        np.stack(earth, axis=-1)
+        if earth
+        else np.einsum("nij,nj->ni", rotation, np.stack(body, axis=-1))
+    )
     if earth and body:
         along = np.einsum("nji,nj->ni", rotation, velocity)
         for k, name in enumerate(BODY_VELOCITY):
@@ -309,32 +362,60 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
         alpha, beta = signals.get("alpha", zero), signals.get("beta", zero)
         air = np.einsum("nij,nj->ni", rotation, air_velocity(signals["airspeed"], alpha, beta))
         wind = np.nanmean(velocity - air, axis=0) * [1.0, 1.0, 0.0]
-        yield "airspeed", "the velocities through the air and over the earth", (velocity - wind)[:, :2], air[:, :2]
+        yield (
+            "airspeed",
+            "the velocities through the air and over the earth",
+            (velocity - wind)[:, :2],
+            air[:, :2],
+        )
         u, v, w = np.einsum("nji,nj->ni", rotation, velocity - wind).T
-        for name, angle in {"alpha": np.arctan2(w, u), "beta": np.arctan2(v, np.hypot(u, w))}.items():
+        for name, angle in {
+            "alpha": np.arctan2(w, u),
+            "beta": np.arctan2(v, np.hypot(u, w)),
+        }.items():
             if name in signals:
-                yield name, f"{name} and the velocity over the earth in body axes", signals[name], angle
+                yield (
+                    name,
+                    f"{name} and the velocity over the earth in body axes",
+                    signals[name],
+                    angle,
+                )
 
 
 def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     """Yield name, words, change of the response, its regressors, and the expected sign of the first one's slope.
 
-    Responses over V^2 are linear in angles, rates over V and surfaces. Both sides are integrated, which needs no
-    derivative of a noisy signal. Without alpha or beta, az / V^2 or ay / V^2 stands for it.
+    Responses over V^2 are linear in angles, rates over V and surfaces. Both sides are integrated,
+    which needs no derivative of a noisy signal. Without alpha or beta, az / V^2 or ay / V^2 stands
+    for it.
     """
     if "airspeed" not in signals:
         return
     speed = signals["airspeed"]
-    terms = {name: speed**2 * signals[name] for name in (*VANES, *SURFACES, "throttle") if name in signals}
+    terms = {
+        name: speed**2 * signals[name]
+        for name in (*VANES, *SURFACES, "throttle")
+        if name in signals
+    }
     terms |= {name: speed * signals[name] for name in RATES if name in signals}
     if {*ELEVONS} <= signals.keys():
         left, right = (signals[name] for name in ELEVONS)
-        terms |= {"elevator": speed**2 * (left + right) / 2, "aileron": speed**2 * (left - right) / 2}
+        terms |= {
+            "elevator": speed**2 * (left + right) / 2,
+            "aileron": speed**2 * (left - right) / 2,
+        }
     stand_in = {"alpha": "az", "beta": "ay"}
     terms = {angle: signals[force] for angle, force in stand_in.items() if force in signals} | terms
     tables = (
         ("CZ", "az", "alpha q elevator", -1, "lift grows with alpha", windows.integral),
-        ("CY", "ay", "beta p r aileron rudder", -1, "the side force opposes beta", windows.integral),
+        (
+            "CY",
+            "ay",
+            "beta p r aileron rudder",
+            -1,
+            "the side force opposes beta",
+            windows.integral,
+        ),
         ("Cl", "p", "aileron beta p r rudder", 1, "a positive aileron rolls right", windows.change),
         ("Cm", "q", "elevator alpha q", -1, "a positive elevator pitches down", windows.change),
         ("Cn", "r", "rudder beta p r aileron", -1, "a positive rudder yaws left", windows.change),
@@ -342,13 +423,26 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
     for name, response, regressors, sign, words, growth in tables:
         first, *others = regressors.split()
         if response in signals and first in terms and (first not in stand_in or first in signals):
-            columns = [terms[first], speed**2, *(terms[other] for other in others if other in terms)]
+            columns = [
+                terms[first],
+                speed**2,
+                *(terms[other] for other in others if other in terms),
+            ]
             X = windows.integral(np.stack(columns, axis=-1), SHORT)
             yield name, words, growth(signals[response], SHORT), X, sign
     if "v_down" in signals and "throttle" in signals:
         drag = [signals["az"] ** 2 / speed**2] if "az" in signals else []
-        X = windows.integral(np.stack([signals["v_down"] / speed, speed**2, terms["throttle"], *drag], axis=-1), SHORT)
-        yield "energy", "the aircraft gains airspeed in descents", windows.change(speed, SHORT), X, 1
+        X = windows.integral(
+            np.stack([signals["v_down"] / speed, speed**2, terms["throttle"], *drag], axis=-1),
+            SHORT,
+        )
+        yield (
+            "energy",
+            "the aircraft gains airspeed in descents",
+            windows.change(speed, SHORT),
+            X,
+            1,
+        )
 
 
 def _agreement(words: str, y: np.ndarray, x: np.ndarray, least: float) -> Relation:
@@ -359,7 +453,9 @@ def _agreement(words: str, y: np.ndarray, x: np.ndarray, least: float) -> Relati
     known = np.isfinite(y) & np.isfinite(x)
     y, x = y[known], x[known]
     size_y, size_x = y @ y, x @ x
-    if len(y) < ENOUGH or not (size_y > 0 and size_x > 0 and max(size_y, size_x) > len(y) * least**2):
+    if len(y) < ENOUGH or not (
+        size_y > 0 and size_x > 0 and max(size_y, size_x) > len(y) * least**2
+    ):
         return Relation(words, np.nan)
     scale = np.sqrt(size_y / size_x)
     cosine = x @ y / np.sqrt(size_y * size_x)
@@ -377,7 +473,9 @@ def _slope_sign(words: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation
         return Relation(words, np.nan)
     X = X[:, norms > 0] / norms[norms > 0]
     covariance = np.linalg.pinv(X.T @ X, rcond=1e-8, hermitian=True)
-    own = X[:, 0] - X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=1e-8)[0]  # what the others do not explain
+    own = (
+        X[:, 0] - X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=1e-8)[0]
+    )  # what the others do not explain
     if own @ own < 1e-6 * len(own):
         return Relation(words, np.nan)
     residual = y - X @ (covariance @ (X.T @ y))
@@ -408,8 +506,16 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
         }
         gain = {name: value for name, value in gain.items() if np.isfinite(value)}
         total = sum(gain.values()) - EXTRA_CHANNEL * len(cause.channels)
-        better = [name for name in contradictions if gain.get(name, 0.0) >= IMPROVEMENT and after[name].agrees]
-        if better and total > 0 and all(value > -WORSE for name, value in gain.items() if name not in CONTROL):
+        better = [
+            name
+            for name in contradictions
+            if gain.get(name, 0.0) >= IMPROVEMENT and after[name].agrees
+        ]
+        if (
+            better
+            and total > 0
+            and all(value > -WORSE for name, value in gain.items() if name not in CONTROL)
+        ):
             name = max(better, key=lambda name: gain[name])
             found.append((total, cause, before[name], after[name]))
     if not found:
@@ -437,27 +543,48 @@ def _causes(signals: Signals) -> Iterator[Cause]:
         for group in groups:
             names = tuple(group.split())
             if all(name in signals for name in names):
-                words = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
+                words = (
+                    f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
+                )
                 yield Cause(names, words, f"multiply by {factor:.5g}", _scaled(names, factor))
     if {*ELEVONS} <= signals.keys():
         for names in (*((name,) for name in ELEVONS), ELEVONS):
-            yield Cause(names, _wrong_sign(names), "change it (> 0 trailing edge down)", _scaled(names, -1.0))
+            yield Cause(
+                names,
+                _wrong_sign(names),
+                "change it (> 0 trailing edge down)",
+                _scaled(names, -1.0),
+            )
         sides = _exchanged(ELEVONS)
         yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", sides)
-        words, remedy = "the elevons are probably exchanged and of the wrong sign", "exchange them, change their signs"
+        words, remedy = (
+            "the elevons are probably exchanged and of the wrong sign",
+            "exchange them, change their signs",
+        )
         yield Cause(ELEVONS, words, remedy, lambda signals: sides(_scaled(ELEVONS, -1.0)(signals)))
     if all(name in signals for name in ("v_north", "v_east")):
-        exchanged, turned = _exchanged(("v_north", "v_east")), _scaled({"v_down"} & signals.keys(), -1.0)
+        exchanged, turned = (
+            _exchanged(("v_north", "v_east")),
+            _scaled({"v_down"} & signals.keys(), -1.0),
+        )
         words = "v_north and v_east are probably exchanged"
         yield Cause(("v_north", "v_east"), words, "exchange them", exchanged)
-        words, remedy = "the velocity is probably east, north, up", "exchange v_north and v_east, change v_down's sign"
+        words, remedy = (
+            "the velocity is probably east, north, up",
+            "exchange v_north and v_east, change v_down's sign",
+        )
         yield Cause(EARTH_VELOCITY, words, remedy, lambda signals: turned(exchanged(signals)))
     if "psi" in signals:
         words = "psi is probably measured from east, counter-clockwise"
         yield Cause(("psi",), words, "use pi/2 - psi", lambda s: s | {"psi": np.pi / 2 - s["psi"]})
     if "az" in signals:
-        words, remedy = "gravity is probably removed from ax, ay, az", "subtract gravity in body axes"
-        yield Cause(SPECIFIC_FORCE, words, f"{remedy}: an accelerometer reads specific force", _with_gravity)
+        words, remedy = (
+            "gravity is probably removed from ax, ay, az",
+            "subtract gravity in body axes",
+        )
+        yield Cause(
+            SPECIFIC_FORCE, words, f"{remedy}: an accelerometer reads specific force", _with_gravity
+        )
     if all(name in signals for name in (*EULER, *SPECIFIC_FORCE, "v_down")):
         words = "the vertical axis probably points up, in attitude and positions (axes y left, z up; north, west, up)"
         remedy = "change the axes, then compute specific force"
@@ -473,7 +600,9 @@ def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
 
 
 def _exchanged(names) -> Callable[[Signals], Signals]:
-    return lambda signals: signals | dict(zip(names, [signals[name] for name in reversed(names)], strict=True))
+    return lambda signals: (
+        signals | dict(zip(names, [signals[name] for name in reversed(names)], strict=True))
+    )
 
 
 def _with_gravity(signals: Signals) -> Signals:
@@ -481,7 +610,9 @@ def _with_gravity(signals: Signals) -> Signals:
     if not all(name in signals for name in (*EULER, *SPECIFIC_FORCE)):
         return signals | {"az": signals["az"] - G}
     gravity = G * euler_to_matrix(*(signals[name] for name in EULER))[:, 2, :]
-    return signals | {name: signals[name] - part for name, part in zip(SPECIFIC_FORCE, gravity.T, strict=True)}
+    return signals | {
+        name: signals[name] - part for name, part in zip(SPECIFIC_FORCE, gravity.T, strict=True)
+    }
 
 
 def _turned_over(signals: Signals) -> Signals:

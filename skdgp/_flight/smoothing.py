@@ -1,7 +1,7 @@
 """Zero-phase smoothing and differentiation of flight logs, segment by segment.
 
-With P(f) the measured (cross-)power of k channels and N the white noise of their sensors, the linear smoother of
-least mean squared error is, for one channel and for all jointly (Wiener 1949),
+With P(f) the measured (cross-)power of k channels and N the white noise of their sensors, the
+linear smoother of least mean squared error is, for one channel and for all jointly (Wiener 1949),
 
     h_i(f) = max(0, 1 - N_i / P_ii(f)),        H(f) = (P - N) P^-1.
 
@@ -38,33 +38,39 @@ def smooth(
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
 
-    NaN means not sampled: such rows stay NaN, and the channel is filtered on the clock of its other rows (a slow sensor
-    in a fast table). Unwrap angles that pass through +-pi first. Jittered clocks are resampled to a uniform grid and
-    back. Time (n,) [s] increases within a flight.
+    NaN means not sampled: such rows stay NaN, and the channel is filtered on the clock of its other
+    rows (a slow sensor in a fast table). Unwrap angles that pass through +-pi first. Jittered
+    clocks are resampled to a uniform grid and back. Time (n,) [s] increases within a flight.
 
-    ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2 there); "auto", the
-    Wiener smoother of the channel's spectrum over its flight, which needs a segment of 128 samples, else it warns and
-    leaves the channel as it is; or None, no smoothing. With ``joint``, "auto" estimates each channel from all channels
-    sampled at the same rows, through their cross-spectra: for few channels that move together, such as alpha and q.
-    With ``derivative`` their rates of change are returned, see `differentiate`.
+    ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2
+    there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
+    segment of 128 samples, else it warns and leaves the channel as it is; or None, no smoothing.
+    With ``joint``, "auto" estimates each channel from all channels sampled at the same rows,
+    through their cross-spectra: for few channels that move together, such as alpha and q. With
+    ``derivative`` their rates of change are returned, see `differentiate`.
 
-    Raises ValueError if time does not increase or is too irregular, a value is infinite, or the cutoff is not below
-    half the sampling rate.
+    Raises ValueError if time does not increase or is too irregular, a value is infinite, or the
+    cutoff is not below half the sampling rate.
     """
     columns, times, codes = _checked(values, time, flight)
     if isinstance(cutoff, str | None):
         known = cutoff in ("auto", None)
     else:
-        known = isinstance(cutoff, Real) and not isinstance(cutoff, bool) and 0 < float(cutoff) < np.inf
+        known = (
+            isinstance(cutoff, Real) and not isinstance(cutoff, bool) and 0 < float(cutoff) < np.inf
+        )
     if not known:
         raise ValueError(
-            f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no smoothing)."
+            f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no "
+            f"smoothing)."
         )
     out = np.full(columns.shape, np.nan)
     remarks: set[str] = set()
     for rows, channels in _same_rows(columns):
         part = columns[np.ix_(rows, channels)]
-        out[np.ix_(rows, channels)] = _per_flight(part, times[rows], codes[rows], cutoff, joint, derivative, remarks)
+        out[np.ix_(rows, channels)] = _per_flight(
+            part, times[rows], codes[rows], cutoff, joint, derivative, remarks
+        )
     for remark in sorted(remarks):
         warnings.warn(remark, stacklevel=2)
     return out.reshape(np.shape(values))
@@ -73,7 +79,8 @@ def smooth(
 def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndarray:
     """Return the rate of change of the smoothed channels: the slope of the cubic spline through them.
 
-    Options and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a warning.
+    Options and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a
+    warning.
     """
     return smooth(values, time, derivative=True, **options)
 
@@ -100,7 +107,9 @@ def noise_level(
             spectrum = _spectrum_of_flight(part, times[rows], runs)
             if spectrum is not None:
                 floor, gain = noise_and_gain(spectrum, joint)
-                levels.append((floor * spectrum.frequency[-1], expected_error(spectrum, floor, gain)))
+                levels.append(
+                    (floor * spectrum.frequency[-1], expected_error(spectrum, floor, gain))
+                )
                 weights.append(sum(run.stop - run.start for run in runs))
         if levels:
             found[:, channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
@@ -110,7 +119,9 @@ def noise_level(
 def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return rows and channels of each group of channels that were sampled at the same rows."""
     masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
-    groups = ((np.flatnonzero(keep), np.flatnonzero(group.ravel() == g)) for g, keep in enumerate(masks.T))
+    groups = (
+        (np.flatnonzero(keep), np.flatnonzero(group.ravel() == g)) for g, keep in enumerate(masks.T)
+    )
     return [(rows, channels) for rows, channels in groups if rows.size]
 
 
@@ -122,8 +133,10 @@ def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[st
             spectrum = _spectrum_of_flight(columns, time, runs)
             if spectrum is None:
                 remarks.add(
-                    f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell noise from "
-                    "signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
+                    f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to "
+                    f"tell noise from "
+                    "signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff "
+                    "in Hz."
                 )
             else:
                 kernel = impulse_response(noise_and_gain(spectrum, joint)[1])
@@ -147,13 +160,17 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
         return _slope(columns, time if jittered else grid) if derivative else columns
     on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
     step = (grid[-1] - grid[0]) / (len(grid) - 1)
-    smoothed = _butterworth(on_grid, 1 / step, cutoff) if kernel is None else convolve(on_grid, kernel)
+    smoothed = (
+        _butterworth(on_grid, 1 / step, cutoff) if kernel is None else convolve(on_grid, kernel)
+    )
     if not jittered:
         return _slope(smoothed, grid) if derivative else smoothed
     return interpolate.CubicSpline(grid, smoothed)(time, int(derivative))
 
 
-def _spectrum_of_flight(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -> Spectrum | None:
+def _spectrum_of_flight(
+    columns: np.ndarray, time: np.ndarray, runs: list[slice]
+) -> Spectrum | None:
     steps = np.concatenate([np.diff(time[run]) for run in runs])
     return flight_spectrum([columns[run] for run in runs], np.median(steps)) if steps.size else None
 
@@ -165,7 +182,8 @@ def _slope(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
-            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half the "
+            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than "
+            f"half the "
             f"sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
@@ -181,12 +199,15 @@ def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     columns = columns.reshape(len(columns), -1)
     if np.isinf(columns).any():
         raise ValueError(
-            f"Got {int(np.isinf(columns).sum())} infinite values, but expected finite ones or NaN (not "
+            f"Got {int(np.isinf(columns).sum())} infinite values, but expected finite ones or NaN "
+            f"(not "
             "sampled): replace them by NaN."
         )
     times, codes = check_clock(time, flight)
     if len(columns) != len(times):
-        raise ValueError(f"Got {len(columns)} rows of values and {len(times)} times, but expected as many.")
+        raise ValueError(
+            f"Got {len(columns)} rows of values and {len(times)} times, but expected as many."
+        )
     return columns, times, codes
 
 
@@ -213,7 +234,9 @@ def flight_spectrum(segments: list[np.ndarray], step: float) -> Spectrum | None:
     if longest < LEAST_SAMPLES:
         return None
     size = 2 * (min(int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW)), longest // 4) // 2)
-    pieces = np.concatenate([_windows(segment, size) for segment in segments if len(segment) >= size])
+    pieces = np.concatenate(
+        [_windows(segment, size) for segment in segments if len(segment) >= size]
+    )
     taper = signal.windows.hann(size)
     waves = np.fft.rfft(signal.detrend(pieces, axis=-1) * taper, axis=-1).transpose(2, 1, 0)
     power = waves @ waves.conj().swapaxes(1, 2) * (2 * step / (len(pieces) * np.sum(taper**2)))
@@ -225,14 +248,20 @@ def flight_spectrum(segments: list[np.ndarray], step: float) -> Spectrum | None:
 def noise_and_gain(spectrum: Spectrum, joint: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the white noise power N of each channel, (k,), and the smoother of each alone or of all jointly."""
     power = spectrum.channel_power
-    floor = np.array([_noise_floor(spectrum.frequency, each, spectrum.averages) for each in power.T])
+    floor = np.array(
+        [_noise_floor(spectrum.frequency, each, spectrum.averages) for each in power.T]
+    )
     floor = np.where(floor > spectrum.rounding, floor, 0.0)
     return floor, (_joint_gain if joint else _single_gain)(spectrum, floor)
 
 
 def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel alone, (m, k)."""
-    steady = np.exp(ndimage.gaussian_filter1d(np.log(spectrum.channel_power + 1e-300), 1.0, axis=0, mode="nearest"))
+    steady = np.exp(
+        ndimage.gaussian_filter1d(
+            np.log(spectrum.channel_power + 1e-300), 1.0, axis=0, mode="nearest"
+        )
+    )
     gain = np.where(floor > 0, np.clip(1 - floor / steady, 0, 1), 1.0)
     gain[0] = 1.0  # the mean of a channel is signal
     return gain * _falling(gain)
@@ -241,18 +270,22 @@ def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
 def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
 
-    In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the edge of Marchenko
-    and Pastur (1967); only those beyond it are signal.
+    In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
+    edge of Marchenko and Pastur (1967); only those beyond it are signal.
     """
     power, k = spectrum.channel_power, len(floor)
     # The root of the noise power; of something small where there is no noise.
-    unit = np.sqrt(np.where(floor > 0, floor, 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + 1e-300))
+    unit = np.sqrt(
+        np.where(floor > 0, floor, 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + 1e-300)
+    )
     size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     kept = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
     gain = np.einsum("mik,mk,mjk->mij", axes, kept, axes.conj()) * (unit[:, None] / unit)
     gain[0] = np.eye(k)
-    seen = np.einsum("mik,mk->mi", np.abs(axes) ** 2, kept * size)  # signal found, in units of noise
+    seen = np.einsum(
+        "mik,mk->mi", np.abs(axes) ** 2, kept * size
+    )  # signal found, in units of noise
     seen[0] = np.inf
     falling = _falling(1 / (1 + 1 / np.maximum(seen, 1e-12)))
     return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
@@ -261,7 +294,8 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
 def expected_error(spectrum: Spectrum, floor: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """Return the mean squared error that remains, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N.
 
-    S is an estimate that may be negative; the second part, the noise that passes, bounds the sum from below.
+    S is an estimate that may be negative; the second part, the noise that passes, bounds the sum
+    from below.
     """
     k = len(floor)
     full = gain if gain.ndim == 3 else gain[:, :, None] * np.eye(k)
@@ -286,7 +320,10 @@ def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
     padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
     if response.ndim == 2:
         return signal.oaconvolve(padded, response, mode="valid", axes=0)
-    each = [signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1) for part in np.moveaxis(response, 1, 0)]
+    each = [
+        signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1)
+        for part in np.moveaxis(response, 1, 0)
+    ]
     return np.stack(each, axis=1)
 
 
@@ -308,8 +345,8 @@ def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> f
     """Return the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
-    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the constant stands only if
-    Whittle's log likelihood without it is lower by more than ``EVIDENCE``.
+    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the
+    constant stands only if Whittle's log likelihood without it is lower by more than ``EVIDENCE``.
     """
     top = slice(len(power) // 2, -1)
     observed = power[top]

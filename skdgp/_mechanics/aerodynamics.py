@@ -23,13 +23,15 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
 DIFFERENCE = 1e-4
-"""Of central differences, where a model has no slopes: a fraction of the range of a regressor, or absolute."""
+"""Of central differences, where a model has no slopes: a fraction of the range of a regressor, or
+absolute.
+"""
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 """Names that a regressor gives to outputs without names."""
 MISFIT_MEMORY = 2.0
 """Time [s] for which an error of the function lasts: that in which a manoeuvre changes the regressors. A guess: on
-eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by .02, with the same coverage to 2 %
-(docs/simulation.md); with the memory of the drift, .1 to .6 s, bands hold down to 83 %."""
+eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by .02, with the same coverage
+to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s, bands hold down to 83 %."""
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -49,22 +51,31 @@ class Drift(NamedTuple):
     memory: Array
     """T [s], (6,)."""
     misfit: Array | float = 0.0
-    """Part of the variance that is an error of the function, whatever the air, (6,). Its T is `MISFIT_MEMORY`."""
+    """Part of the variance that is an error of the function, whatever the air, (6,). Its T is
+    `MISFIT_MEMORY`.
+    """
 
     def _processes(self) -> list[tuple[Array, Array]]:
         """Return variances and memories (6,) of the independent processes."""
         misfit = np.broadcast_to(self.misfit, self.variance.shape)
-        return [(self.variance - misfit, self.memory), (misfit, np.full(len(misfit), MISFIT_MEMORY))]
+        return [
+            (self.variance - misfit, self.memory),
+            (misfit, np.full(len(misfit), MISFIT_MEMORY)),
+        ]
 
     def covariance(self, time: Array) -> Array:
         """Return the covariance (6 n, 6 n) at times (n,), all n of the first coefficient first."""
         lag = np.abs(np.subtract.outer(time, time))[..., None]
-        blocks = np.sum([variance * np.exp(-lag / memory) for variance, memory in self._processes()], axis=0)
+        blocks = np.sum(
+            [variance * np.exp(-lag / memory) for variance, memory in self._processes()], axis=0
+        )
         return block_diag(*np.moveaxis(blocks, -1, 0))
 
     def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
         """Return draws (n, *shape, 6) at times (n,) that increase."""
-        seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+        seed = check_random_state(random_state).randint(
+            2**31 - 1, size=4
+        )  # other numbers than those of the paths
         rng, total = np.random.default_rng(seed), np.zeros((len(time), *shape, 6))
         for variance, memory in self._processes():
             if variance.any():
@@ -83,15 +94,17 @@ class Aerodynamics:
     function : callable
         Regressors (n, d) to CX CY CZ Cl Cm Cn (n, 6).
     regressors : sequence of str
-        Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its non-dimensional form, or
-        controls by any name.
+        Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its
+        non-dimensional form, or controls by any name.
     gradient : callable, optional
         Regressors (n, d) to slopes (n, 6, d); by default central differences.
     sampler : callable, optional
-        (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients (n_paths, n, 6) and to
-        slopes (n_paths, n, 6, d), of functions drawn from the posterior. Without it the model has no uncertainty.
+        (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients
+        (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior.
+        Without it the model has no uncertainty.
     covariance : callable, optional
-        Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first coefficient first.
+        Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first
+        coefficient first.
     drift : Drift, optional
         Errors along a flight: what regressors and posterior leave unexplained.
     turbulence : Turbulence, optional
@@ -125,9 +138,13 @@ class Aerodynamics:
     """
 
     slope_errors: Callable | None = None
-    """Regressors (n, d) to errors of the slopes that the paths do not contain, see ``DependentGPRegressor``."""
+    """Regressors (n, d) to errors of the slopes that the paths do not contain, see
+    ``DependentGPRegressor``.
+    """
     function_errors: Callable | None = None
-    """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or to None."""
+    """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or
+    to None.
+    """
 
     def __init__(
         self,
@@ -147,12 +164,23 @@ class Aerodynamics:
         units: Mapping[str, str] | None = None,
     ) -> None:
         if isinstance(regressors, str) or len(set(regressors)) != len(regressors):
-            raise ValueError(f"Got regressors={regressors!r}, but expected a list of names, each once.")
+            raise ValueError(
+                f"Got regressors={regressors!r}, but expected a list of names, each once."
+            )
         self.function, self.regressors = function, tuple(str(name) for name in regressors)
         self.limits = None if limits is None else np.asarray(limits, dtype=float)
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
-            raise ValueError(f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)}).")
-        self.span, self.chord, self.mixing, self.drift, self.turbulence = span, chord, mixing, drift, turbulence
+            raise ValueError(
+                f"Got limits of shape {self.limits.shape}, but expected (2, "
+                f"{len(self.regressors)})."
+            )
+        self.span, self.chord, self.mixing, self.drift, self.turbulence = (
+            span,
+            chord,
+            mixing,
+            drift,
+            turbulence,
+        )
         self.flown, self.units = dict(flown or {}), dict(units or {})
         self.n_paths: int | None = None
         self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
@@ -177,20 +205,29 @@ class Aerodynamics:
             return self._differences(X)
         return self._evaluated(self._gradient, X, 6, X.shape[-1])
 
-    def sample(self, n_paths: int, random_state: Any = 0, *, correlated: bool = False) -> Aerodynamics:
+    def sample(
+        self, n_paths: int, random_state: Any = 0, *, correlated: bool = False
+    ) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
-        The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors of its own.
-        ``correlated``: with errors by noise that is correlated between the samples of a model learned from flights.
+        The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors
+        of its own. ``correlated``: with errors by noise that is correlated between the samples of a
+        model learned from flights.
         """
         if self._sampler is None:
             raise ValueError(
-                f"Got a model without posterior samples ({self!r}), but expected one that can draw functions: a "
+                f"Got a model without posterior samples ({self!r}), but expected one that can "
+                f"draw functions: a "
                 "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
             )
         values, slopes = self._sampler(n_paths, random_state)
         drawn = copy.copy(self)
-        drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = values, slopes, None, n_paths
+        drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = (
+            values,
+            slopes,
+            None,
+            n_paths,
+        )
         if correlated and (known := self._errors()) is not None:
             errors = known.draw(n_paths, random_state)
             drawn.function = lambda X: values(X) + errors(X)
@@ -204,7 +241,8 @@ class Aerodynamics:
         """
         if self._covariance is None:
             raise ValueError(
-                f"Got a model without a posterior covariance ({self!r}), but expected a pipeline that ends in "
+                f"Got a model without a posterior covariance ({self!r}), but expected a pipeline "
+                f"that ends in "
                 "DependentGPRegressor, or Aerodynamics(..., covariance=...)."
             )
         X = np.asarray(X, dtype=float)
@@ -212,7 +250,9 @@ class Aerodynamics:
         errors = self._errors() if correlated else None
         if errors is None:
             return covariance
-        root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(len(covariance), -1)
+        root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(
+            len(covariance), -1
+        )
         return covariance + root @ root.T
 
     def _errors(self) -> Any:
@@ -223,7 +263,8 @@ class Aerodynamics:
         paths = () if self.n_paths is None else (self.n_paths,)
         if X.shape[: len(paths)] != paths:
             raise ValueError(
-                f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as their first axis."
+                f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as "
+                f"their first axis."
             )
         if X.ndim == len(paths) + 2:
             return function(X)
@@ -243,27 +284,28 @@ class Aerodynamics:
 def as_aerodynamics(model: Any) -> Aerodynamics:
     """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
-    ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned from a table whose
-    columns are regressors; or either in a fitted search or a ``CalibratedRegressor``. It predicts all six coefficients,
-    in the order CX CY CZ Cl Cm Cn where it keeps no names of them. Raises TypeError if it is none of these; ValueError
-    if regressors have no names or were scaled before they were chosen, or a coefficient is missing.
+    ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
+    from a table whose columns are regressors; or either in a fitted search or a
+    ``CalibratedRegressor``. It predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where
+    it keeps no names of them. Raises TypeError if it is none of these; ValueError if regressors
+    have no names or were scaled before they were chosen, or a coefficient is missing.
 
     Notes
     -----
-    A transformer declares by its class attribute ``in_simulation`` what becomes of it in a simulation, which has exact
-    states and no neighbours in time:
+    A transformer declares by its class attribute ``in_simulation`` what becomes of it in a
+    simulation, which has exact states and no neighbours in time:
 
-    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,), and ``ranges_`` of
-      channels by name. The last counts.
+    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,),
+      and ``ranges_`` of channels by name. The last counts.
     - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
     - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
     - "measurements": treats measurements, and is left out. So is a step without the attribute.
 
-    These stand before the choice of regressors or are it. A step behind it works row by row, by ``transform``. The
-    regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n, d); ``sample_paths``, functions with
-    ``each`` and ``gradient``, and then a ``predict`` with ``return_cov``; and a drift in time, ``drift_variance_`` and
-    ``drift_memory_`` (P,). A meta-estimator whose ``acts_on_outputs`` is true may hold
-    a pipeline in ``estimator_``.
+    These stand before the choice of regressors or are it. A step behind it works row by row, by
+    ``transform``. The regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n,
+    d); ``sample_paths``, functions with ``each`` and ``gradient``, and then a ``predict`` with
+    ``return_cov``; and a drift in time, ``drift_variance_`` and ``drift_memory_`` (P,). A
+    meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
 
     Examples
     --------
@@ -279,7 +321,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         return model
     if not isinstance(model, BaseEstimator) or not callable(getattr(model, "predict", None)):
         raise TypeError(
-            f"Got {type(model).__name__} as the model, but expected a fitted pipeline, an estimator, or "
+            f"Got {type(model).__name__} as the model, but expected a fitted pipeline, an "
+            f"estimator, or "
             "Aerodynamics(function, regressors=[...])."
         )
     check_is_fitted(model)
@@ -292,18 +335,24 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
     names = getattr(steps[0], "feature_names_in_", None) if chosen is None else chosen.regressors_
     if names is None:
         raise ValueError(
-            f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
+            f"Got a {type(model).__name__} whose regressors have no names: put "
+            f"RegressorSelector([...]) into the "
             "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
         )
     if scaled := [type(step).__name__ for step in before if isinstance(step, SCALERS)]:
         raise ValueError(
-            f"Got {scaled} before the choice of regressors, but expected flight channels in their units there, as a "
+            f"Got {scaled} before the choice of regressors, but expected flight channels in their "
+            f"units there, as a "
             "simulation gives them: put it behind RegressorSelector."
         )
-    chain = _Chain([_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names))
+    chain = _Chain(
+        [_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names)
+    )
     limits, mixing = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")], None
     if splitter is not None:
-        mixing = Mixing(tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_))
+        mixing = Mixing(
+            tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_)
+        )
     aerodynamics = Aerodynamics(
         chain.mean,
         list(names),
@@ -320,7 +369,10 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
         units=getattr(model, "control_units_", None),
     )
     if chain.can_sample:
-        aerodynamics.slope_errors, aerodynamics.function_errors = chain.slope_errors, chain.function_errors
+        aerodynamics.slope_errors, aerodynamics.function_errors = (
+            chain.slope_errors,
+            chain.function_errors,
+        )
     return aerodynamics
 
 
@@ -340,11 +392,16 @@ class _Chain:
 
     def slopes(self, X: Array) -> Array:
         """Return their slopes (n, 6, d)."""
-        return self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order] / self.scale
+        return (
+            self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order]
+            / self.scale
+        )
 
     def slope_errors(self, X: Array) -> Any:
         """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known."""
-        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None)
+        errors = getattr(
+            getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None
+        )
         found = errors((X - self.shift) / self.scale)
         return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
 
@@ -354,13 +411,19 @@ class _Chain:
 
     @cached_property
     def _function_errors(self) -> Any:
-        errors = getattr(getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None)()
+        errors = getattr(
+            getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None
+        )()
         return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
 
     def covariance(self, X: Array) -> Array:
         """Return the joint posterior covariance (6 n, 6 n) at regressors that are exact, as those of the paths."""
         predict = self.regressor.predict
-        exact = {"include_input_noise": False} if "include_input_noise" in signature(predict).parameters else {}
+        exact = (
+            {"include_input_noise": False}
+            if "include_input_noise" in signature(predict).parameters
+            else {}
+        )
         covariance = predict((X - self.shift) / self.scale, return_cov=True, **exact)[1]
         blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
         return blocks[self.order][:, :, self.order].reshape(6 * len(X), -1)
@@ -396,12 +459,14 @@ class _Chain:
             shape = np.shape(self._predicted(self.shift[None]))
             if shape != (1, 6):
                 raise ValueError(
-                    f"Got a model of outputs {shape[1:]}, but expected all six coefficients {', '.join(COEFFICIENTS)}."
+                    f"Got a model of outputs {shape[1:]}, but expected all six coefficients "
+                    f"{', '.join(COEFFICIENTS)}."
                 )
             return slice(None)
         if lacking := [name for name in COEFFICIENTS if name not in names]:
             raise ValueError(
-                f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. Fit it on a table "
+                f"Got a model of {names}, but flight needs all six coefficients: it lacks "
+                f"{lacking}. Fit it on a table "
                 "of all of them (aerodynamic_coefficients gives it)."
             )
         order = [names.index(name) for name in COEFFICIENTS]
@@ -411,7 +476,9 @@ class _Chain:
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
     """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
     shift, scale = np.zeros(n_regressors), np.ones(n_regressors)
-    scalers = list(takewhile(lambda step: type(step) in SCALERS and not getattr(step, "clip", False), steps))
+    scalers = list(
+        takewhile(lambda step: type(step) in SCALERS and not getattr(step, "clip", False), steps)
+    )
     for step in scalers:
         if isinstance(step, MinMaxScaler):
             own, factor = -step.min_ / step.scale_, 1.0 / step.scale_
@@ -430,7 +497,11 @@ def turbulence_of(model: Any) -> Any:
 
 def _steps_of(model: Any) -> list:
     """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
-    inner = model.estimator if isinstance(model, FrozenEstimator) else getattr(model, "best_estimator_", None)
+    inner = (
+        model.estimator
+        if isinstance(model, FrozenEstimator)
+        else getattr(model, "best_estimator_", None)
+    )
     if inner is not None:
         return _steps_of(inner)
     if isinstance(model, Pipeline):
@@ -453,7 +524,9 @@ def _without_names(step: Any) -> Any:
     if getattr(step, "acts_on_outputs", False):
         return _with(step, estimator_=_without_names(step.estimator_))
     twin = object.__new__(type(step))
-    twin.__dict__.update({name: value for name, value in vars(step).items() if name != "feature_names_in_"})
+    twin.__dict__.update(
+        {name: value for name, value in vars(step).items() if name != "feature_names_in_"}
+    )
     return twin
 
 

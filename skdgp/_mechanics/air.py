@@ -34,16 +34,23 @@ SLOWEST = 0.03
 LONGEST = 3000.0
 """Scale length [m] beyond which there is none."""
 SAMPLES = 10
-"""Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the sensors."""
+"""Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the
+sensors.
+"""
 BAND = 1.0
-"""Frequency, over that of the lag of a wing, up to which spectra are fitted. Sensors measure the wind at a point, the
-wing meets its mean over the span. Below, both are the same to a factor of 2. With the lag in the spectra, gusts of
-JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m, and their rates were 1.3 to 4 times too large."""
+"""Frequency, over that of the lag of a wing, up to which spectra are fitted.
+
+Sensors measure the wind at a point, the
+wing meets its mean over the span. Below, both are the same to a factor of 2. With the lag in the
+spectra, gusts of JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m, and their rates were
+1.3 to 4 times too large."""
 LENGTH, LENGTH_STD = 126.0, 0.72
 """Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a flight at that
-height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds do not show it."""
+height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds do not show
+it."""
 FEWEST = 3
-"""Values of the periodogram from which an intensity is estimated: its standard error is then 30 %."""
+"""Values of the periodogram from which an intensity is estimated: its standard error is then 30 %.
+"""
 LEVEL = 0.95
 """Of the test that intensity and length of u and v differ: the usual one."""
 CALM = 1e-12
@@ -66,12 +73,13 @@ class Gusts(NamedTuple):
 def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return scale lengths (3,) [m] and intensities (3,) [m/s] of u, v, w below 1000 ft (MIL-F-8785C, 3.7.3.4).
 
-    With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u = sigma_v =
-    sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
+    With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u =
+    sigma_v = sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
     """
     if not 0 < height <= CEILING:
         raise ValueError(
-            f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, where the low-altitude "
+            f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, where "
+            f"the low-altitude "
             "model ends."
         )
     if not 0 <= wind_at_6m < np.inf:
@@ -81,21 +89,25 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
     return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
 
 
-def dryden_system(airspeed: float, length: Array, intensity: Array, span: float) -> tuple[Array, ...]:
+def dryden_system(
+    airspeed: float, length: Array, intensity: Array, span: float
+) -> tuple[Array, ...]:
     r"""Return A (9, 9), B (9, 4), C (9, 9) of the gusts' linear system driven by unit white noise.
 
-    x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V (MIL-F-8785C, 3.7.2.2,
-    Dryden form; b the span):
+    x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V
+    (MIL-F-8785C, 3.7.2.2, Dryden form; b the span):
 
     .. math::
         H_u = \sigma_u \frac{\sqrt{2 T_u}}{1 + T_u s}, \quad
         H_{v,w} = \sigma \sqrt{T} \frac{1 + \sqrt3 T s}{(1 + T s)^2}, \quad
         H_p = \sigma_w \sqrt{\frac{0.8 \pi}{V L_w}} \left(\frac{\pi L_w}{4 b}\right)^{1/6}
               \frac{1}{1 + \frac{4 b}{\pi V} s}, \quad
-        H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3 b}{\pi V} s} H_v.
+        H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3
+        b}{\pi V} s} H_v.
 
-    The lags of H_q and H_r are the wing's averaging over its span. Here they apply to u, v and w too, so that q and r
-    are exactly -w'/V and v'/V of the gusts that the aircraft meets, and all slopes are finite.
+    The lags of H_q and H_r are the wing's averaging over its span. Here they apply to u, v and w
+    too, so that q and r are exactly -w'/V and v'/V of the gusts that the aircraft meets, and all
+    slopes are finite.
     """
     (Tu, Tv, Tw), (su, sv, sw) = np.asarray(length) / airspeed, np.asarray(intensity)
     lag, lag_r = 4 * span / (np.pi * airspeed), 3 * span / (np.pi * airspeed)
@@ -123,16 +135,21 @@ def dryden_gusts(
 ) -> Gusts:
     """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
 
-    Each flight is drawn ``n_draws`` times, (n_times, n_draws * n_flights, 3), all flights of the first draw first.
+    Each flight is drawn ``n_draws`` times, (n_times, n_draws * n_flights, 3), all flights of the
+    first draw first.
 
-    ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that is crossed at
-    ``airspeed`` [m/s], a number or (n_flights,). The linear systems are discretised exactly (matrix exponentials), for
-    any step.
+    ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that
+    is crossed at ``airspeed`` [m/s], a number or (n_flights,). The linear systems are discretised
+    exactly (matrix exponentials), for any step.
     """
     speeds = np.broadcast_to(airspeed, len(length))
-    systems = [dryden_system(V, L, s, span) for V, L, s in zip(speeds, length, intensity, strict=True)]
+    systems = [
+        dryden_system(V, L, s, span) for V, L, s in zip(speeds, length, intensity, strict=True)
+    ]
     A, B, C = (np.array(matrices) for matrices in zip(*systems, strict=True))
-    covariance = np.array([solve_continuous_lyapunov(a, -b @ b.T) for a, b in zip(A, B, strict=True)])
+    covariance = np.array(
+        [solve_continuous_lyapunov(a, -b @ b.T) for a, b in zip(A, B, strict=True)]
+    )
     transition = expm(A * step)
     # In steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral.
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
@@ -162,15 +179,16 @@ def dryden_wind(
 ) -> pd.DataFrame:
     """Return a gusty wind, for ``simulate(air=...)``.
 
-    Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at ``airspeed`` along
-    ``heading``, without its rotation.
+    Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at
+    ``airspeed`` along ``heading``, without its rotation.
 
     Parameters
     ----------
     duration : float
         [s].
     airspeed, height : float
-        At which the frozen field is crossed [m/s], and how high above the ground [m], at most 304.8.
+        At which the frozen field is crossed [m/s], and how high above the ground [m], at most
+        304.8.
     wind_at_6m : float, default=5.0
         [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
     mean_wind : array-like (3,), default=(0, 0, 0)
@@ -196,11 +214,20 @@ def dryden_wind(
     >>> list(wind), len(wind)
     (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
     """
-    for name, value in (("duration", duration), ("airspeed", airspeed), ("height", height), ("span", span), ("dt", dt)):
+    for name, value in (
+        ("duration", duration),
+        ("airspeed", airspeed),
+        ("height", height),
+        ("span", span),
+        ("dt", dt),
+    ):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"Got {name}={value!r}, but expected a number > 0.")
     if np.shape(mean_wind) != (3,) or not np.isfinite(mean_wind).all():
-        raise ValueError(f"Got mean_wind={mean_wind!r}, but expected three finite numbers, north, east, down [m/s].")
+        raise ValueError(
+            f"Got mean_wind={mean_wind!r}, but expected three finite numbers, north, east, down "
+            f"[m/s]."
+        )
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
     length, intensity = low_altitude_turbulence(height, wind_at_6m)
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
@@ -218,7 +245,9 @@ def dryden_wind(
 def _second_order(T: float, sigma: float, lag: float) -> Array:
     """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag
-    return np.array([[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]])
+    return np.array(
+        [[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]]
+    )
 
 
 class Turbulence(NamedTuple):
@@ -256,12 +285,13 @@ class Turbulence(NamedTuple):
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
         """Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind, with the noise of the sensors. Its parts
-        along the flight through the air, across and down are u, v and w: intensity and length are estimated as by
-        `from_wind`, and white noise of each with them. u and v share intensity and length (MIL-F-8785C, 3.7.2) unless
-        the test of the likelihood ratio (Wilks 1938) tells them apart at a level of 5 %. Six minutes give intensities
-        to a tenth and lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is
-        not > 0, or no flight lasts 30 s and is sampled every 300 m.
+        The velocity over the ground less that through the air is the wind, with the noise of the
+        sensors. Its parts along the flight through the air, across and down are u, v and w:
+        intensity and length are estimated as by `from_wind`, and white noise of each with them. u
+        and v share intensity and length (MIL-F-8785C, 3.7.2) unless the test of the likelihood
+        ratio (Wilks 1938) tells them apart at a level of 5 %. Six minutes give intensities to a
+        tenth and lengths to a fifth. Raises ValueError if columns are missing, angles are in
+        degrees, the span is not > 0, or no flight lasts 30 s and is sampled every 300 m.
 
         Parameters
         ----------
@@ -284,31 +314,35 @@ class Turbulence(NamedTuple):
             return cls._of(long, [wind["airspeed"].mean() for wind in long], span)
         except TooShort as error:
             raise ValueError(
-                f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every {LONGEST / SAMPLES:g} m, "
+                f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every "
+                f"{LONGEST / SAMPLES:g} m, "
                 f"with values in {columns}, but gusts last for seconds: fly longer."
             ) from error
 
     @classmethod
-    def from_wind(cls, wind: pd.DataFrame | Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
+    def from_wind(
+        cls, wind: pd.DataFrame | Sequence[pd.DataFrame], airspeed: ArrayLike, span: float
+    ) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
-        The spectra S are Dryden's. Their parameters maximise Whittle's likelihood of the periodogram I, with a prior on
-        the length L,
+        The spectra S are Dryden's. Their parameters maximise Whittle's likelihood of the
+        periodogram I, with a prior on the length L,
 
         .. math:: -\sum_\omega \left(\log S(\omega) + \frac{I(\omega)}{S(\omega)}\right)
                   - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
 
-        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as one, all winds and
-        axes. The direction of flight is not known here: u and v share intensity and length (MIL-F-8785C, 3.7.2), and of
-        north and east, S is the mean of their spectra. Standard errors are those of the Fisher information.
-        Raises ValueError if a column is missing, there is not one airspeed or as many as winds, the span is not > 0, or
-        the winds are too short or too rarely sampled.
+        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
+        one, all winds and axes. The direction of flight is not known here: u and v share intensity
+        and length (MIL-F-8785C, 3.7.2), and of north and east, S is the mean of their spectra.
+        Standard errors are those of the Fisher information. Raises ValueError if a column is
+        missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds
+        are too short or too rarely sampled.
 
         Parameters
         ----------
         wind : DataFrame or list of DataFrame
-            Each with time, wind_north, wind_east, wind_down. Those of a few seconds tell the rates of the gusts, not
-            their lengths.
+            Each with time, wind_north, wind_east, wind_down. Those of a few seconds tell the rates
+            of the gusts, not their lengths.
         airspeed : float or array-like (n_winds,)
             [m/s].
         span : float
@@ -330,7 +364,8 @@ class Turbulence(NamedTuple):
             check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
         if np.shape(airspeed) not in ((), (len(wind),)):
             raise ValueError(
-                f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or one for each."
+                f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or "
+                f"one for each."
             )
         return cls._of([table[["time", *WIND]] for table in wind], airspeed, span)
 
@@ -340,11 +375,15 @@ class Turbulence(NamedTuple):
         if not 0 < span < np.inf:
             raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
         speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
-        found = [_periodogram(table, speed, span) for table, speed in zip(wind, speeds.tolist(), strict=True)]
+        found = [
+            _periodogram(table, speed, span)
+            for table, speed in zip(wind, speeds.tolist(), strict=True)
+        ]
         spectra = [spectrum for spectrum in found if spectrum is not None]
         if sum(len(spectrum.frequency) for spectrum in spectra) < FEWEST:
             raise TooShort(
-                "Got winds that are too short, or too rarely sampled, to show gusts, but expected some seconds, with a "
+                "Got winds that are too short, or too rarely sampled, to show gusts, but expected "
+                "some seconds, with a "
                 "row for each 300 m: give longer ones."
             )
         along, vertical = _fitted(spectra, (0, 1)), _fitted(spectra, (2,))
@@ -356,7 +395,9 @@ class Turbulence(NamedTuple):
         intensity, length, intensity_std, length_std = np.transpose(
             [each.estimate for each in (along, across, vertical)]
         )
-        mean = np.average([p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra])
+        mean = np.average(
+            [p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra]
+        )
         return cls(intensity, length, intensity_std, length_std, float(mean), is_tied)
 
     def scaled(self, factor: float) -> Turbulence:
@@ -379,12 +420,16 @@ class _Spectra(NamedTuple):
     shortest: float
     """Scale length [m] that they can show."""
     is_along: bool
-    """Whether the axes are along the flight, across, down, with noise of sensors; else north, east, down."""
+    """Whether the axes are along the flight, across, down, with noise of sensors; else north, east,
+    down.
+    """
 
     def unit(self, length: float, axis: int) -> Array:
         """Return Dryden's spectrum of an axis for unit variance: of north and east the mean of those of u and v."""
         of = (0, 1) if axis < 2 and not self.is_along else (axis,)
-        return np.mean([_spectrum(self.frequency, length / self.airspeed, each) for each in of], axis=0)
+        return np.mean(
+            [_spectrum(self.frequency, length / self.airspeed, each) for each in of], axis=0
+        )
 
 
 class _Fit(NamedTuple):
@@ -450,16 +495,31 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
 
     def loss(theta):
         spectrum = logarithm(theta)
-        return np.sum(spectrum + observed * np.exp(-spectrum)) + 0.5 * ((theta[1] - np.log(LENGTH)) / LENGTH_STD) ** 2
+        return (
+            np.sum(spectrum + observed * np.exp(-spectrum))
+            + 0.5 * ((theta[1] - np.log(LENGTH)) / LENGTH_STD) ** 2
+        )
 
     shortest = min(part.shortest for part in spectra)
     loudest = (10 if spectra[0].is_along else 2e-6) * density
-    bounds = [*np.log([(1e-6 * power, 100 * power), (shortest, LONGEST), *[(1e-6 * density, loudest)] * len(axes)])]
+    bounds = [
+        *np.log(
+            [
+                (1e-6 * power, 100 * power),
+                (shortest, LONGEST),
+                *[(1e-6 * density, loudest)] * len(axes),
+            ]
+        )
+    ]
     noise = [0.05 * loudest] * len(axes)
     starts = [np.log([0.5 * power, length, *noise]) for length in (2 * shortest, 10 * shortest)]
-    best = min((minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun)
+    best = min(
+        (minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun
+    )
     x, step = best.x, 1e-4
-    slopes = np.array([(logarithm(x + step * e) - logarithm(x - step * e)) / (2 * step) for e in np.eye(len(x))])
+    slopes = np.array(
+        [(logarithm(x + step * e) - logarithm(x - step * e)) / (2 * step) for e in np.eye(len(x))]
+    )
     information = slopes @ slopes.T
     information[1, 1] += LENGTH_STD**-2
     error = np.sqrt(np.diag(np.linalg.pinv(information)))  # of the logarithms
@@ -471,23 +531,26 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
 class Air:
     """The air that an aircraft flies in, and gravity: ``air`` of `simulate`, `trim` and others.
 
-    Where it is the only thing to say, a wind, a `Turbulence` or "calm" stands for ``Air(wind=wind)``,
-    ``Air(gusts=turbulence)`` and ``Air(gusts=None)``. Raises ValueError if a value is not one of those below.
+    Where it is the only thing to say, a wind, a `Turbulence` or "calm" stands for
+    ``Air(wind=wind)``, ``Air(gusts=turbulence)`` and ``Air(gusts=None)``. Raises ValueError if a
+    value is not one of those below.
 
     Parameters
     ----------
     wind : array-like (3,), DataFrame, list of DataFrame or callable, optional
-        Velocity of the air, north, east, down [m/s]: constant; a table with ``time``, ``wind_north``, ``wind_east``,
-        ``wind_down`` (a list: one for each start); or a function (t, position (..., 3)). By default at rest.
+        Velocity of the air, north, east, down [m/s]: constant; a table with ``time``,
+        ``wind_north``, ``wind_east``, ``wind_down`` (a list: one for each start); or a function (t,
+        position (..., 3)). By default at rest.
     gusts : "auto", Turbulence or None, default="auto"
-        Turbulence in which each path of a simulation meets gusts of its own, with their rates p, q, r, besides the
-        wind. A table or function as wind contains the velocity of the gusts: then only rates are drawn. "auto": that
-        of this table or function (`Turbulence.from_wind`), else that of the training flights, if the model knows it.
-        None: calm air.
+        Turbulence in which each path of a simulation meets gusts of its own, with their rates p, q,
+        r, besides the wind. A table or function as wind contains the velocity of the gusts: then
+        only rates are drawn. "auto": that of this table or function (`Turbulence.from_wind`), else
+        that of the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
-        Whether each path, and ``return_std``, also has a drift of its own flight: errors of the coefficients that
-        change slowly, as the residuals of the training flights did, besides what drawn gusts explain: smaller in calmer
-        air, if the model knows the turbulence of its flights. False: the uncertainty of the aircraft alone.
+        Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
+        coefficients that change slowly, as the residuals of the training flights did, besides what
+        drawn gusts explain: smaller in calmer air, if the model knows the turbulence of its
+        flights. False: the uncertainty of the aircraft alone.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
     gravity : float, default=9.80665
@@ -509,18 +572,32 @@ class Air:
     def __post_init__(self) -> None:
         if isinstance(self.gusts, Turbulence):
             intensity, length = (np.asarray(part, dtype=float) for part in self.gusts[:2])
-            size = np.stack([intensity, length]) if intensity.shape == length.shape == (3,) else np.full((2, 3), np.nan)
+            size = (
+                np.stack([intensity, length])
+                if intensity.shape == length.shape == (3,)
+                else np.full((2, 3), np.nan)
+            )
             if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
                 raise ValueError(
-                    f"Got {self.gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w."
+                    f"Got {self.gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 "
+                    f"[m], of u, v, w."
                 )
         elif not (self.gusts is None or (isinstance(self.gusts, str) and self.gusts == "auto")):
-            raise ValueError(f"Got gusts={self.gusts!r}, but expected 'auto', a Turbulence, or None: calm air.")
+            raise ValueError(
+                f"Got gusts={self.gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
+            )
         if not isinstance(self.drift, bool | np.bool_):
             raise ValueError(f"Got drift={self.drift!r}, but expected True or False.")
         density, gravity = self.density, self.gravity
-        if not (density is None or callable(density) or (isinstance(density, Real) and 0 <= float(density) < np.inf)):
-            raise ValueError(f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of altitude [m].")
+        if not (
+            density is None
+            or callable(density)
+            or (isinstance(density, Real) and 0 <= float(density) < np.inf)
+        ):
+            raise ValueError(
+                f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of "
+                f"altitude [m]."
+            )
         if not (isinstance(gravity, Real) and np.isfinite(float(gravity))):
             raise ValueError(f"Got gravity={gravity!r}, but expected a finite number [m/s^2].")
 
@@ -533,7 +610,9 @@ def as_air(air: Any) -> Air:
         return Air(gusts=air)
     if isinstance(air, str):
         if air != "calm":
-            raise ValueError(f"Got air={air!r}, but expected 'calm', an Air, a wind or a Turbulence.")
+            raise ValueError(
+                f"Got air={air!r}, but expected 'calm', an Air, a wind or a Turbulence."
+            )
         return Air(gusts=None)
     return Air(wind=air)
 
@@ -557,7 +636,9 @@ class GustyAir:
     gusts: Gusts
     """At each stage, (n_stages, ..., 3)."""
     with_rate: bool = True
-    """Whether the rate of change is asked for: a model whose regressors do not follow from the loads needs none."""
+    """Whether the rate of change is asked for: a model whose regressors do not follow from the
+    loads needs none.
+    """
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""

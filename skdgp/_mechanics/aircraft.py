@@ -19,15 +19,23 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
 from skdgp._mechanics.engines import Propeller, ThrustLine, as_floats
-from skdgp._mechanics.estimate import INERTIAS, KINDS, QUANTITIES, ScaleFactor, estimated, value_and_std
+from skdgp._mechanics.estimate import (
+    INERTIAS,
+    KINDS,
+    QUANTITIES,
+    ScaleFactor,
+    estimated,
+    value_and_std,
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Aircraft:
     """Mass, inertia, reference lengths and thrust line of an aircraft.
 
-    Raises ValueError if a size is not positive and finite, or the inertia is not symmetric and positive definite.
-    Warns if one principal moment of inertia exceeds the sum of the other two, which no real body's does.
+    Raises ValueError if a size is not positive and finite, or the inertia is not symmetric and
+    positive definite. Warns if one principal moment of inertia exceeds the sum of the other two,
+    which no real body's does.
 
     Parameters
     ----------
@@ -36,19 +44,20 @@ class Aircraft:
     mass : float
         [kg].
     inertia : array-like of shape (3, 3)
-        Inertia tensor about the centre of gravity in body axes (x forward, y right, z down) [kg m^2]. Off the
-        diagonal stand MINUS the products of inertia: ``inertia[0][2] = -Ixz``.
+        Inertia tensor about the centre of gravity in body axes (x forward, y right, z down) [kg
+        m^2]. Off the diagonal stand MINUS the products of inertia: ``inertia[0][2] = -Ixz``.
     wing_area, span, chord : float
         Reference area S [m^2], span b and chord c [m] of the coefficients.
     thrust_line : ThrustLine or mapping, optional
-        Position and direction of the engine's force; without it, through the centre of gravity and forward.
+        Position and direction of the engine's force; without it, through the centre of gravity and
+        forward.
     propeller : Propeller or mapping, optional
-        Thrust as a function of propeller speed and airspeed, for flights without thrust columns; or a mapping of the
-        parameters of `Propeller.from_size`, such as diameter and pitch.
+        Thrust as a function of propeller speed and airspeed, for flights without thrust columns; or
+        a mapping of the parameters of `Propeller.from_size`, such as diameter and pitch.
     deviations : mapping of str to ScaleFactor or mapping, optional
-        Errors of the sizes, by their cause: :func:`skdgp.dynamics.stability_derivatives` says what they do. A pair
-        (value, standard deviation) for mass, wing_area, span or chord, or (matrix, three standard deviations of Ixx,
-        Iyy, Izz) for inertia, adds its own.
+        Errors of the sizes, by their cause: :func:`skdgp.dynamics.stability_derivatives` says what
+        they do. A pair (value, standard deviation) for mass, wing_area, span or chord, or (matrix,
+        three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own.
 
     Examples
     --------
@@ -96,12 +105,17 @@ class Aircraft:
         for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
             part: Any = getattr(self, name)
             if isinstance(part, Mapping) and kind is Propeller and "pitch" in part:
-                check_keys(part, list(signature(Propeller.from_size).parameters), ["diameter"], name)
+                check_keys(
+                    part, list(signature(Propeller.from_size).parameters), ["diameter"], name
+                )
                 part = Propeller.from_size(**part)
             elif isinstance(part, Mapping):
                 part = _build(kind, part, name)
             elif part is not None and not isinstance(part, kind):
-                raise TypeError(f"Got {type(part).__name__} for {name}, but expected {kind.__name__} or a mapping.")
+                raise TypeError(
+                    f"Got {type(part).__name__} for {name}, but expected {kind.__name__} or a "
+                    f"mapping."
+                )
             object.__setattr__(self, name, part)
 
     @cached_property
@@ -132,18 +146,19 @@ class Aircraft:
     ) -> Aircraft:
         """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the rest may be.
 
-        Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design, equations 16.52 to
-        16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b + l) / 4)^2. What is missing of wing area,
-        chord and length follows from usual ratios of the kind. A pair is a value and its standard deviation. Raises
-        ValueError as `Aircraft` does, and if the kind is unknown, or wing area and aspect ratio are both given.
+        Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design,
+        equations 16.52 to 16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b +
+        l) / 4)^2. What is missing of wing area, chord and length follows from usual ratios of the
+        kind. A pair is a value and its standard deviation. Raises ValueError as `Aircraft` does,
+        and if the kind is unknown, or wing area and aspect ratio are both given.
 
         Parameters
         ----------
         mass, span : float or pair
             [kg], [m].
         kind : {"conventional", "flying wing", "delta", "motor glider", "twin"}
-            "conventional" has one propeller and a tail, "twin" two propellers on the wing; "delta" is a long one of
-            small aspect ratio.
+            "conventional" has one propeller and a tail, "twin" two propellers on the wing; "delta"
+            is a long one of small aspect ratio.
         wing_area, aspect_ratio, chord, length : float or pair, optional
             [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
         inertia : array-like of shape (3, 3), or pair, optional
@@ -158,7 +173,8 @@ class Aircraft:
         >>> uav, uav.inertia.diagonal().round(3).tolist()
         (Aircraft('aircraft', 3.2 kg, S 0.352 m^2, b 1.6 m, c 0.22 m), [0.128, 0.175, 0.244])
         >>> [f"{cause} {each.std:.2g}" for cause, each in uav.deviations.items()]
-        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of inertia 0.07',
+        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of
+        inertia 0.07',
          'mass 0.016']
         """
         found = estimated(mass, span, kind, inertia, wing_area, aspect_ratio, chord, length)
@@ -171,14 +187,18 @@ class Aircraft:
         if not path.exists():
             raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
         if path.suffix.lower() not in readers:
-            raise ValueError(f"Got {path} as the aircraft, but expected a file that ends in .json or .toml.")
+            raise ValueError(
+                f"Got {path} as the aircraft, but expected a file that ends in .json or .toml."
+            )
         return readers[path.suffix.lower()](path)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Aircraft:
         """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
         if isinstance(path, str) and path.lstrip().startswith("{"):
-            return cls.from_dict(parse_json(path, "the JSON text is not valid"), what="the JSON text")
+            return cls.from_dict(
+                parse_json(path, "the JSON text is not valid"), what="the JSON text"
+            )
         return cls.from_dict(read_json(path), what=str(path))
 
     @classmethod
@@ -190,7 +210,8 @@ class Aircraft:
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
         """Return the aircraft of a mapping of the parameters of this class, or with ``kind`` of `estimate`.
 
-        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a value is not valid.
+        Raises ValueError if a key is missing or unknown (the nearest known one is named), or a
+        value is not valid.
         """
         if isinstance(values, Mapping) and "kind" in values:
             check_keys(values, list(signature(cls.estimate).parameters), ["mass", "span"], what)
@@ -216,7 +237,8 @@ class Aircraft:
 
     def __repr__(self) -> str:
         return (
-            f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} m, "
+            f"Aircraft({self.name!r}, {self.mass:g} kg, S {self.wing_area:g} m^2, b {self.span:g} "
+            f"m, "
             f"c {self.chord:g} m)"
         )
 
@@ -230,7 +252,8 @@ def _inertia(value: ArrayLike) -> Array:
         )
     if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):
         raise ValueError(
-            f"Got inertia {inertia.tolist()} which is not symmetric: write each product of inertia in both "
+            f"Got inertia {inertia.tolist()} which is not symmetric: write each product of "
+            f"inertia in both "
             "places, inertia[i][j] = inertia[j][i]."
         )
     inertia = 0.5 * (inertia + inertia.T)
@@ -238,12 +261,15 @@ def _inertia(value: ArrayLike) -> Array:
     if moments[0] <= 0:
         raise ValueError(
             f"Got inertia {inertia.tolist()} which is not positive definite (principal moments "
-            f"{moments.round(6).tolist()} kg m^2): check units (kg m^2) and signs (inertia[0][2] = -Ixz)."
+            f"{moments.round(6).tolist()} kg m^2): check units (kg m^2) and signs (inertia[0][2] "
+            f"= -Ixz)."
         )
     if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
         warnings.warn(
-            f"Principal moments of inertia {moments.round(6).tolist()} kg m^2: the largest exceeds the "
-            "sum of the others, which no distribution of mass can do. Check the measurement and the signs.",
+            f"Principal moments of inertia {moments.round(6).tolist()} kg m^2: the largest "
+            f"exceeds the "
+            "sum of the others, which no distribution of mass can do. Check the measurement and "
+            "the signs.",
             stacklevel=4,
         )
     inertia.setflags(write=False)
@@ -253,9 +279,13 @@ def _inertia(value: ArrayLike) -> Array:
 def _build(kind: type, values: Mapping, what: str) -> Any:
     """Return ``kind(**values)``, with errors that name missing keys and the nearest to unknown ones."""
     if not isinstance(values, Mapping):
-        raise ValueError(f"Got {type(values).__name__} in {what}, but expected named values (key: value).")
+        raise ValueError(
+            f"Got {type(values).__name__} in {what}, but expected named values (key: value)."
+        )
     known = [field.name for field in fields(kind)]
-    required = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    required = [
+        f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING
+    ]
     check_keys(values, known, required, what)
     return kind(**values)
 
@@ -269,7 +299,11 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
             raise ValueError(f"Got unknown key {key!r} in {what}: {hint}")
     missing = [name for name in required if name not in values]
     if missing:
-        remedy = f" Give them, or kind = one of {list(KINDS)} to estimate them." if "inertia" in required else ""
+        remedy = (
+            f" Give them, or kind = one of {list(KINDS)} to estimate them."
+            if "inertia" in required
+            else ""
+        )
         raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
 
 
@@ -287,7 +321,8 @@ def check_aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, or raise TypeError."""
     if not isinstance(aircraft, Aircraft):
         raise TypeError(
-            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: read one with "
+            f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: "
+            f"read one with "
             "Aircraft.from_json(path) or Aircraft.from_toml(path)."
         )
     return aircraft

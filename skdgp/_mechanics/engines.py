@@ -18,8 +18,8 @@ from skdgp._flight.checks import check_columns, check_table
 USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
 USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
 """c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter: least squares of the wind-tunnel data of 178 propellers
-of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098 points, each propeller
-with the same weight, in the ranges below."""
+of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098
+points, each propeller with the same weight, in the ranges below."""
 USUAL_STD = 0.23
 """Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
 .4 to .9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
@@ -44,7 +44,8 @@ def as_floats(values: Any) -> Array:
 class Propeller:
     r"""A fixed-pitch propeller: thrust and torque from its advance ratio.
 
-    With n = Omega / 2 pi the revolutions per second, D the diameter and J = V / (n D) the advance ratio,
+    With n = Omega / 2 pi the revolutions per second, D the diameter and J = V / (n D) the advance
+    ratio,
 
         T = rho n^2 D^4 C_T(J),   Q = rho n^2 D^5 C_Q(J),   C(J) = c_0 + c_1 J + c_2 J^2.
 
@@ -59,12 +60,13 @@ class Propeller:
     torque_coefficients : sequence of at most 3 floats
         c_0, c_1, c_2 of C_Q; empty: no torque.
     rotation : {1, -1}
-        1 turns clockwise seen from behind, and its torque rolls the aircraft left; -1 the other way.
+        1 turns clockwise seen from behind, and its torque rolls the aircraft left; -1 the other
+        way.
     max_advance_ratio : float, optional
         Largest advance ratio that was measured; flights beyond it get a warning.
     speed_range : pair of float, optional
-        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle is a control, and
-        gives the thrust of flights without propeller_speed.
+        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle
+        is a control, and gives the thrust of flights without propeller_speed.
     load_std : float, default=0.0
         Relative standard deviation of thrust and torque.
 
@@ -85,55 +87,93 @@ class Propeller:
     load_std: float = 0.0
 
     def __post_init__(self):
-        for name in ("diameter", *(["max_advance_ratio"] if self.max_advance_ratio is not None else [])):
+        for name in (
+            "diameter",
+            *(["max_advance_ratio"] if self.max_advance_ratio is not None else []),
+        ):
             number = as_floats(getattr(self, name))
             if number.shape != () or not 0 < number < np.inf:
                 raise ValueError(
-                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected a finite number > 0."
+                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected a finite "
+                    f"number > 0."
                 )
             object.__setattr__(self, name, float(number))
         if self.rotation not in (1, -1):
-            raise ValueError(f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or -1.")
+            raise ValueError(
+                f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or "
+                f"-1."
+            )
         for name, least in (("thrust_coefficients", 1), ("torque_coefficients", 0)):
             values = as_floats(getattr(self, name))
             if values.ndim != 1 or not (least <= len(values) <= 3 and np.isfinite(values).all()):
                 raise ValueError(
-                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected {least} to 3 finite numbers c_0, "
+                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected {least} to "
+                    f"3 finite numbers c_0, "
                     "c_1, c_2 of C(J) = c_0 + c_1 J + c_2 J^2."
                 )
             object.__setattr__(self, name, tuple(values.tolist()))
         if self.speed_range is not None:
             speeds = as_floats(self.speed_range)
             if speeds.shape != (2,) or not 0 <= speeds[0] < speeds[1] < np.inf:
-                raise ValueError(f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s].")
+                raise ValueError(
+                    f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s]."
+                )
             object.__setattr__(self, "speed_range", tuple(speeds.tolist()))
         std = as_floats(self.load_std)
         if std.shape != () or not 0 <= std < np.inf:
-            raise ValueError(f"Got load_std={self.load_std!r} of a propeller, but expected a number, 0 or more.")
+            raise ValueError(
+                f"Got load_std={self.load_std!r} of a propeller, but expected a number, 0 or more."
+            )
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
         if self.speed_range is None:
-            raise ValueError("Got a propeller without speed_range: give (idle, full) [rad/s], or propeller_speed.")
+            raise ValueError(
+                "Got a propeller without speed_range: give (idle, full) [rad/s], or "
+                "propeller_speed."
+            )
         idle, full = self.speed_range
         return idle + (full - idle) * np.asarray(throttle, dtype=float)
 
-    def thrust(self, propeller_speed: ArrayLike, airspeed: ArrayLike, density: ArrayLike = SEA_LEVEL_DENSITY) -> Array:
+    def thrust(
+        self,
+        propeller_speed: ArrayLike,
+        airspeed: ArrayLike,
+        density: ArrayLike = SEA_LEVEL_DENSITY,
+    ) -> Array:
         """Return the thrust [N] at propeller speed [rad/s], airspeed [m/s], density [kg/m^3]."""
         return self._load(self.thrust_coefficients, 4, propeller_speed, airspeed, density)
 
-    def torque(self, propeller_speed: ArrayLike, airspeed: ArrayLike, density: ArrayLike = SEA_LEVEL_DENSITY) -> Array:
+    def torque(
+        self,
+        propeller_speed: ArrayLike,
+        airspeed: ArrayLike,
+        density: ArrayLike = SEA_LEVEL_DENSITY,
+    ) -> Array:
         """Return the torque [N m] ON THE AIRCRAFT about the thrust direction (opposite to the rotation)."""
-        return -self.rotation * self._load(self.torque_coefficients, 5, propeller_speed, airspeed, density)
+        return -self.rotation * self._load(
+            self.torque_coefficients, 5, propeller_speed, airspeed, density
+        )
 
     def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> np.ndarray:
         """Return J = V / (n D) = 2 pi V / (Omega D), infinite where the propeller stands still."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return 2.0 * np.pi * np.asarray(airspeed, float) / (np.asarray(propeller_speed, float) * self.diameter)
+            return (
+                2.0
+                * np.pi
+                * np.asarray(airspeed, float)
+                / (np.asarray(propeller_speed, float) * self.diameter)
+            )
 
     @classmethod
     def from_table(
-        cls, table: pd.DataFrame, diameter: float, *, degree: int = 2, pitch: float | None = None, rotation: int = 1
+        cls,
+        table: pd.DataFrame,
+        diameter: float,
+        *,
+        degree: int = 2,
+        pitch: float | None = None,
+        rotation: int = 1,
     ) -> Propeller:
         """Fit the propeller to a bench table by least squares in newtons.
 
@@ -142,15 +182,16 @@ class Propeller:
         Parameters
         ----------
         table : pandas.DataFrame
-            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed`` [m/s],
-            ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
+            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed``
+            [m/s], ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
         diameter : float
             D [m].
         degree : {0, 1, 2}
             Degree of C_T(J) and C_Q(J); of a static table it is 0.
         pitch : float, optional
-            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1 - J D / pitch), zero
-            where the blades do not slip: a rule of thumb, true zero-thrust advance ratios are often higher.
+            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1
+            - J D / pitch), zero where the blades do not slip: a rule of thumb, true zero-thrust
+            advance ratios are often higher.
         rotation : {1, -1}
             1 turns clockwise seen from behind.
 
@@ -163,24 +204,39 @@ class Propeller:
         >>> [round(c, 3) for c in propeller.thrust_coefficients]
         [0.1, -0.125]
         """
-        check_columns(check_table(table, what="bench table"), ["propeller_speed", "thrust"], what="bench table")
+        check_columns(
+            check_table(table, what="bench table"),
+            ["propeller_speed", "thrust"],
+            what="bench table",
+        )
         if degree not in (0, 1, 2):
             raise ValueError(f"Got degree={degree!r}, but expected 0, 1 or 2.")
         speed = table["propeller_speed"].to_numpy(float)
-        airspeed = table["airspeed"].to_numpy(float) if "airspeed" in table else np.zeros_like(speed)
-        density = table["density"].to_numpy(float) if "density" in table else np.full_like(speed, SEA_LEVEL_DENSITY)
-        if not np.isfinite(np.stack([speed, airspeed, density, table["thrust"].to_numpy(float)])).all():
+        airspeed = (
+            table["airspeed"].to_numpy(float) if "airspeed" in table else np.zeros_like(speed)
+        )
+        density = (
+            table["density"].to_numpy(float)
+            if "density" in table
+            else np.full_like(speed, SEA_LEVEL_DENSITY)
+        )
+        if not np.isfinite(
+            np.stack([speed, airspeed, density, table["thrust"].to_numpy(float)])
+        ).all():
             raise ValueError("Got NaN or infinite values in the bench table: drop those rows.")
         if (speed <= 0).any() or (airspeed < 0).any() or (density <= 0).any():
             raise ValueError(
-                "Got a bench table with propeller_speed <= 0, airspeed < 0 or density <= 0, but expected rad/s > 0, "
+                "Got a bench table with propeller_speed <= 0, airspeed < 0 or density <= 0, but "
+                "expected rad/s > 0, "
                 "m/s >= 0 and kg/m^3 > 0: drop those rows or fix the units."
             )
         static = not (airspeed > 0).any()
         if static and pitch is None:
             warnings.warn(
-                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows measured in a wind "
-                "tunnel, or give pitch=... [m]: the thrust then falls to zero at the advance ratio pitch / diameter.",
+                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add "
+                "rows measured in a wind "
+                "tunnel, or give pitch=... [m]: the thrust then falls to zero at the advance "
+                "ratio pitch / diameter.",
                 stacklevel=2,
             )
         n, advance = speed / (2.0 * np.pi), airspeed / diameter
@@ -196,7 +252,8 @@ class Propeller:
 
         if np.linalg.matrix_rank(basis) < basis.shape[1]:
             raise ValueError(
-                f"The bench table's {len(table)} rows do not determine a C_T(J) of degree {degree}: measure "
+                f"The bench table's {len(table)} rows do not determine a C_T(J) of degree "
+                f"{degree}: measure "
                 f"at {degree + 1} or more advance ratios, or lower degree."
             )
         return cls(
@@ -204,7 +261,9 @@ class Propeller:
             thrust_coefficients=fit("thrust", 4),
             torque_coefficients=fit("torque", 5) if "torque" in table else (),
             rotation=rotation,
-            max_advance_ratio=None if static else float(np.max(2 * np.pi * airspeed / (speed * diameter))),
+            max_advance_ratio=None
+            if static
+            else float(np.max(2 * np.pi * airspeed / (speed * diameter))),
         )
 
     @classmethod
@@ -219,21 +278,23 @@ class Propeller:
     ) -> Propeller:
         r"""Return the usual propeller of two blades of a size, with the deviation of its thrust.
 
-        With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site; Brandt & Selig 2011),
+        With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site;
+        Brandt & Selig 2011),
 
         .. math:: C_T = .048 + .092 x - (.136 - .123 x) J - .104 J^2,
 
-        and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a size is not
-        positive, or of the motor's constant and the voltage there is one alone; warns beyond the sizes measured.
+        and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a
+        size is not positive, or of the motor's constant and the voltage there is one alone; warns
+        beyond the sizes measured.
 
         Parameters
         ----------
         diameter, pitch : float
             [m]; a "10x5" has 0.254 and 0.127.
         motor_constant, voltage : float, optional
-            Speed of the electric motor per volt without load [rad/s/V], 0.1047 times the rpm per volt; voltage of the
-            battery in flight [V]. The thrust at a throttle is then some 40 % off. Without them flights need
-            propeller_speed.
+            Speed of the electric motor per volt without load [rad/s/V], 0.1047 times the rpm per
+            volt; voltage of the battery in flight [V]. The thrust at a throttle is then some 40 %
+            off. Without them flights need propeller_speed.
         rotation : {1, -1}
             1 turns clockwise seen from behind.
 
@@ -244,19 +305,29 @@ class Propeller:
         >>> propeller.thrust(propeller_speed=800.0, airspeed=[0.0, 10.0]).round(1), propeller.load_std
         (array([7.8, 5.1]), 0.23)
         """
-        sizes = {"diameter": diameter, "pitch": pitch, "motor_constant": motor_constant, "voltage": voltage}
+        sizes = {
+            "diameter": diameter,
+            "pitch": pitch,
+            "motor_constant": motor_constant,
+            "voltage": voltage,
+        }
         known = [as_floats(value) for value in sizes.values() if value is not None]
         if any(value.shape != () or not 0 < value < np.inf for value in known) or len(known) == 3:
             raise ValueError(
-                f"Got {sizes} of a propeller, but expected numbers > 0 of diameter and pitch [m], and of both or none "
+                f"Got {sizes} of a propeller, but expected numbers > 0 of diameter and pitch [m], "
+                f"and of both or none "
                 "of motor_constant [rad/s/V] and voltage [V]."
             )
         ratio = float(pitch) / float(diameter)
-        measured = {"diameter": (diameter, MEASURED_DIAMETERS), "pitch / diameter": (ratio, MEASURED_PITCHES)}
+        measured = {
+            "diameter": (diameter, MEASURED_DIAMETERS),
+            "pitch / diameter": (ratio, MEASURED_PITCHES),
+        }
         for what, (value, (low, high)) in measured.items():
             if not low <= value <= high:
                 warnings.warn(
-                    f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from others with {low:g} to "
+                    f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from "
+                    f"others with {low:g} to "
                     f"{high:g}: it may be further off than its deviation says.",
                     stacklevel=2,
                 )
@@ -264,17 +335,30 @@ class Propeller:
         if motor_constant is not None and voltage is not None:
             speed_range = (0.0, LOADED_SPEED * motor_constant * voltage)
             std = round(float(np.hypot(std, LOADED_THRUST_STD)), 2)
-        thrust, torque = (tuple(a + b * ratio for a, b in table) for table in (USUAL_THRUST, USUAL_TORQUE))
-        return cls(diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std)
+        thrust, torque = (
+            tuple(a + b * ratio for a, b in table) for table in (USUAL_THRUST, USUAL_TORQUE)
+        )
+        return cls(
+            diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std
+        )
 
     def _load(
-        self, coefficients: Sequence[float], power: int, propeller_speed: Any, airspeed: Any, density: Any
+        self,
+        coefficients: Sequence[float],
+        power: int,
+        propeller_speed: Any,
+        airspeed: Any,
+        density: Any,
     ) -> Array:
         # n^2 C(V / n D) multiplied out, which stays finite at n = 0.
         n = np.asarray(propeller_speed, dtype=float) / (2.0 * np.pi)
         advance = np.asarray(airspeed, dtype=float) / self.diameter
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
-        return np.asarray(density, float) * self.diameter**power * ((c0 * n + c1 * advance) * n + c2 * advance**2)
+        return (
+            np.asarray(density, float)
+            * self.diameter**power
+            * ((c0 * n + c1 * advance) * n + c2 * advance**2)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,12 +393,15 @@ class ThrustLine:
             vector = as_floats(getattr(self, name))
             if vector.shape != (3,) or not np.isfinite(vector).all():
                 raise ValueError(
-                    f"Got thrust-line {name} {getattr(self, name)!r}, but expected three finite numbers (x, y, z)."
+                    f"Got thrust-line {name} {getattr(self, name)!r}, but expected three finite "
+                    f"numbers (x, y, z)."
                 )
             object.__setattr__(self, name, vector)
         length = np.linalg.norm(self.direction)
         if length == 0:
-            raise ValueError("Got a thrust direction of length zero, but expected one such as (1, 0, 0).")
+            raise ValueError(
+                "Got a thrust direction of length zero, but expected one such as (1, 0, 0)."
+            )
         object.__setattr__(self, "direction", self.direction / length)
         object.__setattr__(self, "_arm", np.cross(self.position, self.direction))
         for vector in (self.position, self.direction):
@@ -323,8 +410,9 @@ class ThrustLine:
     def loads(self, thrust: ArrayLike, torque: ArrayLike = 0.0) -> tuple[Array, Array]:
         """Return force (..., 3) [N] and moment (..., 3) [N m] about the centre of gravity.
 
-        F_T = T d and M_T = r_T x F_T + Q d, with ``thrust`` T [N] and ``torque`` Q [N m] on the aircraft
-        about the line's direction d (a propeller turning clockwise seen from behind gives Q < 0).
+        F_T = T d and M_T = r_T x F_T + Q d, with ``thrust`` T [N] and ``torque`` Q [N m] on the
+        aircraft about the line's direction d (a propeller turning clockwise seen from behind gives
+        Q < 0).
         """
         T, Q = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
         return T * self.direction, T * self._arm + Q * self.direction

@@ -1,7 +1,8 @@
 r"""First-order errors of a flight, and their covariance along it.
 
-A small error x of the state (`ERRORS`) obeys x' = A x + B z along the flight, with z independent errors of unit
-variance behind the coefficients. Over a step h, with c = exp(-h / correlation time) and w white,
+A small error x of the state (`ERRORS`) obeys x' = A x + B z along the flight, with z independent
+errors of unit variance behind the coefficients. Over a step h, with c = exp(-h / correlation time)
+and w white,
 
     x_1 = Phi (x_0 + h/2 B_0 z_0) + h/2 B_1 z_1,   Phi = exp(h (A_0 + A_1) / 2),   z_1 = c z_0 + sqrt(1 - c^2) w.
 """
@@ -16,7 +17,13 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import cross, cross_matrix, euler_per_rotation, quaternion_to_euler, quaternion_to_matrix
+from skdgp._flight.frames import (
+    cross,
+    cross_matrix,
+    euler_per_rotation,
+    quaternion_to_euler,
+    quaternion_to_matrix,
+)
 from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY
 
 ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATES)
@@ -31,7 +38,9 @@ def checked_std(std: Mapping[str, float] | None) -> dict[str, float]:
     check_names(std, STATES, "names of initial_std")
     for name, size in std.items():
         if not (np.isfinite(size) and size >= 0):
-            raise ValueError(f"Got initial_std of {name} {size!r}, but expected a finite number from 0 on.")
+            raise ValueError(
+                f"Got initial_std of {name} {size!r}, but expected a finite number from 0 on."
+            )
     return std
 
 
@@ -74,8 +83,9 @@ def error_covariances(
 ) -> Iterator[Array]:
     """Yield the covariance of the errors (..., 12, 12) at every sample.
 
-    ``samples`` yields A (..., 12, 12) and B (..., 12, m) of each, ``steps`` the time from each to the next [s], a
-    float or (..., 1, 1). ``start`` (..., 12, k) is a root of the first covariance, ``correlation_time`` that of z [s].
+    ``samples`` yields A (..., 12, 12) and B (..., 12, m) of each, ``steps`` the time from each to
+    the next [s], a float or (..., 1, 1). ``start`` (..., 12, k) is a root of the first covariance,
+    ``correlation_time`` that of z [s].
     """
     samples = iter(samples)
     A, B = next(samples)
@@ -84,7 +94,9 @@ def error_covariances(
     for (next_A, next_B), step in zip(samples, steps, strict=True):
         half = 0.5 * step
         M, one = half * (A + next_A), np.eye(12)
-        transition = one + M @ (one + M @ (one / 2 + M @ (one / 6 + M / 24)))  # exp(M) of small M, to fourth order
+        transition = one + M @ (
+            one + M @ (one / 2 + M @ (one / 6 + M / 24))
+        )  # exp(M) of small M, to fourth order
         memory = np.exp(-step / correlation_time) if correlation_time > 0 else 0.0
         covariance, with_z = _pushed(covariance, with_z, half * B)
         covariance = transition @ covariance @ np.swapaxes(transition, -1, -2)
@@ -108,7 +120,9 @@ def state_deviations(
     covariances = error_covariances(samples, steps, start_errors(std, states[0]), correlation_time)
     for state, more, covariance in zip(states, further, covariances, strict=False):
         readouts = state_readouts(state)
-        readouts = np.concatenate([readouts, np.broadcast_to(more, (*readouts.shape[:-2], *more.shape))], axis=-2)
+        readouts = np.concatenate(
+            [readouts, np.broadcast_to(more, (*readouts.shape[:-2], *more.shape))], axis=-2
+        )
         yield standard_deviations(covariance, readouts)
 
 

@@ -1,12 +1,13 @@
 r"""Derivatives of the motion at states, and errors of slopes that the posterior of a model does not contain.
 
-Most flights do not tell alpha_dot from q and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them
-gives their effect to the regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads
-of the model cause without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
-:math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
-:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of :math:`C_r` for beta_dot.
-The square of :math:`C_q` is that of the model plus that of its deviation by method: where gusts make it vanish,
-:math:`C_{\dot\alpha}` need not vanish.
+Most flights do not tell alpha_dot from q and beta_dot from r (Klein & Morelli 2006, section 5.1). A
+model without them gives their effect to the regressors that they follow from. With
+:math:`\dot\alpha = S x` of the motion that the loads of the model cause without gravity, a slope by
+x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives :math:`C_{\dot\alpha} = C_q\,
+d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
+:math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of
+:math:`C_r` for beta_dot. The square of :math:`C_q` is that of the model plus that of its deviation
+by method: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ TURN, SPIN = slice(6, 9), slice(9, 12)
 ANGLES = slice(1, 3)
 """Places of alpha and beta in `OUTPUTS`."""
 POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
-"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of themselves."""
+"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
+themselves.
+"""
 WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
 """Of the central difference of fourth order."""
 
@@ -68,14 +71,16 @@ def jacobian(
 ) -> Jacobian:
     r"""Return the derivatives of an aircraft's motion at states (..., 13).
 
-    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of regressors
-    :math:`X = G(x, u, C)`, which depend on C where they follow from the loads (alpha_dot, ax, ...). So
+    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of
+    regressors :math:`X = G(x, u, C)`, which depend on C where they follow from the loads
+    (alpha_dot, ax, ...). So
 
     .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
 
-    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some 1e-10. ``controls``
-    are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate by. Where the aerodynamics are paths,
-    these are the first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
+    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some
+    1e-10. ``controls`` are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate
+    by. Where the aerodynamics are paths, these are the first axis of ``state``. A ``lag`` adds
+    coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls, air)
@@ -89,9 +94,21 @@ def jacobian(
         change = gain @ change
     if lag is not None:
         rate = _error_rate(F[..., :n] + F[..., n:] @ change, state)
-        change = change + gain @ lag.slopes @ (lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n])
-    rate, output = _error_rate(F[..., :n] + F[..., n:] @ change, state), H[..., :n] + H[..., n:] @ change
-    return Jacobian(rate[..., :12], rate[..., 12:], F[..., n:] @ gain, output[..., :12], output[..., 12:], instant)
+        change = change + gain @ lag.slopes @ (
+            lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n]
+        )
+    rate, output = (
+        _error_rate(F[..., :n] + F[..., n:] @ change, state),
+        H[..., :n] + H[..., n:] @ change,
+    )
+    return Jacobian(
+        rate[..., :12],
+        rate[..., 12:],
+        F[..., n:] @ gain,
+        output[..., :12],
+        output[..., 12:],
+        instant,
+    )
 
 
 def _error_rate(rate: Array, state: Array) -> Array:
@@ -104,21 +121,32 @@ def check_settled(instant: Instant) -> None:
     """Raise ValueError if the fixed point of the implicit regressors was not found."""
     if not np.all(instant.settled):
         raise ValueError(
-            "The coefficients depend so strongly on the accelerations they cause that the motion is not determined: "
+            "The coefficients depend so strongly on the accelerations they cause that the motion "
+            "is not determined: "
             "learn a model without accelerations, as RegressorSelector() does."
         )
 
 
 def _mechanics(
-    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant, air: LocalAir | None
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    inputs: tuple[str, ...],
+    instant: Instant,
+    air: LocalAir | None,
 ) -> tuple[Array, Array, Array]:
     """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
     frozen: Any = copy.copy(motion)
     if air is not None:
-        parts: Any = (None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air)
+        parts: Any = (
+            None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air
+        )
         air = LocalAir(*parts)
     n_inputs, shape = len(inputs), state.shape[:-1]
-    controls = {name: np.broadcast_to(np.asarray(value, dtype=float), shape) for name, value in controls.items()}
+    controls = {
+        name: np.broadcast_to(np.asarray(value, dtype=float), shape)
+        for name, value in controls.items()
+    }
     steps = np.full((*shape, 18 + n_inputs), FRACTION)
     steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
         POSITION_STEP,
@@ -132,10 +160,15 @@ def _mechanics(
         moves = move * steps[..., None] * np.eye(steps.shape[-1])
         C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
         frozen.aerodynamics = lambda X, C=C: C
-        moved = {name: np.repeat(value[..., None], steps.shape[-1], axis=-1) for name, value in controls.items()}
+        moved = {
+            name: np.repeat(value[..., None], steps.shape[-1], axis=-1)
+            for name, value in controls.items()
+        }
         for k, name in enumerate(inputs):
             moved[name] = moved[name] + moves[..., 12 + k]
-        slopes = slopes + weight * _responses(frozen.at(_shifted(state, moves[..., :12]), moved, air), motion)
+        slopes = slopes + weight * _responses(
+            frozen.at(_shifted(state, moves[..., :12]), moved, air), motion
+        )
     slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
     d = len(motion.regressors)
     return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]
@@ -155,7 +188,9 @@ def _responses(instant: Instant, motion: Motion) -> Array:
     rate = np.zeros((*instant.derivative.shape[:-1], 12))
     rate[..., :6], rate[..., SPIN] = instant.derivative[..., :6], instant.derivative[..., RATES]
     seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
-    return np.concatenate([rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1)
+    return np.concatenate(
+        [rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1
+    )
 
 
 class Lag(NamedTuple):
@@ -164,7 +199,8 @@ class Lag(NamedTuple):
     slopes: Array
     """One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)."""
     relation: Array
-    """S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d)."""
+    """S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d).
+    """
     missing: Array
     """Whether they are no regressors, (2, 1)."""
 
@@ -180,7 +216,9 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
     ``scatter`` is the standard deviation of these slopes by method.
     """
     velocity = air_velocity(now.airspeed, now.alpha, now.beta)
-    pressure = 0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass
+    pressure = (
+        0.5 * now.density * now.airspeed**2 * motion.aircraft.wing_area / motion.aircraft.mass
+    )
     acceleration = np.asarray(pressure)[..., None, None] * slopes[..., :3, :]
     by_rate = np.zeros((*slopes.shape[:-1], 2))
     own = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
@@ -188,20 +226,28 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
     for k, name in enumerate(motion.regressors):
         if name not in RATE_LENGTHS:
             continue
-        unit = np.broadcast_to(1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed))  # of the regressor [rad/s]
+        unit = np.broadcast_to(
+            1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed)
+        )  # of the regressor [rad/s]
         if name in LAGS:
             own[..., list(LAGS).index(name), k] = unit
             continue
-        acceleration[..., k] -= cross(np.eye(3)["pqr".index(name)] * np.ones_like(velocity), velocity) * unit[..., None]
+        acceleration[..., k] -= (
+            cross(np.eye(3)["pqr".index(name)] * np.ones_like(velocity), velocity) * unit[..., None]
+        )
         if name in LAGS.values():
             by_rate[..., list(LAGS.values()).index(name)] = size[..., k] / unit[..., None]
     missing = np.array([[name not in motion.regressors] for name in LAGS])
-    return Lag(SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing)
+    return Lag(
+        SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing
+    )
 
 
 def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:
     """Return draws of the errors of slopes at one flight, (n_paths, 6, d), and of the lag, with paths first."""
-    seed = check_random_state(random_state).randint(2**31 - 1, size=4)  # other numbers than those of the paths
+    seed = check_random_state(random_state).randint(
+        2**31 - 1, size=4
+    )  # other numbers than those of the paths
     rng = np.random.default_rng(seed)
     lag_drawn = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
     drawn = np.zeros((n_paths, *lag.errors.shape[:-1]))

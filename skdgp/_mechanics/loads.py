@@ -84,20 +84,26 @@ def propeller_loads(
     propeller = aircraft.propeller
     if propeller is None:
         raise ValueError(
-            f"{aircraft!r} has no propeller: give propeller=Propeller.from_table(bench, diameter) to Aircraft."
+            f"{aircraft!r} has no propeller: give propeller=Propeller.from_table(bench, diameter) "
+            f"to Aircraft."
         )
     state = (propeller_speed, airspeed, density)
-    return (aircraft.thrust_line or CENTRED).loads(propeller.thrust(*state), propeller.torque(*state))
+    return (aircraft.thrust_line or CENTRED).loads(
+        propeller.thrust(*state), propeller.torque(*state)
+    )
 
 
-def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | None = "auto") -> tuple[Array, Array]:
+def propulsive_loads(
+    flight: pd.DataFrame, aircraft: Aircraft, thrust: str | None = "auto"
+) -> tuple[Array, Array]:
     """Return the propulsive force (n, 3) [N] and moment (n, 3) [N m] along a flight, in body axes about the CG.
 
-    ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ... ``thrust_n``, or without
-    any of these r_T x F_T at the thrust line's position. "propeller": that of the aircraft at ``propeller_speed``, or
-    where it knows its ``speed_range`` at ``throttle``, ``airspeed`` and ``density``. "auto": columns where there are
-    any, else the propeller. None: zero, for a glider, or for an unknown thrust as part of the coefficients. Raises
-    ValueError if nothing gives the thrust.
+    ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ...
+    ``thrust_n``, or without any of these r_T x F_T at the thrust line's position. "propeller": that
+    of the aircraft at ``propeller_speed``, or where it knows its ``speed_range`` at ``throttle``,
+    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None:
+    zero, for a glider, or for an unknown thrust as part of the coefficients. Raises ValueError if
+    nothing gives the thrust.
     """
     if thrust not in THRUST_CHOICES:
         raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
@@ -106,19 +112,28 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
     has_columns, propeller = any(name in flight for name in THRUST_FORCES), aircraft.propeller
     if thrust == "columns" and not has_columns:
         raise ValueError(
-            "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add them, or say "
+            "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add "
+            "them, or say "
             "thrust='propeller' or thrust=None."
         )
     if has_columns and thrust != "propeller":
         return _loads_by_axis(flight, aircraft, (len(flight),))
     speed = propeller_speed_of(propeller, flight)
     if propeller is None or speed is None:
-        lacking = "the aircraft has no propeller" if propeller is None else "it has no propeller_speed [rad/s]"
+        lacking = (
+            "the aircraft has no propeller"
+            if propeller is None
+            else "it has no propeller_speed [rad/s]"
+        )
         raise ValueError(
-            f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], and {lacking}. "
-            "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a bench table) and "
-            "propeller_speed to the flight; or say thrust=None (--thrust none) if it flew without an engine, or to "
-            "leave an unknown thrust in the coefficients (regressors with throttle and airspeed explain it)."
+            f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], "
+            f"and {lacking}. "
+            "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a "
+            "bench table) and "
+            "propeller_speed to the flight; or say thrust=None (--thrust none) if it flew without "
+            "an engine, or to "
+            "leave an unknown thrust in the coefficients (regressors with throttle and airspeed "
+            "explain it)."
         )
     check_columns(flight, ["airspeed", "density"])
     airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
@@ -127,8 +142,10 @@ def propulsive_loads(flight: pd.DataFrame, aircraft: Aircraft, thrust: str | Non
         beyond = propeller.advance_ratio(speed, airspeed)[running] > 1.05 * largest
         if beyond.any():
             warnings.warn(
-                f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the largest one "
-                f"on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure at higher airspeed, or "
+                f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio "
+                f"exceeds the largest one "
+                f"on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure at "
+                f"higher airspeed, or "
                 "give thrust columns.",
                 stacklevel=3,
             )
@@ -150,7 +167,8 @@ def propulsion_loads(
 ) -> tuple[Array, Array] | tuple[float, float]:
     """Return force (..., 3) [N] and moment (..., 3) [N m] of the engine in a simulation, from controls by name, (...).
 
-    ``thrust`` is that of `skdgp.dynamics.simulate`: None, a function, or "auto"; raises ValueError if nothing gives it.
+    ``thrust`` is that of `skdgp.dynamics.simulate`: None, a function, or "auto"; raises ValueError
+    if nothing gives it.
     """
     if thrust is None:
         return 0.0, 0.0
@@ -159,8 +177,10 @@ def propulsion_loads(
         newtons = thrust(controls, airspeed, density)
         if np.ndim(newtons) > np.ndim(airspeed):
             raise ValueError(
-                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape {np.shape(airspeed)}, but expected a "
-                "function (controls, airspeed, density) to newtons along the thrust line, one for each airspeed."
+                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape "
+                f"{np.shape(airspeed)}, but expected a "
+                "function (controls, airspeed, density) to newtons along the thrust line, one for "
+                "each airspeed."
             )
         return line.loads(newtons)
     if thrust != "auto":
@@ -172,9 +192,12 @@ def propulsion_loads(
     if (speed := propeller_speed_of(aircraft.propeller, controls)) is not None:
         return propeller_loads(aircraft, speed, airspeed, density)
     raise ValueError(
-        f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n or thrust [N] as "
-        "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if Propeller(speed_range="
-        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or thrust=None (--thrust none) "
+        f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n "
+        f"or thrust [N] as "
+        "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if "
+        "Propeller(speed_range="
+        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or "
+        "thrust=None (--thrust none) "
         "for a glider, or if the coefficients of the model include the thrust."
     )
 
@@ -193,11 +216,13 @@ def thrust_control(aircraft: Aircraft, thrust: Thrust) -> str | None:
 def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, Array]:
     """Return the sum of the external forces (n, 3) [N] and moments (n, 3) [N m] named in ``names``.
 
-    The name "tether" stands for the columns tether_x, tether_y, tether_z (all required) and tether_l, tether_m,
-    tether_n (those that exist), in body axes about the centre of gravity.
+    The name "tether" stands for the columns tether_x, tether_y, tether_z (all required) and
+    tether_l, tether_m, tether_n (those that exist), in body axes about the centre of gravity.
     """
     if isinstance(names, str):
-        raise ValueError(f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},).")
+        raise ValueError(
+            f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},)."
+        )
     force, moment = np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
     for name in names:
         forces, moments = ([f"{name}_{axis}" for axis in axes] for axes in ("xyz", "lmn"))
@@ -207,7 +232,9 @@ def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, A
     return force, moment
 
 
-def _loads_by_axis(values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _loads_by_axis(
+    values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]
+) -> tuple[Array, Array]:
     """Return the thrust of its columns or controls; without a moment, that of the force on the thrust line."""
     force = stacked(values, THRUST_FORCES, shape)
     if any(name in values for name in THRUST_MOMENTS):

@@ -32,12 +32,30 @@ from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_de
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
-"""Channels that are set, not rebuilt from the state; a control may also have a name that is no channel."""
+"""Channels that are set, not rebuilt from the state; a control may also have a name that is no
+channel.
+"""
 DEFLECTION = np.pi / 4
 """Largest one of a control of a model that does not say what it was learned from."""
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
-"""Channels that follow from the loads, and so from the coefficients that they may be regressors of."""
-STATES = ("airspeed", "alpha", "beta", "density", "altitude", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
+"""Channels that follow from the loads, and so from the coefficients that they may be regressors of.
+"""
+STATES = (
+    "airspeed",
+    "alpha",
+    "beta",
+    "density",
+    "altitude",
+    "u",
+    "v",
+    "w",
+    "p",
+    "q",
+    "r",
+    "phi",
+    "theta",
+    "psi",
+)
 MOST_ITERATIONS = 60
 MEMORY = 4
 """Changes that Anderson's method mixes."""
@@ -71,8 +89,9 @@ class Instant(NamedTuple):
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
-    The parameters are those of `skdgp.dynamics.simulate`; of the air, density and gravity count. With ``lagged`` the
-    implicit regressors are the guess passed to `at`, instead of the fixed point.
+    The parameters are those of `skdgp.dynamics.simulate`; of the air, density and gravity count.
+    With ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed
+    point.
 
     Attributes
     ----------
@@ -83,20 +102,34 @@ class Motion:
     """
 
     def __init__(
-        self, model: Any, aircraft: Aircraft, *, thrust: Thrust = "auto", air: Any = None, lagged: bool = False
+        self,
+        model: Any,
+        aircraft: Aircraft,
+        *,
+        thrust: Thrust = "auto",
+        air: Any = None,
+        lagged: bool = False,
     ):
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
         if not isinstance(aircraft, Aircraft):
-            raise TypeError(f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft.")
+            raise TypeError(
+                f"Got {type(aircraft).__name__} for aircraft, but expected a "
+                f"skdgp.dynamics.Aircraft."
+            )
         air = as_air(air)
         self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
         self._density = air.density
         span, chord = self.aerodynamics.span, self.aerodynamics.chord
         own = [aircraft.span, aircraft.chord]
-        if span is not None and chord is not None and not np.isclose([span, chord], own, rtol=0.01).any():
+        if (
+            span is not None
+            and chord is not None
+            and not np.isclose([span, chord], own, rtol=0.01).any()
+        ):
             warnings.warn(
-                f"The model's rates were made non-dimensional by span {span:g} m and chord {chord:g} m, but "
+                f"The model's rates were made non-dimensional by span {span:g} m and chord "
+                f"{chord:g} m, but "
                 f"{aircraft!r} has others: is this the aircraft that the model was learned from?",
                 stacklevel=3,
             )
@@ -105,7 +138,8 @@ class Motion:
         self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
         if unknown := [name for name in self.controls if name in CHANNELS and name not in CONTROLS]:
             raise ValueError(
-                f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt along a flight: "
+                f"Got a model with the regressors {unknown}, which are neither controls nor "
+                f"rebuilt along a flight: "
                 f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
             )
         self._needs_angles = any(name in EULER for name in self.regressors)
@@ -125,19 +159,30 @@ class Motion:
             return name, None
         name = name.removesuffix(HAT)
         if name not in LENGTHS:
-            raise ValueError(f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(LENGTHS)}.")
-        return name, getattr(self.aerodynamics, LENGTHS[name]) or getattr(self.aircraft, LENGTHS[name])
+            raise ValueError(
+                f"Got regressor {full!r}, but only rates have a non-dimensional form: "
+                f"{list(LENGTHS)}."
+            )
+        return name, getattr(self.aerodynamics, LENGTHS[name]) or getattr(
+            self.aircraft, LENGTHS[name]
+        )
 
     def mixed(self, controls: Mapping) -> dict:
         """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
         if not isinstance(controls, Mapping):
-            raise TypeError(f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}.")
+            raise TypeError(
+                f"Got {type(controls).__name__} as controls, but expected values by name: "
+                f"{{name: value}}."
+            )
         controls = dict(controls)
         mixing = self.aerodynamics.mixing
         lacking = [name for name in self.controls if name not in controls]
         if lacking and mixing is not None and all(name in controls for name in mixing.surfaces):
             values = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
-            made = {n: sum(a * v for a, v in zip(row, values, strict=True)) for n, row in zip(*mixing[1:], strict=True)}
+            made = {
+                n: sum(a * v for a, v in zip(row, values, strict=True))
+                for n, row in zip(*mixing[1:], strict=True)
+            }
             controls |= {name: made[name] for name in lacking if name in made}
         check_names(self.controls, controls, "controls")
         return controls
@@ -152,8 +197,8 @@ class Motion:
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call. ``drift`` (..., 6)
-        is added to the coefficients.
+        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call.
+        ``drift`` (..., 6) is added to the coefficients.
         """
         velocity = state[..., VELOCITY]
         wind = None
@@ -164,7 +209,9 @@ class Motion:
         altitude = -state[..., 2]
         density = self._density(altitude) if callable(self._density) else self._density
         if density is None:  # that of the standard atmosphere, NaN outside of it
-            density = standard_density(np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan))
+            density = standard_density(
+                np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan)
+            )
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
         if not self._implicit:
@@ -187,16 +234,34 @@ class Motion:
 
     def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
         """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
-        values = {"airspeed": airspeed, "alpha": alpha, "beta": beta, "density": density, "altitude": altitude}
+        values = {
+            "airspeed": airspeed,
+            "alpha": alpha,
+            "beta": beta,
+            "density": density,
+            "altitude": altitude,
+        }
         if self._needs_angles:
-            values |= dict(zip(EULER, np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0), strict=True))
-        rates = state[..., RATES] if air is None or air.rotation is None else state[..., RATES] - air.rotation
+            values |= dict(
+                zip(
+                    EULER,
+                    np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0),
+                    strict=True,
+                )
+            )
+        rates = (
+            state[..., RATES]
+            if air is None or air.rotation is None
+            else state[..., RATES] - air.rotation
+        )
         values |= {"p": rates[..., 0], "q": rates[..., 1], "r": rates[..., 2]}
         values |= {"u": state[..., 3], "v": state[..., 4], "w": state[..., 5]}
         X = np.empty((*state.shape[:-1], len(self._plan)))
         for k, name in enumerate(self.regressors):
             if name not in IMPLICIT:
-                X[..., k] = (values[name] if name in values else controls[name]) * self.factor(k, airspeed)
+                X[..., k] = (values[name] if name in values else controls[name]) * self.factor(
+                    k, airspeed
+                )
         return X
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
@@ -217,12 +282,16 @@ class Motion:
     def _follow(self, state, now: Instant, velocity, wind, air) -> Array:
         """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""
         acceleration = now.derivative[..., VELOCITY]
-        if wind is not None:  # a wind that is constant over the earth turns against the aircraft in body axes
+        if (
+            wind is not None
+        ):  # a wind that is constant over the earth turns against the aircraft in body axes
             acceleration = acceleration + cross(state[..., RATES], wind)
             if air.wind_rate is not None:
                 acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
         implicit = np.empty((*state.shape[:-1], len(IMPLICIT)))
-        implicit[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[..., 0]
+        implicit[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[
+            ..., 0
+        ]
         implicit[..., 2:5] = now.derivative[..., RATES]
         implicit[..., 5:] = now.force / self.aircraft.mass
         return implicit
@@ -240,6 +309,8 @@ def _anderson(tried: list[tuple[Array, Array]], result: Array, off: Array) -> Ar
     changes, steps = ([b[i] - a[i] for a, b in pairwise(tried)] for i in (1, 0))
     D, F = np.stack(changes, axis=-1), np.stack(steps, axis=-1)
     normal = np.swapaxes(D, -1, -2) @ D
-    normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[..., None, None] * np.eye(len(changes))
+    normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[
+        ..., None, None
+    ] * np.eye(len(changes))
     mixture = np.linalg.solve(normal, np.swapaxes(D, -1, -2) @ off[..., None])
     return result - (F @ mixture)[..., 0]

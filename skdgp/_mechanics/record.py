@@ -35,10 +35,20 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
     attitude = states[..., ATTITUDE]
     earth, angles = body_to_ned(attitude, states[..., VELOCITY]), quaternion_to_euler(attitude)
-    air = states[..., VELOCITY] if wind is None else states[..., VELOCITY] - ned_to_body(attitude, wind)
-    groups = {POSITION: states[..., rigid_body.POSITION], EARTH_VELOCITY: earth, BODY_VELOCITY: states[..., VELOCITY]}
+    air = (
+        states[..., VELOCITY]
+        if wind is None
+        else states[..., VELOCITY] - ned_to_body(attitude, wind)
+    )
+    groups = {
+        POSITION: states[..., rigid_body.POSITION],
+        EARTH_VELOCITY: earth,
+        BODY_VELOCITY: states[..., VELOCITY],
+    }
     groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
-    found = {name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)}
+    found = {
+        name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)
+    }
     found |= dict(zip(AIR_DATA, air_data(air), strict=True))
     return found | {"altitude": -states[..., 2]}
 
@@ -57,14 +67,20 @@ class Clock(NamedTuple):
         spans = [np.ptp(table["time"].to_numpy(float)) for table in tables]
         if duration is None:
             if not spans:
-                raise ValueError("Got no duration and no table of controls, but expected one of them to say how long.")
+                raise ValueError(
+                    "Got no duration and no table of controls, but expected one of them to say "
+                    "how long."
+                )
             duration = float(min(spans))
         n_steps = int(np.floor(duration / dt + 1e-6)) if np.isfinite(duration) else 0
         if n_steps < 1:
-            raise ValueError(f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s.")
+            raise ValueError(
+                f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s."
+            )
         if spans and n_steps * dt > min(spans) + 1e-6 * dt:
             raise ValueError(
-                f"Got a table that ends after {min(spans):g} s, but the simulation lasts {n_steps * dt:g} s: give a "
+                f"Got a table that ends after {min(spans):g} s, but the simulation lasts "
+                f"{n_steps * dt:g} s: give a "
                 "shorter duration, or controls and wind for all of it."
             )
         return cls(float(dt), n_steps)
@@ -101,12 +117,18 @@ class Record(NamedTuple):
 
 
 def fly_record(
-    motion: Motion, commands: Callable, air: AirAt, clock: Clock, state: Array, drifts: Array | None = None
+    motion: Motion,
+    commands: Callable,
+    air: AirAt,
+    clock: Clock,
+    state: Array,
+    drifts: Array | None = None,
 ) -> Record:
     """Return what is flown from states (..., 13): the loop over time.
 
-    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage, state) of
-    :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added to the coefficients.
+    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage,
+    state) of :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added
+    to the coefficients.
     """
     start, n = state, clock.n_steps + 1
     ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
@@ -118,7 +140,11 @@ def fly_record(
         wind = None if here is None else here.wind
         controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
         drift = 0.0 if drifts is None else drifts[stage]
-        return motion.at(state, controls, here, None if last is None else last.implicit, drift), controls, wind
+        return (
+            motion.at(state, controls, here, None if last is None else last.implicit, drift),
+            controls,
+            wind,
+        )
 
     def slope(step, now, t, state):
         stage = round(2 * t / clock.dt)
@@ -135,7 +161,9 @@ def fly_record(
             if not (ended == FLYING).any():
                 break
             if over:
-                state = np.where((ended == FLYING)[..., None], state, start)  # flown on from there, never shown
+                state = np.where(
+                    (ended == FLYING)[..., None], state, start
+                )  # flown on from there, never shown
                 now, controls, wind = instant(k, 0, state, None)
             flown.append((state, now, controls, wind))
             if k < clock.n_steps:
@@ -143,7 +171,9 @@ def fly_record(
     return _record(motion, clock.dt * np.arange(n), flown, ended, end)
 
 
-def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array) -> Record:
+def _record(
+    motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, end: Array
+) -> Record:
     """Return the record of the steps ``flown``: state, instant, controls and wind of each."""
     is_over = np.arange(len(time)).reshape(-1, *[1] * ended.ndim) >= end
 
@@ -154,7 +184,9 @@ def _record(motion: Motion, time: np.ndarray, flown: list[tuple], ended: Array, 
         array[is_over] = np.nan
         return array
 
-    states, instants, controls, winds = zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
+    states, instants, controls, winds = (
+        zip(*flown, strict=True) if flown else ((), (), ({},), (None,))
+    )
     return Record(
         time=time,
         states=over_time(states, 13),

@@ -1,7 +1,7 @@
 """The rigid body: Newton and Euler in body axes over a flat earth, and their integration in time.
 
-The state has a last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the
-ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
+The state has a last axis of length 13, named in `STATE_NAMES`: position NED [m], velocity relative
+to the ground in body axes [m/s], quaternion body to NED, scalar first, rates [rad/s].
 """
 
 from __future__ import annotations
@@ -22,18 +22,24 @@ POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), sl
 
 
 def rigid_body_derivative(
-    state: ArrayLike, force: ArrayLike, moment: ArrayLike, aircraft: Aircraft, gravity: ArrayLike = STANDARD_GRAVITY
+    state: ArrayLike,
+    force: ArrayLike,
+    moment: ArrayLike,
+    aircraft: Aircraft,
+    gravity: ArrayLike = STANDARD_GRAVITY,
 ) -> Array:
     """Return d state / dt of a rigid aircraft under ``force`` and ``moment``.
 
     position_dot = R v;  v_dot = force / m + R^T (0, 0, g) - omega x v;
     quaternion_dot = 1/2 quaternion * omega;  omega_dot = I^-1 (moment - omega x (I omega)),
-    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7), for quaternions of any length.
+    R the rotation body to NED (Stevens, Lewis & Johnson 2016, section 1.7), for quaternions of any
+    length.
 
     Parameters
     ----------
     state : array-like of shape (..., 13)
-        Position NED [m], ground velocity in body axes [m/s], quaternion, rates [rad/s]: see `STATE_NAMES`.
+        Position NED [m], ground velocity in body axes [m/s], quaternion, rates [rad/s]: see
+        `STATE_NAMES`.
     force, moment : array-like of shape (..., 3)
         All loads but gravity, about the centre of gravity, in body axes [N], [N m].
     aircraft : Aircraft
@@ -58,16 +64,22 @@ def rigid_body_derivative(
     state, force, moment = (np.asarray(x, dtype=float) for x in (state, force, moment))
     # Of one aircraft as plain numbers, which are several times faster than arrays without axes.
     single = state.ndim == force.ndim == moment.ndim == 1
-    u, v, w, q0, e1, e2, e3, p, q, r = state[3:].tolist() if single else (state[..., k] for k in range(3, 13))
+    u, v, w, q0, e1, e2, e3, p, q, r = (
+        state[3:].tolist() if single else (state[..., k] for k in range(3, 13))
+    )
     fx, fy, fz = force.tolist() if single else (force[..., k] for k in range(3))
-    # Rows of R from one shared set of products: this runs four times in every step of every simulation.
+    # Rows of R from one shared set of products: this runs four times in every step of every
+    # simulation.
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
     s1, s2, s3 = s * e1, s * e2, s * e3
     x1, x2, x3 = s1 * q0, s2 * q0, s3 * q0
     y11, y12, y13, y22, y23, y33 = s1 * e1, s1 * e2, s1 * e3, s2 * e2, s2 * e3, s3 * e3
     down_x, down_y, down_z = y13 - x2, y23 + x1, 1.0 - y11 - y22
     derivative = np.empty(
-        (*np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1]), len(STATE_NAMES))
+        (
+            *np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1]),
+            len(STATE_NAMES),
+        )
     )
     derivative[..., 0] = (1.0 - y22 - y33) * u + (y12 - x3) * v + (y13 + x2) * w
     derivative[..., 1] = (y12 + x3) * u + (1.0 - y11 - y33) * v + (y23 - x1) * w
@@ -79,7 +91,9 @@ def rigid_body_derivative(
     derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
     derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)
     derivative[..., 9] = 0.5 * (q0 * r + e1 * q - e2 * p)
-    derivative[..., RATES] = (moment - gyroscopic_moment(state[..., RATES], aircraft)) @ aircraft.inertia_inverse
+    derivative[..., RATES] = (
+        moment - gyroscopic_moment(state[..., RATES], aircraft)
+    ) @ aircraft.inertia_inverse
     return derivative
 
 
@@ -88,10 +102,13 @@ def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
     return cross(rates, rates @ aircraft.inertia)
 
 
-def rk4_step(derivative: Callable[[Any, Array], Array], t: Any, state: Array, dt: float | Array) -> Array:
+def rk4_step(
+    derivative: Callable[[Any, Array], Array], t: Any, state: Array, dt: float | Array
+) -> Array:
     """Return the state one step ``dt`` [s] after ``t``, of d state / dt = derivative(t, state), by Runge and Kutta.
 
-    The derivative is evaluated at t, twice at t + dt/2 and at t + dt; the error of a step is of order dt^5.
+    The derivative is evaluated at t, twice at t + dt/2 and at t + dt; the error of a step is of
+    order dt^5.
 
     Parameters
     ----------

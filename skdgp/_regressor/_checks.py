@@ -17,11 +17,16 @@ from skdgp._compute.statistics import autocorrelation_time
 
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
-SCALED = 10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
+SCALED = (
+    10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
+)
 MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
-LEAST_ROWS = 10  # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
+# independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
+LEAST_ROWS = 10
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
-LARGE_CHANGE = 0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
+LARGE_CHANGE = (
+    0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
+)
 
 
 class FewRowsWarning(UserWarning):
@@ -31,14 +36,19 @@ class FewRowsWarning(UserWarning):
 def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, list[str], bool]:
     """Return the targets as (n, P) with NaN where not observed, their names, and whether y is one-dimensional."""
     if y is None:
-        raise ValueError(f"This {estimator} estimator requires y to be passed, but the target y is None.")
+        raise ValueError(
+            f"This {estimator} estimator requires y to be passed, but the target y is None."
+        )
     names = column_names(y)
-    Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+    Y = check_array(
+        y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y"
+    )
     if Y.ndim > 2:
         raise ValueError(f"Got y of shape {Y.shape}, but expected (n,) or (n, P).")
     if len(Y) != n_samples:
         raise ValueError(
-            f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. Give y one row for "
+            f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. "
+            f"Give y one row for "
             "each row of X, with NaN where an output was not observed."
         )
     table = Y.reshape(len(Y), -1)
@@ -48,13 +58,19 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
 def standardize(Y: np.ndarray, centered: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return centred and scaled targets, and the center and scale of each output, (P,).
 
-    The center of a constant output is its value, and its scale is the magnitude of that value, so it becomes 0 or 1
-    without rounding.
+    The center of a constant output is its value, and its scale is the magnitude of that value, so
+    it becomes 0 or 1 without rounding.
     """
     constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
     Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
-    center = np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0)) if centered else np.zeros(Y.shape[1])
-    scale = np.where(constant, np.where(size > 0, size, 1.0), np.sqrt(np.nanmean((Y - center) ** 2, axis=0)))
+    center = (
+        np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0))
+        if centered
+        else np.zeros(Y.shape[1])
+    )
+    scale = np.where(
+        constant, np.where(size > 0, size, 1.0), np.sqrt(np.nanmean((Y - center) ** 2, axis=0))
+    )
     return (Y - center) / scale, center, scale
 
 
@@ -62,20 +78,32 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
     """Return time and flight number of each sample, (n, 2), or None if no time is given."""
     if time is None:
         if flight is not None:
-            raise ValueError("Got flight without time, but expected both: the drift depends on time. Give time too.")
+            raise ValueError(
+                "Got flight without time, but expected both: the drift depends on time. Give time "
+                "too."
+            )
         return None
     kind = np.asarray(time).dtype
     if kind.kind in "mM":
-        raise ValueError(f"Got time of type {kind}, but expected seconds: (time - time[0]) / np.timedelta64(1, 's').")
+        raise ValueError(
+            f"Got time of type {kind}, but expected seconds: (time - time[0]) / np.timedelta64(1, "
+            f"'s')."
+        )
     time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
-    codes = np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
+    codes = (
+        np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
+    )
     for name, values in (("time", time), ("flight", codes)):
         if values.shape != (n_samples,):
             raise ValueError(
-                f"Got {name} of shape {values.shape}, but expected ({n_samples},): one value for each row of X."
+                f"Got {name} of shape {values.shape}, but expected ({n_samples},): one value for "
+                f"each row of X."
             )
     if (codes < 0).any():
-        raise ValueError(f"Got {int((codes < 0).sum())} rows without a flight, but expected a label for every row.")
+        raise ValueError(
+            f"Got {int((codes < 0).sum())} rows without a flight, but expected a label for every "
+            f"row."
+        )
     return np.column_stack([time, codes])
 
 
@@ -84,9 +112,12 @@ def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, m
     size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
     extreme = (size > most) | ((size < least) & (size > 0))
     if extreme.any():
-        magnitudes = {name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out}
+        magnitudes = {
+            name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out
+        }
         raise ValueError(
-            f"Got {what} of magnitudes {magnitudes}, but expected {least:g} to {most:g}, whose powers neither vanish "
+            f"Got {what} of magnitudes {magnitudes}, but expected {least:g} to {most:g}, whose "
+            f"powers neither vanish "
             "nor overflow. Use another unit, or scale them (StandardScaler)."
         )
 
@@ -96,7 +127,8 @@ def warn_of_constant_regressors(X: np.ndarray, names: list[str]) -> None:
     constant = [name for name, same in zip(names, constant_columns(X), strict=True) if same]
     if constant:
         _warn(
-            f"The regressors {constant} are constant over the samples: their effect cannot be learned, and predictions "
+            f"The regressors {constant} are constant over the samples: their effect cannot be "
+            f"learned, and predictions "
             "at other values are not reliable. Leave them out, or add samples in which they vary."
         )
 
@@ -107,7 +139,8 @@ def check_observed(Y: np.ndarray, names: list[str]) -> None:
     few = {name: int(n) for name, n in zip(names, counts, strict=True) if n < 2}
     if few:
         raise ValueError(
-            f"Got outputs observed at fewer than two samples: {few} (NaN means not observed). Leave these columns out, "
+            f"Got outputs observed at fewer than two samples: {few} (NaN means not observed). "
+            f"Leave these columns out, "
             "or give more of their values."
         )
 
@@ -116,18 +149,23 @@ def check_same_targets(names: list[str], expected: list[str]) -> None:
     """Raise a ValueError if the outputs of further targets are not those of the fit."""
     if len(names) != len(expected):
         raise ValueError(
-            f"Got y with {len(names)} outputs, but expected the {len(expected)} of the fit: {expected}. Set targets "
+            f"Got y with {len(names)} outputs, but expected the {len(expected)} of the fit: "
+            f"{expected}. Set targets "
             "that were not observed to NaN."
         )
     if names != expected and default_names(len(names)) not in (names, expected):
-        raise ValueError(f"Got y with the columns {names}, but expected those of the fit, in their order: {expected}.")
+        raise ValueError(
+            f"Got y with the columns {names}, but expected those of the fit, in their order: "
+            f"{expected}."
+        )
 
 
 def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
     """Warn of more inducing inputs than samples."""
     if n_inducing > n_samples:
         _warn(
-            f"Got n_inducing={n_inducing} for {n_samples} samples: sparse inference is then slower than exact "
+            f"Got n_inducing={n_inducing} for {n_samples} samples: sparse inference is then "
+            f"slower than exact "
             "inference. Lower n_inducing, or use inference='exact'."
         )
 
@@ -135,14 +173,24 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
 def check_compaction(n_inducing: int, tolerance: Any, max_iter: int) -> None:
     """Raise a ValueError if a parameter of ``compact`` is invalid."""
     if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
-        raise ValueError(f"Got n_inducing={n_inducing!r}, but expected an integer number of variables from 1 on.")
+        raise ValueError(
+            f"Got n_inducing={n_inducing!r}, but expected an integer number of variables from 1 on."
+        )
     if not isinstance(max_iter, Integral) or isinstance(max_iter, bool) or max_iter < 0:
-        raise ValueError(f"Got max_iter={max_iter!r}, but expected an integer number of iterations, or 0 for none.")
+        raise ValueError(
+            f"Got max_iter={max_iter!r}, but expected an integer number of iterations, or 0 for "
+            f"none."
+        )
     if tolerance is None:
         return
-    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < float(tolerance) < np.inf:
+    if (
+        not isinstance(tolerance, Real)
+        or isinstance(tolerance, bool)
+        or not 0 < float(tolerance) < np.inf
+    ):
         raise ValueError(
-            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard deviation, such as 0.1, or "
+            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard "
+            f"deviation, such as 0.1, or "
             "None."
         )
 
@@ -153,8 +201,10 @@ def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) 
         return
     excess = "" if tolerance is None else f", which is more than the tolerance {tolerance:g}"
     warnings.warn(
-        f"Compacting to {n_inducing} inducing variables changes mean or standard deviation of an output by "
-        f"{change:.2g} of its standard deviation (root mean square){excess}. Raise n_inducing; compaction_ has the "
+        f"Compacting to {n_inducing} inducing variables changes mean or standard deviation of an "
+        f"output by "
+        f"{change:.2g} of its standard deviation (root mean square){excess}. Raise n_inducing; "
+        f"compaction_ has the "
         "change of each output.",
         stacklevel=3,
     )
@@ -175,14 +225,21 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
     else:
         values = np.linalg.eigvalsh(given)
         if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
-            raise ValueError(f"Got input_noise that is not a covariance (symmetric, positive), but {expected}")
+            raise ValueError(
+                f"Got input_noise that is not a covariance (symmetric, positive), but {expected}"
+            )
         root = eigen_root(given)
     noise = np.sqrt(np.einsum("dr,dr->d", root, root))
     excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
     if excessive.any():
-        stds = {name: f"{s:.2g}" for name, s, out in zip(names, X.std(axis=0), excessive, strict=True) if out}
+        stds = {
+            name: f"{s:.2g}"
+            for name, s, out in zip(names, X.std(axis=0), excessive, strict=True)
+            if out
+        }
         raise ValueError(
-            f"Got input_noise of more than {MAX_INPUT_NOISE} standard deviations of the regressors {stds}, but "
+            f"Got input_noise of more than {MAX_INPUT_NOISE} standard deviations of the "
+            f"regressors {stds}, but "
             "expected less noise than signal. Give it in the units of X, one value for each column."
         )
     return root
@@ -195,9 +252,14 @@ def default_names(n: int) -> list[str]:
 
 def warn_of_indices(index: Any, y: Any) -> None:
     """Warn if X and y have different indices."""
-    if isinstance(index, pd.Index) and isinstance(y, (pd.DataFrame, pd.Series)) and not index.equals(y.index):
+    if (
+        isinstance(index, pd.Index)
+        and isinstance(y, (pd.DataFrame, pd.Series))
+        and not index.equals(y.index)
+    ):
         _warn(
-            "The indices of X and y differ; rows are matched by position. If rows of one were dropped or sorted, do "
+            "The indices of X and y differ; rows are matched by position. If rows of one were "
+            "dropped or sorted, do "
             "the same to the other (y.loc[X.index])."
         )
 
@@ -207,23 +269,27 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
     constant = [name for name, same in zip(names, constant_columns(Y), strict=True) if same]
     if constant:
         _warn(
-            f"The outputs {constant} are constant over the samples: nothing can be learned about them, and their "
+            f"The outputs {constant} are constant over the samples: nothing can be learned about "
+            f"them, and their "
             "stated uncertainty is not reliable. Leave them out, or check the log."
         )
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
         _warn(
-            f"{repeated} of {len(X)} samples repeat another sample with the same regressors and targets. They count as "
-            "independent, so the uncertainty is too small: drop repeated rows (was a log read twice?)."
+            f"{repeated} of {len(X)} samples repeat another sample with the same regressors and "
+            f"targets. They count as "
+            "independent, so the uncertainty is too small: drop repeated rows (was a log read "
+            "twice?)."
         )
 
 
 def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) -> None:
     """Warn if there are fewer than `LEAST_ROWS` independent rows for each regressor.
 
-    ``errors`` (n, P) are what the model leaves of the targets, in the order of the log, NaN where not observed. They
-    count as rows over their autocorrelation time, median over the outputs. An average leans on its trend then. A trend
-    alone states its uncertainty well with few rows, unless their errors are correlated.
+    ``errors`` (n, P) are what the model leaves of the targets, in the order of the log, NaN where
+    not observed. They count as rows over their autocorrelation time, median over the outputs. An
+    average leans on its trend then. A trend alone states its uncertainty well with few rows, unless
+    their errors are correlated.
     """
     observed = [column[np.isfinite(column)] for column in errors.T]
     lasting = float(np.median([autocorrelation_time(column) for column in observed]))
@@ -231,11 +297,18 @@ def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) 
     rows = float(np.median([len(column) for column in observed])) / lasting
     if rows >= LEAST_ROWS * n_regressors or (members == ["trend"] and lasting == 1.0):
         return
-    because = f", worth {rows:.0f} independent ones as errors last {lasting:.0f} rows," if lasting > 1.0 else ""
+    because = (
+        f", worth {rows:.0f} independent ones as errors last {lasting:.0f} rows,"
+        if lasting > 1.0
+        else ""
+    )
     _warn(
-        f"Got {len(errors)} rows{because} for {n_regressors} regressors, {rows / n_regressors:.2g} for each, but "
-        f"expected at least {LEAST_ROWS} for each: with fewer, the model leans on the linear trend, and standard "
-        "deviations may be too small. Give more rows or minutes of manoeuvres, or name fewer regressors.",
+        f"Got {len(errors)} rows{because} for {n_regressors} regressors, "
+        f"{rows / n_regressors:.2g} for each, but "
+        f"expected at least {LEAST_ROWS} for each: with fewer, the model leans on the linear "
+        f"trend, and standard "
+        "deviations may be too small. Give more rows or minutes of manoeuvres, or name fewer "
+        "regressors.",
         FewRowsWarning,
     )
 
@@ -244,24 +317,29 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
         _warn(
-            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; the best "
+            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; "
+            f"the best "
             "hyperparameters so far are kept. Fit again to continue.",
             ConvergenceWarning,
         )
     elif not best.converged:
         unscaled = [
-            name for name, std in zip(names, X.std(axis=0), strict=True) if std > SCALED or 0 < std < 1 / SCALED
+            name
+            for name, std in zip(names, X.std(axis=0), strict=True)
+            if std > SCALED or 0 < std < 1 / SCALED
         ]
         scale = f", or scale the regressors {unscaled} (StandardScaler)" if unscaled else ""
         _warn(
-            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
+            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations "
+            f"again the log "
             f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter{scale}.",
             ConvergenceWarning,
         )
 
 
 def _warn(message, category=UserWarning):
-    # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of fit.
+    # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of
+    # fit.
     warnings.warn(message, category, stacklevel=5)
 
 
@@ -271,7 +349,8 @@ def check_copies(copies: Any, used: np.ndarray) -> int:
     parts = np.split(used, copies) if whole else []
     if not parts or any((part != parts[0]).any() for part in parts):
         raise ValueError(
-            f"Got copies={copies!r} of {len(used)} rows, but expected copies of equal length, known in the "
+            f"Got copies={copies!r} of {len(used)} rows, but expected copies of equal length, "
+            f"known in the "
             "same rows: give the rows one copy after the other."
         )
     return int(parts[0].sum())

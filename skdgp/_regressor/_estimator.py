@@ -18,7 +18,13 @@ from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
-from skdgp._regressor._structure import fit_structure, likeliest_mean, most_factors, most_iterations, weights_of
+from skdgp._regressor._structure import (
+    fit_structure,
+    likeliest_mean,
+    most_factors,
+    most_iterations,
+    weights_of,
+)
 from skdgp.inference import (
     Data,
     ExactPosterior,
@@ -37,18 +43,20 @@ from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
 EXACT_LIMIT, LOG_LIMIT = 6000, 1000
 """Largest number of observed values, and of values of a log, for which inference="auto" is exact.
 
-An exact posterior of 6000 values takes seconds. With 100 inducing inputs a sparse one has 2.4 times its squared error
-on the SARCOS arm (docs/results.md), and the same on smooth functions. Errors of a log are correlated, which the sparse
-posterior takes into account.
+An exact posterior of 6000 values takes seconds. With 100 inducing inputs a sparse one has 2.4 times
+its squared error on the SARCOS arm (docs/results.md), and the same on smooth functions. Errors of a
+log are correlated, which the sparse posterior takes into account.
 """
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
-    "Use inference='sparse' (--inference sparse) or fewer values: skdgp.model_selection.thin_targets(Y, 755) "
+    "Use inference='sparse' (--inference sparse) or fewer values: "
+    "skdgp.model_selection.thin_targets(Y, 755) "
     "(--samples 755) keeps 755 samples spread over the log."
 )
 UPDATE_REMEDY = (
-    "Compact the model first with model.compact(), whose memory does not grow with further samples, or fit with "
+    "Compact the model first with model.compact(), whose memory does not grow with further "
+    "samples, or fit with "
     "inference='sparse'."
 )
 PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs no joint covariance."
@@ -57,66 +65,72 @@ PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs n
 class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several dependent outputs.
 
-    Output i is the sum of a trend, of latent white-noise processes x_m with a Gaussian filter h_mi each, and of
-    measurement noise:
+    Output i is the sum of a trend, of latent white-noise processes x_m with a Gaussian filter h_mi
+    each, and of measurement noise:
 
     .. math:: y_i(s) = t_i(s) + \sum_m (h_{mi} * x_m)(s) + w_i(s), \quad w_i \sim N(0, \sigma_i^2).
 
-    Filters, trend and noise are learned jointly by maximising the marginal likelihood (Boyle & Frean 2005;
-    Hemakumara & Sukkarieh 2011, equations 14 to 20). Outputs that share a latent process are correlated, so the samples
-    of one output improve the prediction of another output that is noisy or observed less often.
+    Filters, trend and noise are learned jointly by maximising the marginal likelihood (Boyle &
+    Frean 2005; Hemakumara & Sukkarieh 2011, equations 14 to 20). Outputs that share a latent
+    process are correlated, so the samples of one output improve the prediction of another output
+    that is noisy or observed less often.
 
-    Cost of exact inference: with N observed values (samples times outputs), one evaluation of the likelihood takes
-    O(N^3) time and O(N^2) memory. A predicted mean takes O(N), a standard deviation O(N^2). To learn from a part of a
-    long log, set the other targets to NaN (``skdgp.model_selection.thin_targets``).
+    Cost of exact inference: with N observed values (samples times outputs), one evaluation of the
+    likelihood takes O(N^3) time and O(N^2) memory. A predicted mean takes O(N), a standard
+    deviation O(N^2). To learn from a part of a long log, set the other targets to NaN
+    (``skdgp.model_selection.thin_targets``).
 
     A log, below, are rows in the order of recording, whose ``time`` ``fit`` gets.
 
     Parameters
     ----------
     kernel : MultiOutputKernel or None
-        Covariance of the processes. None: ``ConvolvedGaussian(n_latent, covariance_type=covariance_type)``, for
-        a log with ``length_scale_bounds="spacing"``. Missing values are estimated from the data.
+        Covariance of the processes. None: ``ConvolvedGaussian(n_latent,
+        covariance_type=covariance_type)``, for a log with ``length_scale_bounds="spacing"``.
+        Missing values are estimated from the data.
     n_latent : int or None
-        Number of latent processes that all outputs share; each output also has a private one. None: two, or without
-        ``time`` and with missing targets half as many as outputs, two to four.
+        Number of latent processes that all outputs share; each output also has a private one. None:
+        two, or without ``time`` and with missing targets half as many as outputs, two to four.
     covariance_type : {"spherical", "diag", "full", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     structure : {"average", "joint", "additive", "trend"}
-        "joint": a trend and the dependent processes. "additive": also a process of each regressor alone for each output
-        (main effects). "trend": the trend alone, with its weights integrated out. "average": the mixture of posteriors
-        of all terms ("additive" for up to 5000 samples of a log, else "joint"), of the trend and main effects, and of
-        the trend, at the same hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
-        held out in turn, so rows must be in order (docs/theory.md). Of a log it is the mean of two such mixtures, of
-        two searches. A model without a linear trend, or whose hyperparameters are not learned, has one member.
+        "joint": a trend and the dependent processes. "additive": also a process of each regressor
+        alone for each output (main effects). "trend": the trend alone, with its weights integrated
+        out. "average": the mixture of posteriors of all terms ("additive" for up to 5000 samples of
+        a log, else "joint"), of the trend and main effects, and of the trend, at the same
+        hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
+        held out in turn, so rows must be in order (docs/theory.md). Of a log it is the mean of two
+        such mixtures, of two searches. A model without a linear trend, or whose hyperparameters are
+        not learned, has one member.
     trend : {"linear", "constant"}, transformer or None
-        "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear function of the regressors
-        with weights that are integrated out; it extrapolates linearly, with the uncertainty of the slopes. A
-        transformer, such as ``PolynomialFeatures(2)``, adds a function that is linear in its columns (``BasisTrend``).
-        None: no trend and no centring.
+        "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
+        function of the regressors with weights that are integrated out; it extrapolates linearly,
+        with the uncertainty of the slopes. A transformer, such as ``PolynomialFeatures(2)``, adds a
+        function that is linear in its columns (``BasisTrend``). None: no trend and no centring.
     inference : {"auto", "exact", "sparse"}
-        "exact" computes the posterior from every observed value. "sparse" computes it from all values through inducing
-        variables, in linear time and constant memory; it estimates the correlation of neighbouring errors, so rows must
-        be in order. Both learn hyperparameters from at most 1800 values. "auto" is "exact" up to 6000 observed values,
-        1000 of a log. The result is in ``inference_``.
+        "exact" computes the posterior from every observed value. "sparse" computes it from all
+        values through inducing variables, in linear time and constant memory; it estimates the
+        correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
+        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a log. The
+        result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
     input_noise : "auto", "learned", None, float, array (d,) or (d, d)
-        Noise of the regressors, independent between samples: standard deviations or a covariance S in the units of X,
-        or "learned" for one learned standard deviation for each regressor. With the slopes J of the mean it adds
-        J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None: exact regressors. "auto" is
-        "learned" for a log, and else None.
+        Noise of the regressors, independent between samples: standard deviations or a covariance S
+        in the units of X, or "learned" for one learned standard deviation for each regressor. With
+        the slopes J of the mean it adds J S J^T to the noise covariance of the outputs (McHutchon &
+        Rasmussen 2011). None: exact regressors. "auto" is "learned" for a log, and else None.
     optimizer : "fmin_l_bfgs_b", callable or None
-        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log the search stops
-        when the error of held-out blocks of rows no longer falls, so that hyperparameters do not fit what is particular
-        to the log. The posterior uses all values.
+        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log
+        the search stops when the error of held-out blocks of rows no longer falls, so that
+        hyperparameters do not fit what is particular to the log. The posterior uses all values.
     max_iter : int or None
-        Largest number of iterations of a joint search, half of them with widths that outputs share. The preceding fits
-        of single outputs use at most twice as many each. None: 60 for a log, else 150, and down to 86 where the search
-        learns from more than 1500 values, at most 1800.
+        Largest number of iterations of a joint search, half of them with widths that outputs share.
+        The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
+        else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
     n_jobs : int or None
-        Searches of a log, or members of the average, that are fitted side by side, as in joblib. None: the setting of
-        ``joblib.parallel_config``, or one process.
+        Searches of a log, or members of the average, that are fitted side by side, as in joblib.
+        None: the setting of ``joblib.parallel_config``, or one process.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -127,16 +141,18 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, without misfit, in squared units of the outputs.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero without ``time``. The
-        drift holds the effect of errors of the regressors and the misfit, too. Simulated flights have one each.
+        Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero
+        without ``time``. The drift holds the effect of errors of the regressors and the misfit,
+        too. Simulated flights have one each.
     misfit_variance_ : ndarray (P,)
-        Variance of what the function misses where flights come back to the same regressors, in squared units of the
-        outputs: part of the function's band. Zero without ``time``. See :func:`skdgp.inference.misfit_variance`.
+        Variance of what the function misses where flights come back to the same regressors, in
+        squared units of the outputs: part of the function's band. Zero without ``time``. See
+        :func:`skdgp.inference.misfit_variance`.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise; zero for exact regressors.
     log_marginal_likelihood_value_ : float
-        Log marginal likelihood of the normalised outputs. For sparse inference its lower bound, with noise that is
-        inflated by the correlation of neighbouring errors.
+        Log marginal likelihood of the normalised outputs. For sparse inference its lower bound,
+        with noise that is inflated by the correlation of neighbouring errors.
     inference_ : {"exact", "sparse", "compact"}
         Inference that was used.
     compaction_ : Compaction
@@ -144,15 +160,16 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     posterior_ : AveragePosterior, ExactPosterior or SparsePosterior
         Posterior of the normalised outputs.
     weights_ : dict of str to ndarray (P,)
-        Weight of each kind of member of the average for each output: "joint", with all terms, "additive", with main
-        effects, and "trend".
+        Weight of each kind of member of the average for each output: "joint", with all terms,
+        "additive", with main effects, and "trend".
     n_iter_, max_iter_, n_evaluations_ : int
-        Iterations of the joint search, their largest number, and total number of evaluations of the likelihood.
+        Iterations of the joint search, their largest number, and total number of evaluations of the
+        likelihood.
     interrupted_ : bool
         Whether Ctrl-C ended the search.
     converged_ : bool
-        Whether the search stopped because the likelihood no longer rose, or would rise by less than 0.05 nats for each
-        value in ``max_iter_`` further iterations. If not, ``fit`` warns.
+        Whether the search stopped because the likelihood no longer rose, or would rise by less than
+        0.05 nats for each value in ``max_iter_`` further iterations. If not, ``fit`` warns.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
@@ -182,7 +199,12 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
-        "input_noise": [StrOptions({"auto", "learned"}), Interval(Real, 0, None, closed="neither"), "array-like", None],
+        "input_noise": [
+            StrOptions({"auto", "learned"}),
+            Interval(Real, 0, None, closed="neither"),
+            "array-like",
+            None,
+        ],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "n_jobs": [Integral, None],
@@ -223,10 +245,13 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         tags.target_tags.single_output = True
         return tags
 
-    # -- fitting ---------------------------------------------------------------------------------------
+    # -- fitting
+    # ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None, copies: int = 1) -> DependentGPRegressor:
+    def fit(
+        self, X: Matrix, y: Any, time: Any = None, flight: Any = None, copies: int = 1
+    ) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -236,20 +261,23 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample [s], of rows in the order of the log. None: rows in any order, with independent errors.
-            Use it if errors of neighbouring samples are correlated, as in a flight: without it bands are too narrow.
+            Time of each sample [s], of rows in the order of the log. None: rows in any order, with
+            independent errors. Use it if errors of neighbouring samples are correlated, as in a
+            flight: without it bands are too narrow.
 
-            With it, noise of the regressors is learned (``input_noise``), held-out blocks end a search
-            (``optimizer``), and there are two searches (``structure``). The residuals show the misfit, and the drift of
-            each output, a part of its noise with the covariance ``tau^2 exp(-|t - t'| / T)`` within a flight.
+            With it, noise of the regressors is learned (``input_noise``), held-out blocks end a
+            search (``optimizer``), and there are two searches (``structure``). The residuals show
+            the misfit, and the drift of each output, a part of its noise with the covariance
+            ``tau^2 exp(-|t - t'| / T)`` within a flight.
 
-            In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by metadata routing;
-            ``skdgp.identification.FlightPipeline`` does it itself.
+            In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by
+            metadata routing; ``skdgp.identification.FlightPipeline`` does it itself.
         flight : array (n,) or None
-            Label of the flight of each sample. Drifts of different flights are independent. None: one flight.
+            Label of the flight of each sample. Drifts of different flights are independent. None:
+            one flight.
         copies : int
-            How often the rows hold the same measurements, one copy after the other: 2 of a log and its mirror image.
-            Standard deviations then count each measurement once.
+            How often the rows hold the same measurements, one copy after the other: 2 of a log and
+            its mirror image. Standard deviations then count each measurement once.
 
         Returns
         -------
@@ -259,20 +287,21 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Raises
         ------
         ValueError
-            If X is not finite, an output has fewer than two observed values, there are fewer than two samples, values
-            are too large or too small for double precision, ``n_jobs`` or ``copies`` is invalid, or the posterior does
-            not fit into memory.
+            If X is not finite, an output has fewer than two observed values, there are fewer than
+            two samples, values are too large or too small for double precision, ``n_jobs`` or
+            ``copies`` is invalid, or the posterior does not fit into memory.
 
         Warns
         -----
         UserWarning
-            If an output or a regressor is constant, samples with equal targets are repeated, or there are more inducing
-            inputs than samples.
+            If an output or a regressor is constant, samples with equal targets are repeated, or
+            there are more inducing inputs than samples.
         FewRowsWarning
-            If there are fewer than 10 independent rows for each regressor: bands are too narrow then.
+            If there are fewer than 10 independent rows for each regressor: bands are too narrow
+            then.
         ConvergenceWarning
-            If the search for hyperparameters was interrupted (the best ones so far are kept) or stopped at
-            ``max_iter_`` before it converged.
+            If the search for hyperparameters was interrupted (the best ones so far are kept) or
+            stopped at ``max_iter_`` before it converged.
         """
         check_n_jobs(self.n_jobs)
         task, index = FitTask(self, X, y), getattr(X, "index", None)
@@ -290,9 +319,16 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         _checks.warn_of_samples(X, Y, self.output_names_)
         n_values, self.inference_ = int(np.isfinite(Y).sum()), self.inference
         if self.inference == "auto":
-            self.inference_ = "exact" if n_values <= (EXACT_LIMIT if clock is None else LOG_LIMIT) else "sparse"
+            self.inference_ = (
+                "exact" if n_values <= (EXACT_LIMIT if clock is None else LOG_LIMIT) else "sparse"
+            )
         if self.inference_ == "exact":
-            check_memory(n_values, "Exact inference on", FIT_REMEDY, 1 + most_factors(self, clock is not None))
+            check_memory(
+                n_values,
+                "Exact inference on",
+                FIT_REMEDY,
+                1 + most_factors(self, clock is not None),
+            )
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
@@ -302,7 +338,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.weights_ = weights_of(posterior)
         _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
         if not learned.interrupted:
-            _checks.warn_of_few_rows(Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_))
+            _checks.warn_of_few_rows(
+                Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_)
+            )
         misfit, variance, memory = np.zeros((3, len(self.scale_)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
@@ -312,27 +350,37 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             posterior.measured = X[:n_measured], Z[:n_measured]
         self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
         self.posterior_, self.kernel_ = posterior, posterior.kernel
-        misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)  # it is a part of what the search took for noise
-        self.misfit_variance_, self.noise_variance_ = misfit * self.scale_**2, (learned.noise - misfit) * self.scale_**2
+        misfit = np.minimum(
+            misfit, LARGEST_MISFIT * learned.noise
+        )  # it is a part of what the search took for noise
+        self.misfit_variance_, self.noise_variance_ = (
+            misfit * self.scale_**2,
+            (learned.noise - misfit) * self.scale_**2,
+        )
         self.drift_variance_, self.drift_memory_ = variance * self.scale_**2, memory
         self._root = learned.root
-        self.input_covariance_ = np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
+        self.input_covariance_ = (
+            np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
+        )
         self.log_marginal_likelihood_value_ = found.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
         self.converged_, self.interrupted_ = learned.converged, learned.interrupted
         task.end()
         return self
 
-    # -- updates of a fitted model ---------------------------------------------------------------------
+    # -- updates of a fitted model
+    # ---------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def partial_fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
+    def partial_fit(
+        self, X: Matrix, y: Any, time: Any = None, flight: Any = None
+    ) -> DependentGPRegressor:
         """Update the posterior with further samples, at the hyperparameters of ``fit``.
 
-        Kernel, noise, misfit, drift, centre and scale do not change. The posterior becomes that of all samples so far.
-        An exact posterior appends rows to its Cholesky factor, O(N^2) for each new value. A sparse or compact posterior
-        adds to its sums, in constant time; a compact model does not store the samples. If the model is not fitted, this
-        is ``fit``.
+        Kernel, noise, misfit, drift, centre and scale do not change. The posterior becomes that of
+        all samples so far. An exact posterior appends rows to its Cholesky factor, O(N^2) for each
+        new value. A sparse or compact posterior adds to its sums, in constant time; a compact model
+        does not store the samples. If the model is not fitted, this is ``fit``.
 
         Parameters
         ----------
@@ -341,7 +389,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time, flight : array (n,) or None
-            As for ``fit``. They are not used if the model is fitted: the drift does not change either.
+            As for ``fit``. They are not used if the model is fitted: the drift does not change
+            either.
 
         Returns
         -------
@@ -351,8 +400,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Raises
         ------
         ValueError
-            If columns of X or y are not those of the fit, X is not finite, or the exact posterior of all samples does
-            not fit into memory.
+            If columns of X or y are not those of the fit, X is not finite, or the exact posterior
+            of all samples does not fit into memory.
 
         Examples
         --------
@@ -374,11 +423,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         _checks.check_same_targets(names, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         _checks.check_magnitudes(Y, self.output_names_, "targets", 0.0, _checks.Y_RANGE[1])
-        loading = None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
+        loading = (
+            None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
+        )
         data = Data.from_table(X, (Y - self.center_) / self.scale_, loading)
         if self.inference_ == "exact":
             n_values = self.posterior_.samples().n_values + data.n_values
-            n_factors = sum(isinstance(member, ExactPosterior) for member in self.posterior_.members)
+            n_factors = sum(
+                isinstance(member, ExactPosterior) for member in self.posterior_.members
+            )
             check_memory(n_values, "Exact inference on", UPDATE_REMEDY, 1 + n_factors)
         if data.n_values:
             self.posterior_ = self.posterior_.updated(data)
@@ -386,25 +439,32 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return self
 
     def compact(
-        self, n_inducing: int = 1500, *, tolerance: Any = None, max_iter: int = 10, random_state: Seed = 0
+        self,
+        n_inducing: int = 1500,
+        *,
+        tolerance: Any = None,
+        max_iter: int = 10,
+        random_state: Seed = 0,
     ) -> DependentGPRegressor:
         """Return a small, fast model with nearly the same predictions that stores no samples.
 
-        Inducing variables replace the samples, at the same hyperparameters. Each variable is the contribution of one
-        latent to one output; their numbers and inputs are chosen to explain the outputs best. Predicting a row takes
-        microseconds, the size is constant, and ``partial_fit`` works. ``compaction_`` holds the change of predictions.
+        Inducing variables replace the samples, at the same hyperparameters. Each variable is the
+        contribution of one latent to one output; their numbers and inputs are chosen to explain the
+        outputs best. Predicting a row takes microseconds, the size is constant, and ``partial_fit``
+        works. ``compaction_`` holds the change of predictions.
 
         Parameters
         ----------
         n_inducing : int
-            Largest number of inducing variables, besides the weights of a trend. A sparse model with no more variables
-            keeps them.
+            Largest number of inducing variables, besides the weights of a trend. A sparse model
+            with no more variables keeps them.
         tolerance : float or None
-            Use the fewest variables for which mean and standard deviation of every output change by at most this
-            fraction of the original standard deviation, in root mean square over the training inputs and points around
-            them.
+            Use the fewest variables for which mean and standard deviation of every output change by
+            at most this fraction of the original standard deviation, in root mean square over the
+            training inputs and points around them.
         max_iter : int
-            Final iterations that move the variables to raise the bound of the likelihood; Ctrl-C stops them.
+            Final iterations that move the variables to raise the bound of the likelihood; Ctrl-C
+            stops them.
         random_state : int, RandomState or None
             Seed of the placement, and of the points at which the change is measured.
 
@@ -416,13 +476,14 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Raises
         ------
         ValueError
-            If a parameter is invalid, matrices of that size do not fit into memory, or the model is already compact.
+            If a parameter is invalid, matrices of that size do not fit into memory, or the model is
+            already compact.
 
         Warns
         -----
         UserWarning
-            If ``n_inducing`` variables do not keep the tolerance or, without a tolerance, change predictions by more
-            than half a standard deviation.
+            If ``n_inducing`` variables do not keep the tolerance or, without a tolerance, change
+            predictions by more than half a standard deviation.
 
         Examples
         --------
@@ -437,11 +498,21 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         """
         check_is_fitted(self)
         _checks.check_compaction(n_inducing, tolerance, max_iter)
-        allow = partial(check_memory, what="A compact model of", remedy="Use fewer n_inducing.", n_matrices=8)
-        posterior, compaction = compact(self.posterior_, n_inducing, tolerance, max_iter, random_state, allow)
+        allow = partial(
+            check_memory, what="A compact model of", remedy="Use fewer n_inducing.", n_matrices=8
+        )
+        posterior, compaction = compact(
+            self.posterior_, n_inducing, tolerance, max_iter, random_state, allow
+        )
         _checks.warn_of_compaction(tolerance, compaction.change, compaction.n_inducing)
         small = clone(self)
-        vars(small).update({name: value for name, value in vars(self).items() if name not in self.get_params(False)})
+        vars(small).update(
+            {
+                name: value
+                for name, value in vars(self).items()
+                if name not in self.get_params(False)
+            }
+        )
         small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"
         small.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         return small
@@ -452,10 +523,11 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         Returns
         -------
         Bunch
-            ``correlation`` (P, P): the correlation of largest magnitude, over all shifts, between output i at s + shift
-            and output j at s; ``shift`` (P, P, d): that shift, in the units of the regressors; ``output_names``.
-            This is the prior correlation of the dependent processes, without trend and noise. With
-            ``trend="constant"``, very wide latents that replace a trend dominate it.
+            ``correlation`` (P, P): the correlation of largest magnitude, over all shifts, between
+            output i at s + shift and output j at s; ``shift`` (P, P, d): that shift, in the units
+            of the regressors; ``output_names``. This is the prior correlation of the dependent
+            processes, without trend and noise. With ``trend="constant"``, very wide latents that
+            replace a trend dominate it.
         """
         check_is_fitted(self)
         kernel = self.kernel_.stationary_part()
@@ -465,7 +537,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         coupling["output_names"] = list(self.output_names_)
         return coupling
 
-    # -- predictions: y = center_ + scale_ z for the normalised outputs z ------------------------------------
+    # -- predictions: y = center_ + scale_ z for the normalised outputs z
+    # ------------------------------------
 
     def predict(
         self,
@@ -483,13 +556,15 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         return_std : bool
             Also return the standard deviation of each output, in the shape of the mean.
         return_cov : bool
-            Also return the joint covariance of all outputs at all samples, (P n, P n), output-major. That of the
-            function has no misfit: how its errors at several samples depend on each other is not known.
+            Also return the joint covariance of all outputs at all samples, (P n, P n),
+            output-major. That of the function has no misfit: how its errors at several samples
+            depend on each other is not known.
         include_noise : bool
             Return the uncertainty of a new measurement instead of that of the function.
         include_input_noise : bool, float or array (n,)
-            True: X has the noise covariance S of the fit (``input_noise``), and J S J^T is added with the slopes J of
-            the mean. A number multiplies S, for example for rougher air. False: X is exact.
+            True: X has the noise covariance S of the fit (``input_noise``), and J S J^T is added
+            with the slopes J of the mean. A number multiplies S, for example for rougher air.
+            False: X is exact.
 
         Returns
         -------
@@ -503,7 +578,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             If X is not finite, or both ``return_std`` and ``return_cov`` are True.
         """
         if return_std and return_cov:
-            raise ValueError("Got return_std=True and return_cov=True, but at most one of them can be returned.")
+            raise ValueError(
+                "Got return_std=True and return_cov=True, but at most one of them can be returned."
+            )
         X = self._check_regressors(X)
         mean = self.posterior_.predict(X, return_variance=return_std)
         if return_std:
@@ -511,7 +588,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             noise = self.noise_variance_ if include_noise else 0.0
             variance = variance + (self.misfit_variance_ + noise) / self.scale_**2
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
-            return self._squeeze(mean * self.scale_ + self.center_), self._squeeze(np.sqrt(variance) * self.scale_)
+            return self._squeeze(mean * self.scale_ + self.center_), self._squeeze(
+                np.sqrt(variance) * self.scale_
+            )
         mean = self._squeeze(mean * self.scale_ + self.center_)
         if not return_cov:
             return mean
@@ -540,9 +619,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def slope_errors(self, X: Matrix) -> SlopeErrors | None:
         """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.
 
-        They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random`` errors, correlated
-        between neighbouring samples and between outputs, and errors of the ``method``. None if the samples are too few,
-        or not stored (compact models). Rows must be in the order of the log.
+        They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random``
+        errors, correlated between neighbouring samples and between outputs, and errors of the
+        ``method``. None if the samples are too few, or not stored (compact models). Rows must be in
+        the order of the log.
 
         Examples
         --------
@@ -559,9 +639,10 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
     def function_errors(self) -> FunctionErrors | None:
         """Return errors of the function that the posterior does not contain, from the samples of the fit.
 
-        Errors of neighbouring samples and of different outputs are correlated. Those of a polynomial of second order
-        are estimated block by block, as ``random`` of `slope_errors`. ``simulate`` adds them to the paths. None if the
-        samples are too few, or not stored (compact models).
+        Errors of neighbouring samples and of different outputs are correlated. Those of a
+        polynomial of second order are estimated block by block, as ``random`` of `slope_errors`.
+        ``simulate`` adds them to the paths. None if the samples are too few, or not stored (compact
+        models).
 
         Examples
         --------
@@ -588,21 +669,25 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         white = check_random_state(random_state).standard_normal((len(cov), n_samples))
         draws = eigen_root(cov) @ white  # a posterior covariance may be singular
         draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
-        return self._squeeze((mean[..., None] + draws) * self.scale_[:, None] + self.center_[:, None])
+        return self._squeeze(
+            (mean[..., None] + draws) * self.scale_[:, None] + self.center_[:, None]
+        )
 
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
 
-        ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any points, repeatedly,
-        as a simulation needs it. A path is a random function of the prior, a sum of waves, plus a correction by the
-        data (Matheron's rule: Wilson et al. 2020, "Efficiently sampling functions from Gaussian process posteriors").
-        Mean and covariance over many paths are those of ``predict(X, return_cov=True, include_input_noise=False)``.
-        Equal seeds give equal functions.
+        ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any
+        points, repeatedly, as a simulation needs it. A path is a random function of the prior, a
+        sum of waves, plus a correction by the data (Matheron's rule: Wilson et al. 2020,
+        "Efficiently sampling functions from Gaussian process posteriors"). Mean and covariance over
+        many paths are those of ``predict(X, return_cov=True, include_input_noise=False)``. Equal
+        seeds give equal functions.
 
-        Of the sequence that is returned, ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for one-dimensional targets;
-        ``paths(X)`` are all paths at the same points, (n_paths, n, P), ``paths.each(X)`` each path at its own points X
-        (n_paths, n, d), and ``paths.gradient(X)`` slopes at either, (n_paths, n, P, d). Raises ValueError if
-        ``n_paths`` is not a positive integer.
+        Of the sequence that is returned, ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for
+        one-dimensional targets; ``paths(X)`` are all paths at the same points, (n_paths, n, P),
+        ``paths.each(X)`` each path at its own points X (n_paths, n, d), and ``paths.gradient(X)``
+        slopes at either, (n_paths, n, P, d). Raises ValueError if ``n_paths`` is not a positive
+        integer.
 
         Examples
         --------
@@ -618,18 +703,26 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
             raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
         names = getattr(self, "feature_names_in_", None)
-        return self.posterior_.paths(n_paths, random_state).in_units(self.center_, self.scale_, self._single, names)
+        return self.posterior_.paths(n_paths, random_state).in_units(
+            self.center_, self.scale_, self._single, names
+        )
 
     def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
 
-        It is 1 for a perfect prediction, 0 for predicting the mean. Targets y (n,) or (n, P) at X (n, d), with weights
-        (n,), are NaN where an output was not observed; outputs without targets are ignored.
+        It is 1 for a perfect prediction, 0 for predicting the mean. Targets y (n,) or (n, P) at X
+        (n, d), with weights (n,), are NaN where an output was not observed; outputs without targets
+        are ignored.
         """
         mean = self.predict(X).reshape(len(X), -1)
-        Y = check_array(y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y")
+        Y = check_array(
+            y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y"
+        )
         if Y.reshape(len(Y), -1).shape != mean.shape:
-            raise ValueError(f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all outputs.")
+            raise ValueError(
+                f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all "
+                f"outputs."
+            )
         scores = []
         for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
             rows = np.isfinite(y_true)
@@ -638,13 +731,17 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
                 scores.append(r2_score(y_true[rows], y_pred[rows], sample_weight=weight))
         return float(np.mean(scores)) if scores else float("nan")
 
-    # -- likelihood and hyperparameters ------------------------------------------------------------------
+    # -- likelihood and hyperparameters
+    # ------------------------------------------------------------------
 
-    def log_marginal_likelihood(self, theta: Vector | None = None, eval_gradient: bool = False) -> Any:
+    def log_marginal_likelihood(
+        self, theta: Vector | None = None, eval_gradient: bool = False
+    ) -> Any:
         """Return the log marginal likelihood of the normalised outputs in nats (equation 20), on request its gradient.
 
-        ``theta`` (n_theta,) is ``kernel_.theta`` followed by the logarithms of the noise variances of the normalised
-        outputs, by default the fitted values. The noise of the regressors keeps its fitted value.
+        ``theta`` (n_theta,) is ``kernel_.theta`` followed by the logarithms of the noise variances
+        of the normalised outputs, by default the fitted values. The noise of the regressors keeps
+        its fitted value.
         """
         check_is_fitted(self)
         P = len(self.scale_)
@@ -656,7 +753,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         expected = (self.kernel_.n_dims + P,)
         if theta.shape != expected:
             raise ValueError(
-                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's {expected[0] - P} "
+                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's "
+                f"{expected[0] - P} "
                 f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
             )
         kernel = self.kernel_.clone_with_theta(theta[:-P])
@@ -673,7 +771,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         factor = np.asarray(factor, dtype=float)
         if factor.shape not in ((), (len(X),)) or not (factor >= 0).all():
             raise ValueError(
-                f"Got include_input_noise of shape {factor.shape}, but expected a bool, or factors of the variance "
+                f"Got include_input_noise of shape {factor.shape}, but expected a bool, or "
+                f"factors of the variance "
                 f"from 0 on: one number, or one for each of the {len(X)} rows."
             )
         if self._root is None or not factor.any():
@@ -690,7 +789,9 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
 
     def _regressor_names(self) -> list[str]:
         """Return the names of the regressors, or x0, x1, ... if they have none."""
-        return list(getattr(self, "feature_names_in_", [f"x{k}" for k in range(self.n_features_in_)]))
+        return list(
+            getattr(self, "feature_names_in_", [f"x{k}" for k in range(self.n_features_in_)])
+        )
 
     def _is_valid(self, X):
         """Return whether X needs no conversion by ``validate_data``, which dominates the time of a single row."""

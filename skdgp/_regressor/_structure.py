@@ -18,21 +18,25 @@ from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
 SEARCHES = 2
 """Of a log, which hold out other blocks.
 
-On twelve pairs of flights, three seeds each, the mean of two has 0.98 to 0.99 of the error of one, of three 0.97
-(docs/results.md#pairs-of-flights; tests/benchmarks/pairs.py prints what one search has alone)."""
+On twelve pairs of flights, three seeds each, the mean of two has 0.98 to 0.99 of the error of one,
+of three 0.97 (docs/results.md#pairs-of-flights; tests/benchmarks/pairs.py prints what one search
+has alone)."""
 N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.
 
-Of the known values of seven electrodes (docs/results.md) the likelihood is 821, 888 and 910 with two, three and four.
+Of the known values of seven electrodes (docs/results.md) the likelihood is 821, 888 and 910 with
+two, three and four.
 """
 LOG_ITERATIONS = 60  # of a log; held-out blocks end most searches before
 ITERATIONS, ITERATED_VALUES = 150, 1500
 """Most iterations, of a search that learns from up to so many values; of more values as many as take the same time.
 
-Seven electrodes need 100 of 1492 values: the error of gaps is .46 after 60, and .26 then. Other searches of
-tests/benchmarks/published.py converge within 90, or do not gain.
+Seven electrodes need 100 of 1492 values: the error of gaps is .46 after 60, and .26 then. Other
+searches of tests/benchmarks/published.py converge within 90, or do not gain.
 """
-ADDITIVE_SAMPLES = 5000  # of a log: largest number for which an average has main effects, see docs/theory.md
+ADDITIVE_SAMPLES = (
+    5000  # of a log: largest number for which an average has main effects, see docs/theory.md
+)
 
 
 def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
@@ -49,20 +53,33 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
         "input_noise": _checks.input_root(input_noise, X, model._regressor_names()),
         "stop_early": log,
     }
-    search = fit_exact if model.inference_ == "exact" else partial(fit_sparse, n_inducing=model.n_inducing)
+    search = (
+        fit_exact
+        if model.inference_ == "exact"
+        else partial(fit_sparse, n_inducing=model.n_inducing)
+    )
     search = partial(search, kernel, X, Z, **options)
     averaged = model.structure == "average" and model.optimizer is not None
-    seeds = check_random_state(model.random_state).randint(2**31 - 1, size=SEARCHES if averaged and log else 1)
+    seeds = check_random_state(model.random_state).randint(
+        2**31 - 1, size=SEARCHES if averaged and log else 1
+    )
     if not averaged:
         return search(random_state=int(seeds[0]))
     n_jobs = model.n_jobs if len(seeds) == 1 else None
-    return joined(fit_map(partial(_averaged, search, X, Z, n_jobs), [{"seed": int(s)} for s in seeds], model.n_jobs))
+    return joined(
+        fit_map(
+            partial(_averaged, search, X, Z, n_jobs),
+            [{"seed": int(s)} for s in seeds],
+            model.n_jobs,
+        )
+    )
 
 
 def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
     """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
 
-    Where it is not given, 60 of a log, else 150, or :math:`150 (1500 / N)^3`, as N^3 is the time of an iteration.
+    Where it is not given, 60 of a log, else 150, or :math:`150 (1500 / N)^3`, as N^3 is the time of
+    an iteration.
     """
     if max_iter is not None or log:
         return LOG_ITERATIONS if max_iter is None else max_iter
@@ -71,7 +88,9 @@ def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
 
 def most_factors(model: Any, log: bool) -> int:
     """Return the largest number of Cholesky factors of all values that a posterior of exact inference holds."""
-    return 2 * SEARCHES if model.structure == "average" and log else 1  # all terms, trend and main effects
+    return (
+        2 * SEARCHES if model.structure == "average" and log else 1
+    )  # all terms, trend and main effects
 
 
 def _averaged(search, X, Z, n_jobs, seed):
@@ -90,7 +109,8 @@ def weights_of(posterior: Any) -> dict[str, Vector]:
 def likeliest_mean(posterior: Any, X: Matrix) -> Matrix:
     """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
 
-    Its errors are noise, where those of an average still hold a part of what the other members miss.
+    Its errors are noise, where those of an average still hold a part of what the other members
+    miss.
     """
     means = np.array([member.predict(X) for member in posterior.members])
     return np.take_along_axis(means, posterior.mixture.argmax(axis=0)[None, None], axis=0)[0]
@@ -104,9 +124,12 @@ def _name(kernel):
 
 def _make_kernel(model, X, Z, log):
     """Return the kernel of all terms; raise ValueError if the structure needs another kernel or trend."""
-    if model.structure == "trend" and (model.kernel is not None or model.trend in ("constant", None)):
+    if model.structure == "trend" and (
+        model.kernel is not None or model.trend in ("constant", None)
+    ):
         raise ValueError(
-            f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but expected "
+            f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but "
+            f"expected "
             "kernel=None and a trend such as 'linear'."
         )
     if model.structure == "additive" and model.kernel is not None:
@@ -125,8 +148,14 @@ def _make_kernel(model, X, Z, log):
     if kernel is None:
         n_latent = model.n_latent
         if n_latent is None:  # more where they can fill what is missing, see docs/choosing.md
-            n_latent = N_LATENT[0] if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, *N_LATENT))
-        kernel = ConvolvedGaussian(n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds)
+            n_latent = (
+                N_LATENT[0]
+                if log or np.isfinite(Z).all()
+                else int(np.clip(Z.shape[1] // 2, *N_LATENT))
+            )
+        kernel = ConvolvedGaussian(
+            n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds
+        )
     averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):

@@ -1,8 +1,9 @@
 """A Brumby-like UAV: cropped delta, two elevons, fin and rudder, pusher propeller; 45 kg, about 36 m/s.
 
-The aerodynamics are the sum of a few parts (wing, elevons, fin, body), each a force with its point of application. So
-the six coefficients share terms and depend on each other as those of a real aircraft do. The numbers are those of a
-plausible delta of aspect ratio 3, not measurements of any aircraft.
+The aerodynamics are the sum of a few parts (wing, elevons, fin, body), each a force with its point
+of application. So the six coefficients share terms and depend on each other as those of a real
+aircraft do. The numbers are those of a plausible delta of aspect ratio 3, not measurements of any
+aircraft.
 """
 
 from __future__ import annotations
@@ -13,8 +14,21 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 
-REGRESSORS = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
-"""Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)."""
+REGRESSORS = (
+    "alpha",
+    "beta",
+    "p",
+    "q",
+    "r",
+    "alpha_dot",
+    "beta_dot",
+    "elevator",
+    "aileron",
+    "rudder",
+)
+"""Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q,
+alpha_dot).
+"""
 
 PROPELLER = Propeller(
     diameter=0.6, thrust_coefficients=(0.10, -0.045, -0.065), torque_coefficients=(0.0070, 0.0010, -0.0060),
@@ -33,19 +47,21 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     The parts, with :math:`s = \sin\alpha`:
 
     wing
-        Polhamus' leading-edge suction analogy (NASA TN D-3767, 1966): potential and vortex normal force
-        :math:`K_p\, s \cos\alpha` and :math:`K_v\, s |s|`, the vortex breaking down near 18 degrees; each acts
-        at its own station, so Cm bends with alpha. The remaining suction increases CX.
+        Polhamus' leading-edge suction analogy (NASA TN D-3767, 1966): potential and vortex normal
+        force :math:`K_p\, s \cos\alpha` and :math:`K_v\, s |s|`, the vortex breaking down near 18
+        degrees; each acts at its own station, so Cm bends with alpha. The remaining suction
+        increases CX.
     heave
         Normal force of q and alpha_dot, half a chord behind the centre of gravity.
     elevons
-        Each one's force saturates with ITS deflection, left = elevator + aileron and right = elevator - aileron:
-        the two commands couple. Drag of left and right differ, so aileron yaws.
+        Each one's force saturates with ITS deflection, left = elevator + aileron and right =
+        elevator - aileron: the two commands couple. Drag of left and right differ, so aileron yaws.
     fin
-        Force of the local sideslip (beta, roll and yaw rates, sidewash lag) and of the rudder, fading as the
-        wing shades the fin at alpha; its arm turns it into Cl and Cn.
+        Force of the local sideslip (beta, roll and yaw rates, sidewash lag) and of the rudder,
+        fading as the wing shades the fin at alpha; its arm turns it into Cl and Cn.
     wing and body in sideslip
-        Dihedral effect, roll due to yaw and yaw due to roll grow with wing normal force; roll damping falls.
+        Dihedral effect, roll due to yaw and yaw due to roll grow with wing normal force; roll
+        damping falls.
 
     Analytic in every argument: complex steps give exact derivatives (`brumby_derivatives`).
     """

@@ -42,8 +42,12 @@ ALPHA = 0.085
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 TRIM = (-0.04, -0.007, 0.0, 0.63)  # of the commands in straight level flight [rad]
 BANK_LIMIT, ELEVON_LIMIT, RUDDER_LIMIT = 0.70, 0.42, 0.35
-TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])  # of the lags of both elevons, rudder and propeller [s]
-CAPTURE_DISTANCE = 170.0  # distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
+TIME_CONSTANTS = np.array(
+    [0.04, 0.04, 0.04, 0.25]
+)  # of the lags of both elevons, rudder and propeller [s]
+CAPTURE_DISTANCE = (
+    170.0  # distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
+)
 EVEN, ODD = range(12, 60, 2), range(13, 60, 2)
 FIRST, SECOND, THIRD = (range(k, 60, 3) for k in (10, 11, 12))
 TWO_ALTITUDES = Wavetrain({
@@ -64,17 +68,22 @@ TWO_ALTITUDES = Wavetrain({
 DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
 LOG_STEP = 0.025  # between autopilot commands, integration steps and log rows [s]
-SETTLING = 8.0  # flown before the log begins, so that it does not open with the transients of a guessed trim [s]
+# flown before the log begins, so that it does not open with the transients of a guessed trim [s]
+SETTLING = 8.0
 FIELD_ELEVATION = 60.0  # height of the ground, above which turbulence scales [m]
 AIRSPEED = 36.0  # at which the gusts are crossed [m/s]
-PASSES = 8  # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
+PASSES = (
+    8  # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
+)
 DEGREE = np.pi / 180.0
 SENSOR_NOISE = {
     "airspeed": 0.3, "alpha": 0.3 * DEGREE, "beta": 0.3 * DEGREE, **dict.fromkeys(RATES, 0.002),
     **dict.fromkeys(SPECIFIC_FORCE, 0.05), **dict.fromkeys(EULER, 0.3 * DEGREE), "north": 0.5, "east": 0.5,
     **dict.fromkeys(EARTH_VELOCITY, 0.1),
 }  # fmt: skip
-"""Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit, GPS."""
+"""Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit,
+GPS.
+"""
 MEASURED = (
     "time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
     "north", "east", "v_north", "v_east", "v_down", "altitude", "density", "throttle", "elevator", "aileron",
@@ -83,7 +92,18 @@ MEASURED = (
 )  # fmt: skip
 """Columns that a logger would write; the truth comes after them."""
 TRUTH = (
-    *("airspeed", "alpha", "beta", "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
+    *(
+        "airspeed",
+        "alpha",
+        "beta",
+        "alpha_dot",
+        "beta_dot",
+        *RATES,
+        "p_dot",
+        "q_dot",
+        "r_dot",
+        *SPECIFIC_FORCE,
+    ),
     *("u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS),
 )
 DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
@@ -166,8 +186,8 @@ FLIGHT_PLANS = (
 class FlightControls:
     """Controls of several flights as a function of step, stage and measured values, for `fly_record`.
 
-    At the beginning of each step the commands of the autopilot and the manoeuvres are added to targets. The actuators
-    approach the targets as exact first-order lags.
+    At the beginning of each step the commands of the autopilot and the manoeuvres are added to
+    targets. The actuators approach the targets as exact first-order lags.
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
@@ -179,11 +199,15 @@ class FlightControls:
         self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
         self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
 
-    def __call__(self, k: int, stage: int, observe: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
+    def __call__(
+        self, k: int, stage: int, observe: Callable[[], Mapping[str, Array]]
+    ) -> dict[str, Array]:
         """Return the controls (n_flights,) by name at a stage, two to a step."""
         if k != self.now:
             self.now, self.begin = k, self.end
-            command = self.autopilot.command(observe(), self.orbit[k], self.altitude[k], self.airspeed[k])
+            command = self.autopilot.command(
+                observe(), self.orbit[k], self.altitude[k], self.airspeed[k]
+            )
             self.target, self.throttle = _targets(self.manoeuvres[k] + command)
         half_steps, positions = stage - 2 * k, self.begin
         if half_steps:
@@ -214,38 +238,57 @@ class Autopilot:
         self.step = step
         self.climb_integral, self.speed_integral, self.roll_integral = np.zeros((3, n_flights))
 
-    def command(self, seen: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array) -> Array:
+    def command(
+        self, seen: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array
+    ) -> Array:
         """Return elevator, aileron, rudder and throttle (n_flights, 4) of what is ``seen``, channels by name.
 
-        ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn left.
+        ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn
+        left.
         """
         phi, theta, speed = seen["phi"], seen["theta"], seen["airspeed"]
         climb = np.clip(0.35 * (altitude - seen["altitude"]), -3.0, 4.0)
-        elevator = self._elevator(climb + seen["v_down"], climb / speed, phi, theta, seen["q"], speed)
+        elevator = self._elevator(
+            climb + seen["v_down"], climb / speed, phi, theta, seen["q"], speed
+        )
         bank_error = self._bank(seen, orbit) - phi
-        self.roll_integral = np.clip(self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05)
+        self.roll_integral = np.clip(
+            self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05
+        )
         aileron = np.clip(0.085 * bank_error - 0.022 * seen["p"] + self.roll_integral, -0.12, 0.12)
         turning = STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / speed
         rudder = 0.22 * (seen["r"] - turning) - 0.10 * seen["beta"]
-        self.speed_integral = np.clip(self.speed_integral + 0.02 * (airspeed - speed) * self.step, -0.3, 0.3)
+        self.speed_integral = np.clip(
+            self.speed_integral + 0.02 * (airspeed - speed) * self.step, -0.3, 0.3
+        )
         throttle = 0.08 * (airspeed - speed) + 0.06 * climb + self.speed_integral
         return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
     def _bank(self, seen: Mapping[str, Array], orbit: Array) -> Array:
         """Return the bank that follows the vector field around the orbit (Beard & McLain 2012, section 10.2)."""
-        north, east, radius = seen["north"] - orbit[:, 0], seen["east"] - orbit[:, 1], np.abs(orbit[:, 2])
+        north, east, radius = (
+            seen["north"] - orbit[:, 0],
+            seen["east"] - orbit[:, 1],
+            np.abs(orbit[:, 2]),
+        )
         turn = np.sign(orbit[:, 2])
         off = (np.hypot(north, east) - radius) / CAPTURE_DISTANCE
         course = np.arctan2(seen["v_east"], seen["v_north"])
         error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
         ground_speed2 = seen["v_north"] ** 2 + seen["v_east"] ** 2
-        ahead = turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
+        ahead = (
+            turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
+        )
         return np.clip(ahead + 1.2 * error, -BANK_LIMIT, BANK_LIMIT)
 
-    def _elevator(self, climb_error: Array, path: Array, phi: Array, theta: Array, q: Array, speed: Array) -> Array:
+    def _elevator(
+        self, climb_error: Array, path: Array, phi: Array, theta: Array, q: Array, speed: Array
+    ) -> Array:
         """Return the addition to the elevator: > 0 pitches down."""
-        self.climb_integral = np.clip(self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10)
+        self.climb_integral = np.clip(
+            self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10
+        )
         level = np.cos(phi)
         wanted = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
         turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
@@ -253,13 +296,17 @@ class Autopilot:
 
 
 @validate_params(
-    {"random_state": ["random_state"], "turbulence": FACTOR, "sensor_noise": FACTOR}, prefer_skip_nested_validation=True
+    {"random_state": ["random_state"], "turbulence": FACTOR, "sensor_noise": FACTOR},
+    prefer_skip_nested_validation=True,
 )
-def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0) -> Bunch:
+def load_example_flights(
+    *, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0
+) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.
 
-    `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the same process. The aircraft,
-    its equations and the manoeuvres are described in docs/example_flights.md.
+    `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the same
+    process. The aircraft, its equations and the manoeuvres are described in
+    docs/example_flights.md.
 
     Parameters
     ----------
@@ -273,11 +320,12 @@ def load_example_flights(*, random_state: Seed = 0, turbulence: float = 1.0, sen
     Returns
     -------
     Bunch
-        ``train``: two flights of 180 s at 40 Hz, a DataFrame (14400, 69) whose column ``flight`` tells them apart and
-        serves as ``groups`` of a cross-validation; ``test``: one flight along another path, at two altitudes, in
-        stronger turbulence, (7200, 69); ``aircraft``; ``aerodynamics``: the true model, a function of regressors
-        (..., 10) to CX CY CZ Cl Cm Cn (..., 6); ``regressor_names`` of it (rates are relative to the air and
-        non-dimensional); ``DESCR``, a text.
+        ``train``: two flights of 180 s at 40 Hz, a DataFrame (14400, 69) whose column ``flight``
+        tells them apart and serves as ``groups`` of a cross-validation; ``test``: one flight along
+        another path, at two altitudes, in stronger turbulence, (7200, 69); ``aircraft``;
+        ``aerodynamics``: the true model, a function of regressors (..., 10) to CX CY CZ Cl Cm Cn
+        (..., 6); ``regressor_names`` of it (rates are relative to the air and non-dimensional);
+        ``DESCR``, a text.
 
     Examples
     --------
@@ -306,12 +354,16 @@ def _flights(
     seed: int, turbulence: float, sensor_noise: float, duration: float = DURATION
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     gust_seed, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))
-    known, true = _columns(*fly_plans(FLIGHT_PLANS, duration, turbulence, np.random.default_rng(gust_seed)))
+    known, true = _columns(
+        *fly_plans(FLIGHT_PLANS, duration, turbulence, np.random.default_rng(gust_seed))
+    )
     tables = {}
     for k, plan in enumerate(FLIGHT_PLANS):
         truth = pd.DataFrame({name + TRUTH_SUFFIX: true[name][:, k] for name in TRUTH})
         logged = measure(truth, sensor_noise, np.random.default_rng(sensor_seeds[k]))
-        logged = logged.assign(flight=plan.name, **{name: values[:, k] for name, values in known.items()})
+        logged = logged.assign(
+            flight=plan.name, **{name: values[:, k] for name, values in known.items()}
+        )
         tables[plan.name] = pd.concat([logged[list(MEASURED)], truth], axis=1)
     test = tables.pop(TEST_FLIGHT)
     train = pd.concat([*tables.values()], ignore_index=True)
@@ -321,10 +373,15 @@ def _flights(
 def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return what is logged without noise, and the truth of what is measured: (n_times, n_flights) by name."""
     seen = channels(record.states, record.wind)
-    thrust = propeller_loads(BRUMBY, record.controls["propeller_speed"], seen["airspeed"], truth.density)
+    thrust = propeller_loads(
+        BRUMBY, record.controls["propeller_speed"], seen["airspeed"], truth.density
+    )
     known = {"altitude": seen["altitude"], "density": truth.density, **record.controls}
     known["time"] = np.broadcast_to(record.time[:, None], truth.density.shape)
-    true = seen | {"gravity": np.full(truth.density.shape, STANDARD_GRAVITY), "psi": seen["psi"] % (2.0 * np.pi)}
+    true = seen | {
+        "gravity": np.full(truth.density.shape, STANDARD_GRAVITY),
+        "psi": seen["psi"] % (2.0 * np.pi),
+    }
     for columns, names, values in (
         (known, THRUST_FORCES, thrust[0]),
         (known, THRUST_MOMENTS, thrust[1]),
@@ -341,10 +398,15 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
 def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.DataFrame:
     """Return one measured column per name of `SENSOR_NOISE`, from the column of ``truth`` that ends in ``_true``.
 
-    Noise is white and independent from channel to channel, with ``scale`` times the stated standard deviations.
+    Noise is white and independent from channel to channel, with ``scale`` times the stated standard
+    deviations.
     """
-    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis([*SENSOR_NOISE], axis=1)
-    return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(measured.shape)
+    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis(
+        [*SENSOR_NOISE], axis=1
+    )
+    return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(
+        measured.shape
+    )
 
 
 def brumby_motion() -> Motion:
@@ -362,20 +424,30 @@ def fly_plans(
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
-    ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it. ``controls_of`` makes the
-    controls from the plans, the times and the step.
+    ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
+    ``controls_of`` makes the controls from the plans, the times and the step.
     """
     time: np.ndarray = np.arange(round((SETTLING + duration) / LOG_STEP)) * LOG_STEP - SETTLING
     heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
-    scales = [low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)]
+    scales = [
+        low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)
+    ]
     lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))
     gusts = dryden_gusts(
-        2 * len(time) + 1, 0.5 * LOG_STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng
+        2 * len(time) + 1,
+        0.5 * LOG_STEP,
+        AIRSPEED,
+        lengths,
+        turbulence * intensities,
+        BRUMBY.span,
+        rng,
     )
     wind = np.array([plan.wind for plan in plans])
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
     motion, controls = brumby_motion(), controls_of(plans, time, LOG_STEP)
-    record = fly_record(motion, controls, air, Clock(LOG_STEP, len(time) - 1), _initial_states(controls, wind))
+    record = fly_record(
+        motion, controls, air, Clock(LOG_STEP, len(time) - 1), _initial_states(controls, wind)
+    )
     log = slice(round(SETTLING / LOG_STEP), None)
     record = record.rows(log)
     at = air(slice(2 * log.start, 2 * len(time), 2), record.states)
@@ -392,7 +464,9 @@ def _initial_states(controls: FlightControls, wind: Array) -> Array:
     state = np.zeros((len(orbit), 13))
     state[:, :2], state[:, 2] = orbit[:, :2], -controls.altitude[0]
     state[:, 0] += np.abs(orbit[:, 2])
-    state[:, rigid_body.ATTITUDE] = euler_to_quaternion(0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2]))
+    state[:, rigid_body.ATTITUDE] = euler_to_quaternion(
+        0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2])
+    )
     state[:, rigid_body.VELOCITY] = ned_to_body(state[:, rigid_body.ATTITUDE], wind)
     state[:, 3] += airspeed * np.cos(ALPHA)
     state[:, 5] += airspeed * np.sin(ALPHA)

@@ -17,11 +17,22 @@ from skdgp._excitation import (
 from skdgp.design._card import write_flight_card
 from skdgp.design._envelope import Envelope
 from skdgp.design._flown import FlownPlan, flown_plan
-from skdgp.design._information import Information, coefficient_noise, expected_information, posterior_information
+from skdgp.design._information import (
+    Information,
+    coefficient_noise,
+    expected_information,
+    posterior_information,
+)
 from skdgp.design._library import input_bands
 from skdgp.design._plan import Plan
 from skdgp.design._planner import Known, Pilot, plan
-from skdgp.design._write import ardupilot_script, surface_mixes, write_ardupilot_lua, write_csv, write_px4
+from skdgp.design._write import (
+    ardupilot_script,
+    surface_mixes,
+    write_ardupilot_lua,
+    write_csv,
+    write_px4,
+)
 
 __all__ = [
     "Chirp", "Envelope", "FlownPlan", "Information", "Known", "Limits", "Multisine", "Pilot", "Plan", "Signal", "Steps",

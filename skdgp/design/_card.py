@@ -13,7 +13,19 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._display.page import DASH, THIN, can_draw, figure, number, percent, render_page, strip, symbol, table, text
+from skdgp._display.page import (
+    DASH,
+    THIN,
+    can_draw,
+    figure,
+    number,
+    percent,
+    render_page,
+    strip,
+    symbol,
+    table,
+    text,
+)
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._excitation import Steps
 from skdgp._flight.channels import HAT
@@ -23,7 +35,13 @@ from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import REACTION, RESPONSE
 
 QUICK = 0.5  # shortest step that a pilot can time by counting [s]
-SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")  # responses that are drawn; altitude stands in the table
+SHOWN = (
+    "alpha",
+    "load_factor",
+    "airspeed",
+    "bank",
+    "beta",
+)  # responses that are drawn; altitude stands in the table
 NEAR = 0.6  # a limit is drawn if it is nearer to the response than this part of its range
 DIRECTIONS = {
     "elevator": ("nose down", "nose up"), "aileron": ("roll right", "roll left"), "rudder": ("nose left", "nose right"),
@@ -31,15 +49,29 @@ DIRECTIONS = {
 }  # fmt: skip
 SOME = 0.95  # part of an error that is left, above which a manoeuvre teaches nothing worth naming
 NAMED = ". Before is std_unmerged of the command derivatives, std now is std: with what alpha_dot and beta_dot may hold"
-CREW = ("Date", "Place, aircraft", "Pilot", "Ground station", "Engineer", "Wind at 6 m, gusts", "Mass", "Go or no-go")
+CREW = (
+    "Date",
+    "Place, aircraft",
+    "Pilot",
+    "Ground station",
+    "Engineer",
+    "Wind at 6 m, gusts",
+    "Mass",
+    "Go or no-go",
+)
 FLOWN = ("Flown at", "Remarks", "Signed")
 MOST_NAMED = 4  # derivatives that a manoeuvre teaches which are named
-MOST_KINDS = 4  # of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight
+# of manoeuvres whose expected responses stand beside the limits each; of more, those of the flight
+MOST_KINDS = 4
 WIND_TO_GUST = 10.0
-"""Wind 6 m above ground over the standard deviation of vertical gusts below 1000 ft (MIL-F-8785C, 3.7.3)."""
+"""Wind 6 m above ground over the standard deviation of vertical gusts below 1000 ft (MIL-F-8785C,
+3.7.3).
+"""
 MODES = (
-    ("inputs", "MANUAL (ArduPilot), Manual (PX4), or the stick by hand: the risk is that of controls that nothing "
-     "corrects. A mode that holds attitude or path (FBWA, CRUISE, Stabilized) makes the responses smaller."),
+    ("inputs", "MANUAL (ArduPilot), Manual (PX4), or the stick by hand: the risk is that of "
+               "controls that nothing "
+     "corrects. A mode that holds attitude or path (FBWA, CRUISE, Stabilized) makes the responses "
+     "smaller."),
     ("pauses", "FBWB or CRUISE (ArduPilot), Altitude (PX4), or by hand: back to the trim."),
 )  # fmt: skip
 """Of the autopilot, during and between the manoeuvres."""
@@ -53,19 +85,24 @@ LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.ra
 NO_BREAK = "\u00a0"
 
 
-def write_flight_card(path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None) -> Path:
+def write_flight_card(
+    path: str | os.PathLike, plan: Plan, *, full: Mapping[str, float] | None = None
+) -> Path:
     """Write the flight card of a plan as one HTML file, to print on A4 and to fly from, and return its path.
 
-    The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort limits, the order of the
-    manoeuvres, and the risks. A page for each kind of manoeuvre shows the inputs as pictures and, where a pilot can fly
-    them, as steps; the responses expected of 95 % of the aircraft drawn; and its risk. The last page is the engineer's:
-    what the flight teaches. With the ``full`` deflections of axes [rad], or 1 of the throttle, the card says how much
-    of the stick each step is. Raises FileNotFoundError if the folder of ``path`` does not exist.
+    The crew's pages come first: wind and gusts, trim and entry, modes of the autopilot, abort
+    limits, the order of the manoeuvres, and the risks. A page for each kind of manoeuvre shows the
+    inputs as pictures and, where a pilot can fly them, as steps; the responses expected of 95 % of
+    the aircraft drawn; and its risk. The last page is the engineer's: what the flight teaches. With
+    the ``full`` deflections of axes [rad], or 1 of the throttle, the card says how much of the
+    stick each step is. Raises FileNotFoundError if the folder of ``path`` does not exist.
     """
     draw = can_draw()
     body = [_fields(CREW), _headline(plan), _go(plan), _entry(plan), _limits(plan), _order(plan)]
     if not draw:
-        body.append('<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>')
+        body.append(
+            '<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>'
+        )
     body += [_manoeuvre(plan, kind, full or {}, draw) for kind in _kinds(plan).values()]
     body.append(_teaching(plan))
     meta = f"{_count(len(plan.manoeuvres), 'manoeuvre')} of {_count(len(_kinds(plan)), 'kind')}"
@@ -96,9 +133,15 @@ def _tiles(*tiles: tuple[str, str]) -> str:
 def _headline(plan: Plan) -> str:
     rows = plan.manoeuvres
     return _tiles(
-        (f"{number(plan.seconds, '.0f')}<small>s</small>", "of flight at the trim, pauses included"),
+        (
+            f"{number(plan.seconds, '.0f')}<small>s</small>",
+            "of flight at the trim, pauses included",
+        ),
         (f"{len(rows)}", "manoeuvres, one after another" if len(rows) > 1 else "manoeuvre"),
-        (percent(plan.risk) + "<small>%</small>", "risk of the flight: that any manoeuvre leaves a limit"),
+        (
+            percent(plan.risk) + "<small>%</small>",
+            "risk of the flight: that any manoeuvre leaves a limit",
+        ),
         (percent(rows["risk"].max()) + "<small>%</small>", "largest risk of a manoeuvre"),
     )
 
@@ -110,17 +153,28 @@ def _go(plan: Plan) -> str:
         rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
         caption += "of calm air."
     else:
-        wind, swing = (f"{number(v, '.1f')}{THIN}m/s" for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0]))
+        wind, swing = (
+            f"{number(v, '.1f')}{THIN}m/s"
+            for v in (WIND_TO_GUST * plan.gusts[2], 2.0 * plan.gusts[0])
+        )
         rows = [
             [f"wind 6{THIN}m above ground", f"at most {wind}", "above"],
             ["airspeed in trimmed flight, hands off", f"within ±{swing} for 10{THIN}s", "beyond"],
         ]
         along, across, up = (f"{number(value, '.2f')}{THIN}m/s" for value in plan.gusts)
         caption += (
-            f"of gusts with standard deviations of {along} along the flight, {across} across, {up} vertically: below "
-            f"300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are smaller than this."
+            f"of gusts with standard deviations of {along} along the flight, {across} across, "
+            f"{up} vertically: below "
+            f"300{THIN}m those of this wind (MIL-F-8785C); 95 % of the swings of the airspeed are "
+            f"smaller than this."
         )
-    rows.append(["wind and crosswind for take-off and landing", "within the aircraft's own limits", "beyond"])
+    rows.append(
+        [
+            "wind and crosswind for take-off and landing",
+            "within the aircraft's own limits",
+            "beyond",
+        ]
+    )
     return f"<section><h2>Go or no-go</h2>{table(['', 'go', 'no-go'], rows, caption=caption)}</section>"
 
 
@@ -131,34 +185,65 @@ def _entry(plan: Plan) -> str:
     pauses = plan.manoeuvres.groupby("train")["start"].first()
     rows = []
     for k, one in enumerate(plan.trims):
-        values = {name: getattr(one, name) for name in states} | {name: one.controls.get(name, np.nan) for name in axes}
-        rows.append([_train(plan, k), *(shown(*item) for item in values.items()), number(pauses[k], ".1f")])
+        values = {name: getattr(one, name) for name in states} | {
+            name: one.controls.get(name, np.nan) for name in axes
+        }
+        rows.append(
+            [_train(plan, k), *(shown(*item) for item in values.items()), number(pauses[k], ".1f")]
+        )
     steps = (
         "<li>Trim at the values of the table, hands off, for the pause.</li>"
-        "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock.</li>"
-        "<li>Leave the other controls at their trim while the inputs run: corrections spoil the measurement.</li>"
-        "<li>Return to the trim, and hold it until the pause is over. Wait longer if airspeed and pitch "
+        "<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the "
+        "clock.</li>"
+        "<li>Leave the other controls at their trim while the inputs run: corrections spoil the "
+        "measurement.</li>"
+        "<li>Return to the trim, and hold it until the pause is over. Wait longer if airspeed and "
+        "pitch "
         "are not back; the order may be interrupted between manoeuvres, not within one.</li>"
     )
-    caption = "Trim, as the model expects it; deflections of the controls are positions, not deviations."
+    caption = (
+        "Trim, as the model expects it; deflections of the controls are positions, not deviations."
+    )
     modes = "".join(f"<div><dt>{when}</dt><dd>{mode}</dd></div>" for when, mode in MODES)
     modes = f'<h3>Mode of the autopilot</h3><dl class="facts">{modes}</dl>'
     return f"<section><h2>Trim and entry</h2>{table(head, rows, caption=caption)}<ol>{steps}</ol>{modes}</section>"
 
 
 def _order(plan: Plan) -> str:
-    head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>deflection allowed]", "risk [%]", "flown"]
+    head = [
+        "manoeuvre",
+        "begins<br>[s]",
+        "lasts<br>[s]",
+        "size [% of<br>deflection allowed]",
+        "risk [%]",
+        "flown",
+    ]
     rows: list[list[str]] = []
     begins = ~plan.manoeuvres["train"].duplicated()
     for k, row in enumerate(plan.manoeuvres.to_dict("records")):
         if len(plan.trims) > 1 and begins.iloc[k]:
             rows.append([_train(plan, row["train"])])
-        numbers = [number(row["start"], ".1f"), number(row["duration"], ".1f"), percent(row["scale"], ".0f")]
+        numbers = [
+            number(row["start"], ".1f"),
+            number(row["duration"], ".1f"),
+            percent(row["scale"], ".0f"),
+        ]
         rows.append([f"{k + 1}. {text(row['name'])}", *numbers, percent(row["risk"]), "☐"])
-    rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", f"<b>{percent(plan.risk)}</b>", ""])
+    rows.append(
+        [
+            "<b>the flight</b>",
+            "",
+            number(plan.seconds, ".1f"),
+            "",
+            f"<b>{percent(plan.risk)}</b>",
+            "",
+        ]
+    )
     caption = (
-        "Order of flight. Risk: predicted probability of leaving a limit; if K of N simulated flights leave one, it is "
-        "(K + 1) / (N + 2), never zero. That of the flight: of any of them, if they are independent."
+        "Order of flight. Risk: predicted probability of leaving a limit; if K of N simulated "
+        "flights leave one, it is "
+        "(K + 1) / (N + 2), never zero. That of the flight: of any of them, if they are "
+        "independent."
     )
     return f"<section><h2>Order of flight</h2>{table(head, rows, caption=caption)}{_fields(FLOWN)}</section>"
 
@@ -167,15 +252,19 @@ def _limits(plan: Plan) -> str:
     """Return the limits, and what is expected of each kind of manoeuvre, or of the flight."""
     limits, kinds = plan.abort_limits, _kinds(plan)
     words = (
-        "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the range of the training "
-        "flights, with the growth that this plan allows (none of the floor). Asked: given for this plan.</p>"
+        "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b> Flown: the "
+        "range of the training "
+        "flights, with the growth that this plan allows (none of the floor). Asked: given for "
+        "this plan.</p>"
         if len(limits)
-        else "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked against a limit.</b> Agree "
+        else "<p><b>Nothing limits this flight, not even a floor: no manoeuvre was checked "
+        "against a limit.</b> Agree "
         "before the flight when to abort: inputs off, and back to the trim by hand.</p>"
     )
     if any(name.startswith(GROWTH) for name in plan.limits.index):
         words += (
-            '<p class="note">The plan also keeps rates and deflections near what was flown before; the risk of a '
+            '<p class="note">The plan also keeps rates and deflections near what was flown '
+            "before; the risk of a "
             "manoeuvre counts these too.</p>"
         )
     named = {name: rows for (name, *_), rows in kinds.items()}  # of two sizes the last
@@ -185,12 +274,28 @@ def _limits(plan: Plan) -> str:
     lines = []
     for name in QUANTITIES:
         ends = (_value(name, limits, end) for end in ("low", "high"))
-        ranges = (f"{_value(name, one, 'low')} … {_value(name, one, 'high')}" for one in expected.values())
-        lines.append([name_of(name), unit_of(name), *ends, limits["source"].get(name, "no limit"), *ranges])
-    head = ["", "unit", "abort<br>below", "abort<br>above", "limit is", *(f"expected:<br>{text(n)}" for n in expected)]
-    of = "95 % of the aircraft and gusts drawn" if "alpha_low" in plan.flight else "the mean of the model"
+        ranges = (
+            f"{_value(name, one, 'low')} … {_value(name, one, 'high')}" for one in expected.values()
+        )
+        lines.append(
+            [name_of(name), unit_of(name), *ends, limits["source"].get(name, "no limit"), *ranges]
+        )
+    head = [
+        "",
+        "unit",
+        "abort<br>below",
+        "abort<br>above",
+        "limit is",
+        *(f"expected:<br>{text(n)}" for n in expected),
+    ]
+    of = (
+        "95 % of the aircraft and gusts drawn"
+        if "alpha_low" in plan.flight
+        else "the mean of the model"
+    )
     caption = (
-        f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held. "
+        f"Limits, and what is expected of {of}, up to {RESPONSE:g}{THIN}s after the inputs with "
+        f"the controls held. "
         f"This may pass a limit: the risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
     return f"<section><h2>Abort limits</h2>{words}{table(head, lines, caption=caption)}</section>"
@@ -203,29 +308,43 @@ def _teaching(plan: Plan) -> str:
     ratio = np.exp(np.log(errors["after"] / errors["before"]).mean()) if known else np.nan
     whole = [GOALS[name][0] for name in plan.goal if name in GOALS]
     others = [name for name in plan.goal if name not in GOALS]
-    what = text(" and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])]))
-    tile = (percent(ratio, ".0f") + "<small>%</small>", f"of the error of {what} is left (geometric mean)")
+    what = text(
+        " and ".join([*whole, *(others if len(others) < 3 else [f"{len(others)} derivatives"])])
+    )
+    tile = (
+        percent(ratio, ".0f") + "<small>%</small>",
+        f"of the error of {what} is left (geometric mean)",
+    )
     tiles = _tiles(tile if known else ("new", f"nothing was known of {what}"))
-    left = (errors["after"] / errors["before"]).where(np.isfinite(errors["before"]) & (errors["before"] > 0))
+    left = (errors["after"] / errors["before"]).where(
+        np.isfinite(errors["before"]) & (errors["before"] > 0)
+    )
     now = {"std": "std now"} if plan.merged else {}
     of_list = f"Standard errors of the goal, before and after the flight, in thousandths{NAMED if now else ''}"
     of_list += "".join(f"; {' '.join(GOALS[name])}" for name in plan.goal if name in GOALS) + "."
     of_grid = "Standard errors of the derivatives, in thousandths: after the flight and, in grey, before it"
     of_grid += f", and std now{NAMED}." if now else "."
     heads = {"before": "before", "after": "after"} | now | {"left": "left [%]"}
-    shown = error_table(errors.assign(left=left), heads, ("after", "before", *now), of_list, of_grid)
+    shown = error_table(
+        errors.assign(left=left), heads, ("after", "before", *now), of_list, of_grid
+    )
     pairs = plan.confounded
     if len(pairs):
         named = [
-            f"{one['first']} and {one['second']} in {one['coefficient']} ({number(one['correlation'], '.2f')})"
+            f"{one['first']} and {one['second']} in {one['coefficient']} "
+            f"({number(one['correlation'], '.2f')})"
             for one in pairs.head(5).to_dict("records")
         ]
         more = f" and {_count(len(pairs) - 5, 'more pair')}" if len(pairs) > 5 else ""
         shown += (
-            '<p class="note">Errors that are still correlated, so that a combination of the two is known better than '
+            '<p class="note">Errors that are still correlated, so that a combination of the two '
+            "is known better than "
             f"each: {text(', '.join(named)).replace(HAT, '')}{more}.</p>"
         )
-    alone = "".join(f"<li><b>{text(kind[0])}</b>: {_most_taught(plan, one)}</li>" for kind, one in _kinds(plan).items())
+    alone = "".join(
+        f"<li><b>{text(kind[0])}</b>: {_most_taught(plan, one)}</li>"
+        for kind, one in _kinds(plan).items()
+    )
     shown = f"<h2>For the engineer: what the flight teaches</h2>{tiles}{shown}<ul>{alone}</ul>"
     return f'<section class="flight">{shown}</section>'
 
@@ -233,11 +352,14 @@ def _teaching(plan: Plan) -> str:
 def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw: bool) -> str:
     """Return the page of a kind of manoeuvre, which is flown in one or several rows of the order."""
     row, inputs = plan.manoeuvres.iloc[rows[0]], plan.inputs(rows[0])
-    starts = ", ".join(f"{number(start, '.1f')}{THIN}s" for start in plan.manoeuvres["start"].iloc[list(rows)])
+    starts = ", ".join(
+        f"{number(start, '.1f')}{THIN}s" for start in plan.manoeuvres["start"].iloc[list(rows)]
+    )
     trim = plan.trims[int(row["train"])]
     facts = [
         f"No. {', '.join(str(k + 1) for k in rows)} of the order, at {starts}.",
-        f"Entry: {_train(plan, int(row['train']))}, altitude {shown('altitude', trim.altitude)}{THIN}m.",
+        f"Entry: {_train(plan, int(row['train']))}, altitude "
+        f"{shown('altitude', trim.altitude)}{THIN}m.",
     ]
     if not np.isnan(row["risk"]):
         facts.append(f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.")
@@ -247,29 +369,47 @@ def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw:
     return f'<section class="flight">{"".join(parts)}</section>'
 
 
-def _steps(inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mapping[str, float]) -> tuple[str, str]:
+def _steps(
+    inputs: Mapping[str, Any], controls: Mapping[str, float], full: Mapping[str, float]
+) -> tuple[str, str]:
     """Return who can fly the inputs, and the table of their steps, if they have steps."""
     if not all(isinstance(signal, Steps) for signal in inputs.values()):
         highest = max(1.0 / signal.period for signal in inputs.values())
-        return f"By the autopilot: sums of sines up to {number(highest, '.2g')}{THIN}Hz, which no pilot can fly.", ""
+        return (
+            f"By the autopilot: sums of sines up to {number(highest, '.2g')}{THIN}Hz, which no "
+            f"pilot can fly.",
+            "",
+        )
     quick = min(min(signal.durations) for signal in inputs.values())
     by_hand = "By hand, or by the autopilot."
     if quick < QUICK:
-        by_hand = f"By the autopilot: steps of {number(quick, '.2f')}{THIN}s are too quick for a hand."
+        by_hand = (
+            f"By the autopilot: steps of {number(quick, '.2f')}{THIN}s are too quick for a hand."
+        )
     sticks = bool(set(inputs) & set(full))
-    head = [name_of(next(iter(inputs))) if len(inputs) == 1 else "move", "at [s]", "hold [s]", "by", "to"]
+    head = [
+        name_of(next(iter(inputs))) if len(inputs) == 1 else "move",
+        "at [s]",
+        "hold [s]",
+        "by",
+        "to",
+    ]
     head += ["of full<br>deflection [%]"] if sticks else []
     rows, said = [], []
     for axis, signal in inputs.items():
         unit = f"{THIN}{unit_of(axis)}".rstrip()
-        for time, level, hold in zip(signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True):
+        for time, level, hold in zip(
+            signal.edges, [*signal.levels, 0.0], [*signal.durations, np.nan], strict=True
+        ):
             way = DIRECTIONS.get(axis, ("up", "down"))[int(level < 0)] if level else "back to trim"
             trim = controls.get(axis, 0.0)
             cells = [_signed(level, shown(axis, level)) + unit, shown(axis, trim + level) + unit]
             part = 100.0 * level / full.get(axis, np.nan)
             stick = [_signed(level, number(part, ".0f")) if axis in full else ""] if sticks else []
             what = way if len(inputs) == 1 else f"{name_of(axis)}: {way}"
-            size = f" {shown(axis, abs(level))}{unit}, {way}, for {number(round(hold, 2), 'g')}{THIN}s"
+            size = (
+                f" {shown(axis, abs(level))}{unit}, {way}, for {number(round(hold, 2), 'g')}{THIN}s"
+            )
             said.append(name_of(axis) + (size if level else f" {way}"))
             rows.append((time, [what, number(time, ".2f"), number(hold, ".2f"), *cells, *stick]))
     rows.sort(key=lambda one: one[0])
@@ -293,13 +433,17 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
             ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.5)
         else:
             if f"{name}_low" in flight:
-                low, high = (factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high"))
+                low, high = (
+                    factor * flight[f"{name}_{side}"].to_numpy(float) for side in ("low", "high")
+                )
                 ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
             ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
             bottom, top = ax.get_ylim()
             for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
                 if bottom - NEAR * (top - bottom) < limit < top + NEAR * (top - bottom):
-                    ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
+                    ax.axhline(
+                        limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2))
+                    )
         ax.axvline(end, color=PALETTE["grey"], linewidth=0.5)
         ax.set(xlabel="time [s]", ylabel=f"{label} [{unit}]" if unit else label)
         tidy(ax)
@@ -315,7 +459,8 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Any]) -> str:
     key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
     key += [("vermillion", "abort limit", "")]
     caption = (
-        "Inputs and expected responses, from the start of the manoeuvre; the thin line marks the end of the inputs. "
+        "Inputs and expected responses, from the start of the manoeuvre; the thin line marks the "
+        "end of the inputs. "
         "Limits that the response does not come near are not drawn."
     )
     return figure(panels, caption, key)
@@ -326,7 +471,12 @@ def _most_taught(plan: Plan, rows: Sequence[int]) -> str:
     goal = list(plan.goal)
     before = errors_of(plan.before, plan.weights)[goal]
     after = errors_of(sum((plan.parts[k] for k in rows), plan.before), plan.weights)[goal]
-    left = (after / before).where(np.isfinite(before), 0.0).where(np.isfinite(after), 1.0).sort_values(kind="stable")
+    left = (
+        (after / before)
+        .where(np.isfinite(before), 0.0)
+        .where(np.isfinite(after), 1.0)
+        .sort_values(kind="stable")
+    )
     shown = [
         f"{percent(left[name], '.0f')}{THIN}% of the error of {derivative(name)}"
         if left[name] > 0 else f"{derivative(name)} known to ±{number(after[name], '.2g')}"
@@ -393,15 +543,23 @@ def derivative(name: str) -> str:
 
 
 def error_table(
-    errors: pd.DataFrame, heads: Mapping[str, str], inside: Sequence[str], of_list: str, of_grid: str
+    errors: pd.DataFrame,
+    heads: Mapping[str, str],
+    inside: Sequence[str],
+    of_list: str,
+    of_grid: str,
 ) -> str:
     """Return standard errors as a list of derivatives, or many as a table of coefficients by regressors.
 
-    The cells of that hold the columns ``inside``, all but the first in grey. The last two are the captions of either.
+    The cells of that hold the columns ``inside``, all but the first in grey. The last two are the
+    captions of either.
     """
     if len(errors) <= MOST_LISTED:
         rows = [
-            [derivative(str(name)), *(percent(row[key], ".0f") if key == "left" else milli(row[key]) for key in heads)]
+            [
+                derivative(str(name)),
+                *(percent(row[key], ".0f") if key == "left" else milli(row[key]) for key in heads),
+            ]
             for name, row in errors.iterrows()
         ]
         return table(["", *heads.values()], rows, caption=of_list, classes="narrow")
@@ -410,8 +568,14 @@ def error_table(
     rows = []
     for coefficient in dict.fromkeys(first for first, _ in pairs):
         keys = [f"{coefficient}_{name}" for name in regressors]
-        values = [[milli(errors[name][key]) for name in inside] if key in errors.index else [""] for key in keys]
-        cells = ["<br>".join([first, *(f"<em>{one}</em>" for one in others)]) for first, *others in values]
+        values = [
+            [milli(errors[name][key]) for name in inside] if key in errors.index else [""]
+            for key in keys
+        ]
+        cells = [
+            "<br>".join([first, *(f"<em>{one}</em>" for one in others)])
+            for first, *others in values
+        ]
         rows.append([symbol(coefficient), *cells])
     return table(["", *(heading(name, unit=False) for name in regressors)], rows, caption=of_grid)
 

@@ -24,7 +24,9 @@ GROWTH = "growth of "  # before the name of a limit that comes from what was flo
 BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
            "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
-WHOLE_RANGE = {"throttle": (0.0, 1.0)}  # lowest and highest value that a control can have, beyond which no limit grows
+WHOLE_RANGE = {
+    "throttle": (0.0, 1.0)
+}  # lowest and highest value that a control can have, beyond which no limit grows
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,8 @@ class Envelope:
     """What a flight must not leave, and the risk that is accepted.
 
     What is not given is limited to the range that was flown, and ``growth`` of it more. A model of
-    :class:`skdgp.preprocessing.RegressorSelector` knows this range where its flights have the channels airspeed, phi,
-    az, altitude.
+    :class:`skdgp.preprocessing.RegressorSelector` knows this range where its flights have the
+    channels airspeed, phi, az, altitude.
 
     Parameters
     ----------
@@ -46,16 +48,16 @@ class Envelope:
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        By which part of its range a regressor, or a quantity above that is not given, may leave what the model was
-        learned from: half of it at either end. inf: no limit.
+        By which part of its range a regressor, or a quantity above that is not given, may leave
+        what the model was learned from: half of it at either end. inf: no limit.
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
     margin : float, default=0.15
-        Fraction by which the response to a manoeuvre may exceed the model's: slopes learned in gusts err by more than
-        the posterior says.
+        Fraction by which the response to a manoeuvre may exceed the model's: slopes learned in
+        gusts err by more than the posterior says.
     gusts : Turbulence, "auto" or None, default="auto"
-        In which the risk is predicted. "auto": that of the training flights, with a warning if the model does not know
-        it. None: calm air.
+        In which the risk is predicted. "auto": that of the training flights, with a warning if the
+        model does not know it. None: calm air.
     n_paths : int, default=200
         Aircraft drawn for each prediction. A risk of 5 % is then known to 1.5 %.
 
@@ -85,27 +87,40 @@ class Envelope:
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
-            if (pair := getattr(self, name)) is not None and not (np.shape(pair) == (2,) and pair[0] < pair[1]):
-                raise ValueError(f"Got {name}={pair!r}, but expected the lowest and the highest value.")
+            if (pair := getattr(self, name)) is not None and not (
+                np.shape(pair) == (2,) and pair[0] < pair[1]
+            ):
+                raise ValueError(
+                    f"Got {name}={pair!r}, but expected the lowest and the highest value."
+                )
         for name, (least, most) in BETWEEN.items():
             is_absent = (value := getattr(self, name)) is None and name in ("bank", "altitude")
-            if not (is_absent or (isinstance(value, int | float | np.number) and least <= value <= most)):
-                raise ValueError(f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}.")
+            if not (
+                is_absent or (isinstance(value, int | float | np.number) and least <= value <= most)
+            ):
+                raise ValueError(
+                    f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}."
+                )
         if self.bank == 0 or self.risk in (0, 1):
             raise ValueError(
-                f"Got bank={self.bank!r} and risk={self.risk!r}, but expected a bank > 0 and a risk between 0 and 1."
+                f"Got bank={self.bank!r} and risk={self.risk!r}, but expected a bank > 0 and a "
+                f"risk between 0 and 1."
             )
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
-        given: dict[str, Any] = {name: value for name in QUANTITIES if (value := getattr(self, name)) is not None}
+        given: dict[str, Any] = {
+            name: value for name in QUANTITIES if (value := getattr(self, name)) is not None
+        }
         if "bank" in given:
             given["bank"] = (-given["bank"], given["bank"])
         if "altitude" in given:
             given["altitude"] = (given["altitude"], np.inf)
         found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
         if np.isfinite(self.growth):
-            ranges = {name: pair for name, pair in flown_quantities(model).items() if name not in given}
+            ranges = {
+                name: pair for name, pair in flown_quantities(model).items() if name not in given
+            }
             if model.limits is not None:
                 ranges |= dict(zip(model.regressors, model.limits.T, strict=True))
             for name, (low, high) in ranges.items():
@@ -118,10 +133,16 @@ class Envelope:
     def unlimited(self, model: Aerodynamics) -> list[str]:
         """Return what is neither given nor known to have been flown."""
         bounds = self.bounds(model)
-        free = [name for name in QUANTITIES if getattr(self, name) is None and GROWTH + name not in bounds]
+        free = [
+            name
+            for name in QUANTITIES
+            if getattr(self, name) is None and GROWTH + name not in bounds
+        ]
         return free if np.isfinite(self.growth) else []
 
-    def channels(self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics) -> pd.DataFrame:
+    def channels(
+        self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics
+    ) -> pd.DataFrame:
         """Return what is limited, along one simulated flight."""
         limited = quantities(flight)
         X = regressors_of(flight, aircraft, model.regressors)
@@ -129,7 +150,11 @@ class Envelope:
         return pd.concat([limited, growth], axis=1)[[*self.bounds(model)]]
 
     def left(
-        self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics, more: Matrix | float = 0.0
+        self,
+        flight: pd.DataFrame,
+        aircraft: Aircraft,
+        model: Aerodynamics,
+        more: Matrix | float = 0.0,
     ) -> pd.DataFrame:
         """Return which limits each row of a flight leaves, with ``more`` (n, c) added; ``ended``: it ended early."""
         low, high = np.array([*self.bounds(model).values()]).T
@@ -146,17 +171,23 @@ def flown_quantities(model: Aerodynamics) -> dict[str, tuple[float, float]]:
 def option_of(limit: str, model: Aerodynamics) -> str:
     """Return the option of the command line that changes a limit of an envelope."""
     name = limit.removeprefix(GROWTH)
-    return "--growth" if limit != name and name in model.regressors else OPTIONS.get(name, "--limits")
+    return (
+        "--growth" if limit != name and name in model.regressors else OPTIONS.get(name, "--limits")
+    )
 
 
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:
     """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
     names = ["alpha", "beta", "airspeed", "altitude", "az", "phi"]
     flight = flight.reindex(columns=names).astype(float)
-    return flight.assign(load_factor=-flight["az"] / STANDARD_GRAVITY, bank=flight["phi"])[list(QUANTITIES)]
+    return flight.assign(load_factor=-flight["az"] / STANDARD_GRAVITY, bank=flight["phi"])[
+        list(QUANTITIES)
+    ]
 
 
 def with_band(flight: pd.DataFrame, paths: pd.DataFrame) -> pd.DataFrame:
     """Return a flight with the central 95 % of others at its times: columns such as ``alpha_low``, ``alpha_high``."""
-    bands = trajectory_bands(paths.assign(path=paths["flight"], **quantities(paths)), 0.95, QUANTITIES)
+    bands = trajectory_bands(
+        paths.assign(path=paths["flight"], **quantities(paths)), 0.95, QUANTITIES
+    )
     return flight.join(bands.filter(regex="_(low|high)$"))

@@ -32,7 +32,9 @@ from skdgp.design._rehearsal import RESPONSE, ROW_STEP
 from skdgp.dynamics import Aircraft, as_aerodynamics
 
 LIKE = 0.85
-"""Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it counts as flown."""
+"""Least correlation of recorded and planned deflections, over a manoeuvre and its ends, by which it
+counts as flown.
+"""
 SIZES = (0.5, 2.0)  # least and largest size of what counts as flown, relative to the plan
 ENDS = 0.4  # time at trim before and after a manoeuvre, by which it is recognised too [s]
 
@@ -44,13 +46,14 @@ class FlownPlan:
     Parameters
     ----------
     errors : DataFrame
-        Standard errors of the derivatives of the goal: ``before`` the flight; ``expected`` after it; ``found``, by the
-        same formula from the recorded regressors of the manoeuvres that were flown; and ``model``, the standard
-        deviations of the model that is judged, at the trims.
+        Standard errors of the derivatives of the goal: ``before`` the flight; ``expected`` after
+        it; ``found``, by the same formula from the recorded regressors of the manoeuvres that were
+        flown; and ``model``, the standard deviations of the model that is judged, at the trims.
     manoeuvres : DataFrame
-        Those that were flown: ``flight``, ``start`` [s], ``name``, ``likeness`` (correlation with the plan), ``size``
-        (relative to it), lowest and highest values of what an envelope limits, found and expected (``alpha_low``,
-        ``alpha_high``, ``alpha_expected_low``, ...), and ``left``, the limits that were left.
+        Those that were flown: ``flight``, ``start`` [s], ``name``, ``likeness`` (correlation with
+        the plan), ``size`` (relative to it), lowest and highest values of what an envelope limits,
+        found and expected (``alpha_low``, ``alpha_high``, ``alpha_expected_low``, ...), and
+        ``left``, the limits that were left.
     missed : dict of str to int
         How many of each kind were planned but not flown.
     """
@@ -64,7 +67,9 @@ class FlownPlan:
     def remaining(self) -> dict[str, float]:
         """Geometric mean of the errors over those before, ``expected``, ``found`` and of the ``model``."""
         with np.errstate(divide="ignore"):  # nothing was known before
-            ratios = np.log(self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]])
+            ratios = np.log(
+                self.errors.div(self.errors["before"], axis=0)[["expected", "found", "model"]]
+            )
         return {str(name): float(np.exp(value)) for name, value in ratios.mean().items()}
 
     def summary(self) -> list[str]:
@@ -72,31 +77,51 @@ class FlownPlan:
         n_missed, left = sum(self.missed.values()), (self.manoeuvres["left"] != "").sum()
         words = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
         return [
-            f"manoeuvres of the plan: {len(self.manoeuvres)} flown, {n_missed} not; {left} left a limit",
+            f"manoeuvres of the plan: {len(self.manoeuvres)} flown, {n_missed} not; {left} left a "
+            f"limit",
             f"errors of the goal, of those before: {words}",
         ]
 
     def section(self) -> str:
         """Return its section of the report on the flight, HTML."""
-        heads = {"before": "before", "expected": "expected<br>after", "found": "found", "model": "of the<br>model"}
+        heads = {
+            "before": "before",
+            "expected": "expected<br>after",
+            "found": "found",
+            "model": "of the<br>model",
+        }
         caption = (
-            "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the same formula, from "
-            "what the flight recorded during its manoeuvres. Of the model: of the one judged here, which knows of this "
+            "Standard errors of derivatives, in thousandths. Expected: by the plan. Found: by the "
+            "same formula, from "
+            "what the flight recorded during its manoeuvres. Of the model: of the one judged "
+            "here, which knows of this "
             "flight only if it learned from it. Geometric mean, of those before: "
         )
-        caption += ", ".join(f"{name} {percent(value, '.0f')}{THIN}%" for name, value in self.remaining.items()) + "."
+        caption += (
+            ", ".join(
+                f"{name} {percent(value, '.0f')}{THIN}%" for name, value in self.remaining.items()
+            )
+            + "."
+        )
         each = f"{caption} Each cell: found and, in grey, expected and before."
         tables = error_table(self.errors, heads, ("found", "expected", "before"), caption, each)
         rows = [
             [
-                f"{text(row['name'])}<br><em>{text(row['flight'])}, {number(row['start'], '.1f')}{THIN}s</em>",
+                f"{text(row['name'])}<br><em>{text(row['flight'])}, "
+                f"{number(row['start'], '.1f')}{THIN}s</em>",
                 percent(row["size"], ".0f"), number(row["likeness"], ".2f"),
                 *(f"{_range(name, row, '')}<br><em>{_range(name, row, 'expected_')}</em>" for name in QUANTITIES),
                 f'<span class="off">{text(row["left"])}</span>' if row["left"] else "none",
             ]
             for _, row in self.manoeuvres.iterrows()
         ]  # fmt: skip
-        head = ["manoeuvre", "size<br>[%]", "like<br>the plan", *map(heading, QUANTITIES), "limits<br>left"]
+        head = [
+            "manoeuvre",
+            "size<br>[%]",
+            "like<br>the plan",
+            *map(heading, QUANTITIES),
+            "limits<br>left",
+        ]
         caption = "Manoeuvres of the plan that were flown: the range of each response and, in grey, the expected one."
         tables += table(head, rows, caption=caption)
         if self.missed:
@@ -107,7 +132,12 @@ class FlownPlan:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         errors, manoeuvres = self.errors.to_dict("index"), self.manoeuvres.to_dict("records")
-        return {"remaining": self.remaining, "errors": errors, "manoeuvres": manoeuvres, "missed": self.missed}
+        return {
+            "remaining": self.remaining,
+            "errors": errors,
+            "manoeuvres": manoeuvres,
+            "missed": self.missed,
+        }
 
 
 class Match(NamedTuple):
@@ -126,23 +156,27 @@ class Match(NamedTuple):
 
 
 def flown_plan(
-    plan: Plan | str | os.PathLike[str], pipeline: Pipeline, aircraft: Aircraft, flights: Sequence[pd.DataFrame]
+    plan: Plan | str | os.PathLike[str],
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    flights: Sequence[pd.DataFrame],
 ) -> FlownPlan:
     """Return what a plan expected beside what was found in flights.
 
-    Raises FileNotFoundError if there is no such file, ValueError if it is no plan, the plan is of another aircraft or
-    of other regressors, a column lacks, or no manoeuvre was flown.
+    Raises FileNotFoundError if there is no such file, ValueError if it is no plan, the plan is of
+    another aircraft or of other regressors, a column lacks, or no manoeuvre was flown.
 
     Parameters
     ----------
     plan : Plan or path
         What was to be flown, or the plan.json of ``python -m skdgp plan``.
     pipeline : Pipeline
-        Of :func:`skdgp.identification.identify`. Give the model that the plan was made with, or one learned from its
-        flights and these: its standard deviations stand beside those of the plan.
+        Of :func:`skdgp.identification.identify`. Give the model that the plan was made with, or one
+        learned from its flights and these: its standard deviations stand beside those of the plan.
     aircraft : Aircraft
     flights : sequence of DataFrame
-        What was flown, at the full rate: the tables of ``validate(model, flights).evaluations``, for example.
+        What was flown, at the full rate: the tables of ``validate(model, flights).evaluations``,
+        for example.
 
     Returns
     -------
@@ -155,7 +189,9 @@ def flown_plan(
     known = dict(zip(record.before.regressors, record.at, strict=True))
     at = [known.get(name, np.nan) for name in as_aerodynamics(pipeline).regressors]
     information = posterior_information(pipeline, at, record.before.coefficients)
-    return compare_with_plan(record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information)
+    return compare_with_plan(
+        record, pd.concat(tables), aircraft, coefficient_noise(pipeline), information
+    )
 
 
 def compare_with_plan(
@@ -163,20 +199,23 @@ def compare_with_plan(
 ) -> FlownPlan:
     """Return what a plan expected beside what was found in recorded flights; errors are as of `flown_plan`.
 
-    They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope limits, and the
-    regressors. The noise is as of `coefficient_noise`, ``model`` what the model that is judged knows at the plan's
-    trims.
+    They have the columns ``time``, ``flight``, the deflections of the plan's axes, what an envelope
+    limits, and the regressors. The noise is as of `coefficient_noise`, ``model`` what the model
+    that is judged knows at the plan's trims.
     """
     planned, before = plan.aircraft, plan.before
     for name in GEOMETRY:
         if not np.isclose(planned[name], getattr(aircraft, name), rtol=1e-3):
             raise ValueError(
-                f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of {planned[name]:g}, but the model "
-                f"is of {aircraft.name!r} with {getattr(aircraft, name):g}: give the plan of this aircraft."
+                f"Got a plan of the aircraft {planned.get('name')!r} with a {name} of "
+                f"{planned[name]:g}, but the model "
+                f"is of {aircraft.name!r} with {getattr(aircraft, name):g}: give the plan of this "
+                f"aircraft."
             )
     if set(before.regressors) != set(model.regressors):
         raise ValueError(
-            f"Got a plan about the regressors {list(before.regressors)}, but the model has {list(model.regressors)}: "
+            f"Got a plan about the regressors {list(before.regressors)}, but the model has "
+            f"{list(model.regressors)}: "
             "judge a model with the regressors that the plan was made with."
         )
     axes = sorted({axis for one in plan.manoeuvres for axis in one["inputs"]})
@@ -216,9 +255,14 @@ def _recognised(plan: Record, segments: list[pd.DataFrame], axes: list[str]) -> 
             fits = np.flatnonzero((likeness >= LIKE) & (size >= SIZES[0]) & (size <= SIZES[1]))
             best = np.abs(likeness).argsort()[-1:]
             for rows, into in ((fits, candidates), (best, nearest)):
-                into += [Match(part, float(starts[n]), one, float(likeness[n]), float(size[n])) for n in rows]
+                into += [
+                    Match(part, float(starts[n]), one, float(likeness[n]), float(size[n]))
+                    for n in rows
+                ]
         flown: list[Match] = []
-        for match in sorted(candidates, key=lambda match: -match.likeness):  # the best of those that overlap
+        for match in sorted(
+            candidates, key=lambda match: -match.likeness
+        ):  # the best of those that overlap
             if all(match.end <= other.start or match.start >= other.end for other in flown):
                 flown.append(match)
         found += sorted(flown, key=lambda match: match.start)
@@ -238,8 +282,10 @@ def _why_none(nearest: list[Match]) -> str:
     elif best.likeness >= LIKE:
         remedy = "Check the units of the deflections (rad), or fly it at its planned size."
     return (
-        f"nearest is {best.planned['name']!r} at {best.start:.2f} s of flight {best.part['flight'].iloc[0]!r}, with a "
-        f"correlation of {best.likeness:.2f} and {abs(best.size):.2g} times its size, but expected at least {LIKE} and "
+        f"nearest is {best.planned['name']!r} at {best.start:.2f} s of flight "
+        f"{best.part['flight'].iloc[0]!r}, with a "
+        f"correlation of {best.likeness:.2f} and {abs(best.size):.2g} times its size, but "
+        f"expected at least {LIKE} and "
         f"{SIZES[0]:g} to {SIZES[1]:g} times. {remedy}"
     )
 
@@ -266,7 +312,10 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     template = template - template.mean(axis=1, keepdims=True)
     used = np.abs(template).max(axis=1) > 0
-    moved, template = moved[used] - moved[used].mean(axis=1, keepdims=True), template[used]  # for precision
+    moved, template = (
+        moved[used] - moved[used].mean(axis=1, keepdims=True),
+        template[used],
+    )  # for precision
     product = oaconvolve(moved, template[:, ::-1], "valid", axes=1).sum(axis=0)
     sums, squares = (np.cumsum(np.pad(y, [(0, 0), (1, 0)]), axis=1) for y in (moved, moved**2))
     squares = (squares[:, n:] - squares[:, :-n] - (sums[:, n:] - sums[:, :-n]) ** 2 / n).sum(axis=0)
@@ -274,7 +323,9 @@ def _likeness(moved: Array, template: Array) -> tuple[Array, Array]:
     return product / np.sqrt(power * np.maximum(squares, 1e-12 * power)), product / power
 
 
-def _window(limits: Mapping[str, tuple[float, float]], match: Match) -> tuple[dict[str, Any], pd.DataFrame]:
+def _window(
+    limits: Mapping[str, tuple[float, float]], match: Match
+) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the facts of a manoeuvre that was flown, and its rows and those of the response after it."""
     planned, part = match.planned, match.part
     part = part[part["time"].between(match.start, match.end + min(planned["pause"], RESPONSE))]
@@ -285,7 +336,9 @@ def _window(limits: Mapping[str, tuple[float, float]], match: Match) -> tuple[di
     }  # fmt: skip
     for name in QUANTITIES:
         facts |= {f"{name}_low": values[name].min(), f"{name}_high": values[name].max()}
-        facts |= {f"{name}_expected_{end}": planned["expected"][name][end] for end in ("low", "high")}
+        facts |= {
+            f"{name}_expected_{end}": planned["expected"][name][end] for end in ("low", "high")
+        }
     left = []
     for name, (low, high) in limits.items():
         column = name.removeprefix(GROWTH)

@@ -23,12 +23,19 @@ from skdgp._mechanics.motion import Motion
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics
 
 UNKNOWN = 1e-10
-"""Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not observed."""
+"""Eigenvalue of the scaled Fisher information, over the largest, below which a combination is not
+observed.
+"""
 NO_SHARE = 1e-6  # share of a regressor in such a combination below which it does not matter
 SLOPE_STEP, ABSOLUTE_STEP = 0.02, 0.05
-"""Half the interval of a posterior's slope: part of the range of a regressor, and absolute where it has no range."""
+"""Half the interval of a posterior's slope: part of the range of a regressor, and absolute where it
+has no range.
+"""
 FUNCTION, FREE_FLIGHT = "function", "free-flight"
-WHOLE = (FUNCTION, FREE_FLIGHT)  # goals that are errors of the whole model rather than of one derivative
+WHOLE = (
+    FUNCTION,
+    FREE_FLIGHT,
+)  # goals that are errors of the whole model rather than of one derivative
 HORIZON = 2.0  # duration of free flight [s]
 ROWS = 500  # number of rows drawn from the flown range of the regressors
 
@@ -37,8 +44,9 @@ ROWS = 500  # number of rows drawn from the flown range of the regressors
 class Information:
     r"""Fisher information about the derivatives of P named coefficients by d named regressors.
 
-    ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of each coefficient, and
-    of its curvature if that is estimated too. Several flights have their sum: ``first + second``.
+    ``fisher`` (P, m, m), :math:`F_i = X^T V_i^{-1} X`, is of the constant and the derivatives of
+    each coefficient, and of its curvature if that is estimated too. Several flights have their sum:
+    ``first + second``.
     """
 
     fisher: Array
@@ -49,7 +57,8 @@ class Information:
         if (self.coefficients, self.regressors) != (other.coefficients, other.regressors):
             raise ValueError(
                 f"Got information about {other.coefficients} by {other.regressors}, but expected "
-                f"{self.coefficients} by {self.regressors}: give both flights the same regressors and noise."
+                f"{self.coefficients} by {self.regressors}: give both flights the same regressors "
+                f"and noise."
             )
         m = max(self.fisher.shape[1], other.fisher.shape[1])
         return replace(self, fisher=padded(self.fisher, m) + padded(other.fisher, m))
@@ -83,8 +92,9 @@ class Information:
     def confounded(self, least: float = 0.7) -> pd.DataFrame:
         """Return the pairs of regressors that the flight does not tell apart, the strongest correlation first.
 
-        A table of ``coefficient``, ``first``, ``second``, ``correlation``; ``least`` is the least correlation, of
-        either sign, between errors of derivatives. Those that are not determined at all are in no pair.
+        A table of ``coefficient``, ``first``, ``second``, ``correlation``; ``least`` is the least
+        correlation, of either sign, between errors of derivatives. Those that are not determined at
+        all are in no pair.
         """
         tables = {name: self.correlation(name) for name in self.coefficients}
         pairs = [*combinations(self.regressors, 2)]
@@ -100,31 +110,33 @@ def expected_information(
 ) -> Information:  # fmt: skip
     r"""Return what a simulated flight will tell about the derivatives of coefficients.
 
-    Each coefficient is linear in the regressors around a trim, :math:`y = \theta_0 + x^T \theta + e`. Its noise e is
-    white, with an Ornstein-Uhlenbeck process added: the covariance of two rows is :math:`\sigma^2 \delta + \tau^2
-    e^{-|t - t'| / T}`, and zero between flights. :math:`F = X^T V^{-1} X` is computed from innovations of a Kalman
-    filter (Klein & Morelli, Aircraft System Identification, 2006, chapters 5 and 9). Sensor errors of the regressors
-    are not included.
+    Each coefficient is linear in the regressors around a trim, :math:`y = \theta_0 + x^T \theta +
+    e`. Its noise e is white, with an Ornstein-Uhlenbeck process added: the covariance of two rows
+    is :math:`\sigma^2 \delta + \tau^2 e^{-|t - t'| / T}`, and zero between flights. :math:`F = X^T
+    V^{-1} X` is computed from innovations of a Kalman filter (Klein & Morelli, Aircraft System
+    Identification, 2006, chapters 5 and 9). Sensor errors of the regressors are not included.
 
-    With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``. Errors are then
-    those of the derivatives at this point. Far from the trim, derivatives of a linear function scatter with the
-    curvature, more than predicted.
+    With ``about``, a coefficient also has unknown curvature: all products of two of x - ``about``.
+    Errors are then those of the derivatives at this point. Far from the trim, derivatives of a
+    linear function scatter with the curvature, more than predicted.
 
-    Raises ValueError if the flight lacks a column or a value, its time does not increase, a coefficient has no noise,
-    or nothing is asked.
+    Raises ValueError if the flight lacks a column or a value, its time does not increase, a
+    coefficient has no noise, or nothing is asked.
 
     Parameters
     ----------
     flight : DataFrame
-        As of :func:`skdgp.dynamics.simulate`; with a column ``flight`` several. Its rows are those of the log: white
-        noise counts for each.
+        As of :func:`skdgp.dynamics.simulate`; with a column ``flight`` several. Its rows are those
+        of the log: white noise counts for each.
     aircraft : Aircraft
         For the lengths of non-dimensional rates.
     regressors : sequence of str
-        Such as ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the flight lacks them.
+        Such as ``q_hat``, ``elevator``. ``alpha_dot`` and ``beta_dot`` are differentiated where the
+        flight lacks them.
     noise : mapping of str to float, or DataFrame
-        Standard deviation of the white noise of each coefficient; or a table with the coefficients as index and the
-        columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as `coefficient_noise` returns.
+        Standard deviation of the white noise of each coefficient; or a table with the coefficients
+        as index and the columns ``white``, ``drift`` (tau) and ``memory`` (T [s]), such as
+        `coefficient_noise` returns.
     about : array-like of shape (d,), optional
         Regressors of the trim. Add up information about the same point only.
 
@@ -152,25 +164,43 @@ def expected_information(
     white, drift, memory = noise[["white", "drift", "memory"]].to_numpy(float).T
     if not (len(noise) and len(regressors)):
         raise ValueError(
-            f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at least one of each."
+            f"Got noise of {list(noise.index)} and regressors {list(regressors)}, but expected at "
+            f"least one of each."
         )
     check_clock(table["time"], table.get("flight"))
     least = min(white.min(), drift.min())
-    if not (np.isfinite(white + drift + memory).all() and least >= 0 and min(white + drift) > 0 and min(memory) > 0):
+    if not (
+        np.isfinite(white + drift + memory).all()
+        and least >= 0
+        and min(white + drift) > 0
+        and min(memory) > 0
+    ):
         raise ValueError(
-            f"Got the noise\n{noise}\nbut expected white >= 0 and drift >= 0, one of them > 0, and memory > 0: a "
+            f"Got the noise\n{noise}\nbut expected white >= 0 and drift >= 0, one of them > 0, "
+            f"and memory > 0: a "
             "coefficient without noise would be known exactly."
         )
-    parts = [part for _, part in table.groupby("flight", sort=False, observed=True)] if "flight" in table else [table]
+    parts = (
+        [part for _, part in table.groupby("flight", sort=False, observed=True)]
+        if "flight" in table
+        else [table]
+    )
     fisher: Any = 0.0
     for part in parts:
         X = np.column_stack([np.ones(len(part)), regressors_of(part, aircraft, regressors)])
         if about is not None:
-            z, (first, second) = X[:, 1:] - np.asarray(about, dtype=float), np.triu_indices(len(regressors))
+            z, (first, second) = (
+                X[:, 1:] - np.asarray(about, dtype=float),
+                np.triu_indices(len(regressors)),
+            )
             X = np.column_stack([X, z[:, first] * z[:, second]])
         if not np.isfinite(X).all():
-            raise ValueError("Got NaN or infinite regressors, but expected finite ones: leave out those rows.")
-        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory).swapaxes(0, 1)
+            raise ValueError(
+                "Got NaN or infinite regressors, but expected finite ones: leave out those rows."
+            )
+        whitened = _whitened(X, part["time"].to_numpy(float), white**2, drift**2, memory).swapaxes(
+            0, 1
+        )
         fisher = fisher + whitened.swapaxes(1, 2) @ whitened
     return Information(fisher, tuple(map(str, noise.index)), tuple(regressors))
 
@@ -178,9 +208,11 @@ def expected_information(
 def coefficient_noise(model: Any) -> pd.DataFrame:
     """Return the noise of coefficients that a fitted model has found: ``white``, ``drift`` and ``memory`` [s] of each.
 
-    The first two are standard deviations. The model is a `DependentGPRegressor`, fitted with ``time`` to know the
-    drift, or a pipeline that ends with it; one of :func:`skdgp.identification.identify` has the noise of its flights
-    (:func:`skdgp.identification.flight_noise`). Raises ValueError if the model has no noise, or is not fitted.
+    The first two are standard deviations. The model is a `DependentGPRegressor`, fitted with
+    ``time`` to know the drift, or a pipeline that ends with it; one of
+    :func:`skdgp.identification.identify` has the noise of its flights
+    (:func:`skdgp.identification.flight_noise`). Raises ValueError if the model has no noise, or is
+    not fitted.
 
     Examples
     --------
@@ -200,7 +232,8 @@ def coefficient_noise(model: Any) -> pd.DataFrame:
     regressor = getattr(regressor, "estimator_", regressor)  # of a CalibratedRegressor
     if not hasattr(regressor, "noise_variance_"):
         raise ValueError(
-            f"Got {type(regressor).__name__} without noise_variance_, but expected a fitted DependentGPRegressor: fit "
+            f"Got {type(regressor).__name__} without noise_variance_, but expected a fitted "
+            f"DependentGPRegressor: fit "
             "it, or give the noise of each coefficient, such as noise={'Cm': 0.004}."
         )
     drift, memory = regressor.drift_variance_, regressor.drift_memory_
@@ -230,7 +263,9 @@ def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]
         if is_slope:
             values = np.gradient(values, flight["time"].to_numpy(float))
         if length is not None:
-            values = values * rate_factor(channel, getattr(aircraft, length), flight["airspeed"].to_numpy(float))
+            values = values * rate_factor(
+                channel, getattr(aircraft, length), flight["airspeed"].to_numpy(float)
+            )
         columns.append(values)
     return np.stack(columns, axis=-1)
 
@@ -275,12 +310,14 @@ def _inverse(fisher: Matrix) -> Matrix:
     return inverse
 
 
-def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS) -> Information:
+def posterior_information(
+    model: Any, at: ArrayLike, coefficients: Sequence[str] = COEFFICIENTS
+) -> Information:
     r"""Return what a model knows of its derivatives: the inverse of the covariance of their errors.
 
-    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,). Standard errors are
-    ``std_unmerged`` of :func:`skdgp.dynamics.stability_derivatives`. Raises ValueError if the model has no posterior
-    covariance.
+    The model is as for :func:`skdgp.dynamics.as_aerodynamics`, ``at`` are its regressors (d,).
+    Standard errors are ``std_unmerged`` of :func:`skdgp.dynamics.stability_derivatives`. Raises
+    ValueError if the model has no posterior covariance.
 
     Examples
     --------
@@ -296,7 +333,11 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
     """
     aerodynamics = as_aerodynamics(model)
     at, d = np.asarray(at, dtype=float), len(aerodynamics.regressors)
-    size = np.zeros(d) if aerodynamics.limits is None else SLOPE_STEP * np.ptp(aerodynamics.limits, axis=0)
+    size = (
+        np.zeros(d)
+        if aerodynamics.limits is None
+        else SLOPE_STEP * np.ptp(aerodynamics.limits, axis=0)
+    )
     size = np.where(size > 0, size, ABSOLUTE_STEP)
     points = np.concatenate([at[None], at + np.diag(size), at - np.diag(size)])
     slopes = np.concatenate([np.zeros((d, 1)), np.diag(0.5 / size), -np.diag(0.5 / size)], axis=1)
@@ -316,26 +357,40 @@ def posterior_information(model: Any, at: ArrayLike, coefficients: Sequence[str]
 def _derivatives(model: Aerodynamics, coefficients: Sequence[str]) -> dict[str, tuple[int, int]]:
     """Return numbers of coefficient and regressor by name, such as ``Cm_q``."""
     short = [name.removesuffix(HAT) for name in model.regressors]
-    return {f"{one}_{name}": (i, k) for i, one in enumerate(coefficients) for k, name in enumerate(short)}
+    return {
+        f"{one}_{name}": (i, k)
+        for i, one in enumerate(coefficients)
+        for k, name in enumerate(short)
+    }
 
 
-def check_goal(goal: Sequence[str] | None, model: Aerodynamics, coefficients: Sequence[str]) -> tuple[str, ...]:
+def check_goal(
+    goal: Sequence[str] | None, model: Aerodynamics, coefficients: Sequence[str]
+) -> tuple[str, ...]:
     """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of them."""
     known = _derivatives(model, coefficients)
     names = (goal,) if isinstance(goal, str) else tuple(known if goal is None else goal)
     lacking = [name for name in names if name not in {*known, *WHOLE}]
     if lacking or not names or isinstance(goal, str):
         raise ValueError(
-            f"Got the goal {lacking or goal!r}, but the model has the coefficients {list(coefficients)} and the "
-            f"regressors {list(model.regressors)}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} or derivatives such as "
+            f"Got the goal {lacking or goal!r}, but the model has the coefficients "
+            f"{list(coefficients)} and the "
+            f"regressors {list(model.regressors)}: give a list of {FUNCTION!r}, {FREE_FLIGHT!r} "
+            f"or derivatives such as "
             f"{next(iter(known))!r}, or learn a model with that regressor."
         )
-    still = np.zeros(len(model.regressors), bool) if model.limits is None else np.ptp(model.limits, axis=0) == 0
+    still = (
+        np.zeros(len(model.regressors), bool)
+        if model.limits is None
+        else np.ptp(model.limits, axis=0) == 0
+    )
     for name in goal or ():
         if name in known and still[known[name][1]]:
             raise ValueError(
-                f"Got the goal {name!r}, but {model.regressors[known[name][1]]} did not move in the flights that the "
-                "model was learned from, so it knows nothing of its effect: learn from a flight in which it moves, or "
+                f"Got the goal {name!r}, but {model.regressors[known[name][1]]} did not move in "
+                f"the flights that the "
+                "model was learned from, so it knows nothing of its effect: learn from a flight "
+                "in which it moves, or "
                 "ask for another goal."
             )
     return names
@@ -347,11 +402,12 @@ def goal_weights(
 ) -> dict[str, Array]:  # fmt: skip
     r"""Return W (P, 1 + d, 1 + d) of each goal, whose error is the root of :math:`\sum_i \mathrm{tr}(W_i C_i)`.
 
-    :math:`C_i` is the covariance of the constant and the slopes of coefficient i. Of a derivative W is one element.
-    With the mean M of :math:`x x^T` over rows x = (1, regressors) of the flown envelope, :math:`\mathrm{tr}(M C_i)` is
-    the mean variance of the coefficient. "function": its sum over coefficients, each in units of its spread over these
-    rows, over P. "free-flight": the mean variance of alpha, beta, phi, theta [rad^2] after two seconds, by errors that
-    stay as they are, through the linear model at the trims.
+    :math:`C_i` is the covariance of the constant and the slopes of coefficient i. Of a derivative W
+    is one element. With the mean M of :math:`x x^T` over rows x = (1, regressors) of the flown
+    envelope, :math:`\mathrm{tr}(M C_i)` is the mean variance of the coefficient. "function": its
+    sum over coefficients, each in units of its spread over these rows, over P. "free-flight": the
+    mean variance of alpha, beta, phi, theta [rad^2] after two seconds, by errors that stay as they
+    are, through the linear model at the trims.
     """
     derivatives, found = _derivatives(model, coefficients), {}
     chosen = [COEFFICIENTS.index(one) for one in coefficients]
@@ -363,16 +419,21 @@ def goal_weights(
             continue
         if model.limits is None:
             raise ValueError(
-                f"Got the goal {name!r}, but the model does not say what was flown: give an Aerodynamics with limits."
+                f"Got the goal {name!r}, but the model does not say what was flown: give an "
+                f"Aerodynamics with limits."
             )
         low, high = model.limits
         rows = low + (high - low) * np.random.default_rng(0).uniform(size=(ROWS, len(low)))
         x = np.column_stack([np.ones(ROWS), rows])
         if name == FUNCTION:
             spread = model(rows)[:, chosen].var(axis=0)
-            share = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0) / len(chosen)
+            share = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0) / len(
+                chosen
+            )
         else:
-            share = np.mean([_growth(model, aircraft, point, thrust)[chosen] for point in trims], axis=0)
+            share = np.mean(
+                [_growth(model, aircraft, point, thrust)[chosen] for point in trims], axis=0
+            )
         found[name] = share[:, None, None] * (x.T @ x) / ROWS
     return found
 
@@ -391,7 +452,11 @@ def _growth(model: Aerodynamics, aircraft: Aircraft, point: Trim, thrust: Any) -
 def errors_of(information: Information, weights: Mapping[str, Array] | None = None) -> pd.Series:
     """Return standard errors by the names of derivatives, and of goals by their weights; inf: not determined."""
     errors, covariance = information.std, information.whole_covariance
-    found = {f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name] for i in errors.index for name in errors.columns}
+    found = {
+        f"{i}_{name.removesuffix(HAT)}": errors.loc[i, name]
+        for i in errors.index
+        for name in errors.columns
+    }
     for name, weight in (weights or {}).items():
         found[name] = np.sqrt(np.sum(weight * np.where(weight == 0, 0.0, covariance)))
     return pd.Series(found, dtype=float)

@@ -8,16 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation import Limits, Signal, Steps, doublet, orthogonal_multisines, three_two_one_one
+from skdgp._excitation import (
+    Limits,
+    Signal,
+    Steps,
+    doublet,
+    orthogonal_multisines,
+    three_two_one_one,
+)
 from skdgp.dynamics import LinearModel
 
-DOUBLET_PEAK = 2.331  # frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x
+DOUBLET_PEAK = (
+    2.331  # frequency times width at which the spectrum of a doublet is largest: tan(x / 2) = x
+)
 LONGITUDINAL, LATERAL = ("short period",), ("Dutch roll", "roll")
 """How names of the modes begin that surfaces excite; a pair that has split also has numbers."""
 MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
 MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
 MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
-BELOW, ABOVE = 0.4, 2.5  # the band begins at this part of the slowest mode and ends at this multiple of an oscillation
+BELOW, ABOVE = (
+    0.4,
+    2.5,
+)  # the band begins at this part of the slowest mode and ends at this multiple of an oscillation
 WIDTHS = (1.0, 2.5)  # widths of pulses, in units of the suggested one
 MULTISINES = (5.0, 10.0)  # durations of multisines [s]
 TICK = 0.5  # unit of time of a pilot's steps [s]
@@ -29,17 +41,20 @@ Inputs = dict[str, Signal]
 def input_bands(linear: LinearModel) -> pd.DataFrame:
     r"""Return lengths of pulses and bands of frequencies that excite the modes of an aircraft.
 
-    A table with a row for each input of a linear model (:func:`skdgp.dynamics.linearize`): ``frequency`` [rad/s] of its
-    slowest mode, ``doublet_width`` and ``three_two_one_one_width`` [s], ``lowest`` and ``highest`` frequency [Hz].
+    A table with a row for each input of a linear model (:func:`skdgp.dynamics.linearize`):
+    ``frequency`` [rad/s] of its slowest mode, ``doublet_width`` and ``three_two_one_one_width``
+    [s], ``lowest`` and ``highest`` frequency [Hz].
 
-    The mode of the elevator is the short period, of aileron and rudder Dutch roll and roll, of the thrust the phugoid.
-    A doublet has the largest part of its spectrum at the slowest of them, :math:`\omega`, if its pulses last
-    :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts half a period: its unit is :math:`\pi / 2\omega` (Klein &
-    Morelli, Aircraft System Identification, 2006, chapter 9). The band of multisines and sweeps begins at 0.4 times
-    the slowest frequency. It ends at 2.5 times that of an oscillation, or at that of a faster mode without. With paths
-    of the posterior it is wider, by two standard deviations of the frequencies.
+    The mode of the elevator is the short period, of aileron and rudder Dutch roll and roll, of the
+    thrust the phugoid. A doublet has the largest part of its spectrum at the slowest of them,
+    :math:`\omega`, if its pulses last :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts
+    half a period: its unit is :math:`\pi / 2\omega` (Klein & Morelli, Aircraft System
+    Identification, 2006, chapter 9). The band of multisines and sweeps begins at 0.4 times the
+    slowest frequency. It ends at 2.5 times that of an oscillation, or at that of a faster mode
+    without. With paths of the posterior it is wider, by two standard deviations of the frequencies.
 
-    Raises ValueError if the linear model lacks the modes of an input, or has an input that is no surface and no thrust.
+    Raises ValueError if the linear model lacks the modes of an input, or has an input that is no
+    surface and no thrust.
 
     Examples
     --------
@@ -66,8 +81,10 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
         modes = table[[str(mode).startswith(MODES.get(name, ())) for mode in table.index]]
         if modes.empty:
             raise ValueError(
-                f"Got a linear model with the input {name!r} and the modes {list(table.index)}, but expected inputs of "
-                f"{sorted(MODES)} and the modes that they excite: linearise with all states and such inputs."
+                f"Got a linear model with the input {name!r} and the modes {list(table.index)}, "
+                f"but expected inputs of "
+                f"{sorted(MODES)} and the modes that they excite: linearise with all states and "
+                f"such inputs."
             )
         frequency, swings = modes["frequency"], np.isfinite(modes["period"])
         spread = 2.0 * modes["frequency_std"] if "frequency_std" in modes else 0.0 * frequency
@@ -87,10 +104,15 @@ def library(
     """Yield names and inputs, as large as the limits of the axes allow; with ``detents`` those that a pilot can fly."""
     for axis, limit in limits.items():
         for factor in WIDTHS:
-            for kind, make, share in (("doublet", doublet, 2 / 3), ("3-2-1-1", three_two_one_one, 1 / 2)):
+            for kind, make, share in (
+                ("doublet", doublet, 2 / 3),
+                ("3-2-1-1", three_two_one_one, 1 / 2),
+            ):
                 width = factor * bands[f"{make.__name__}_width"].to_dict()[axis]
                 width = TICK * max(1, round(width / TICK)) if detents else width
-                most = min(limit.amplitude, share * limit.rate * width)  # its ramps fit into the width
+                most = min(
+                    limit.amplitude, share * limit.rate * width
+                )  # its ramps fit into the width
                 signal = limit.largest(make(width, most, limits=replace(limit, rms=np.inf)))
                 yield f"{axis} {kind} {width:.2f} s", {axis: signal}
     groups = [[axis] for axis in limits] + [[*limits]] * (len(limits) > 1)
@@ -110,8 +132,13 @@ def library(
 def scaled(inputs: Mapping[str, Signal], factor: float, detents: Mapping[str, float]) -> Inputs:
     """Return inputs of another size, the levels of a pilot's in whole detents."""
     found = {axis: signal.scaled(factor) for axis, signal in inputs.items()}
-    steps = {axis: signal for axis, signal in found.items() if detents and isinstance(signal, Steps)}
-    return found | {axis: Steps(signal.durations, signal.levels_in(detents[axis])) for axis, signal in steps.items()}
+    steps = {
+        axis: signal for axis, signal in found.items() if detents and isinstance(signal, Steps)
+    }
+    return found | {
+        axis: Steps(signal.durations, signal.levels_in(detents[axis]))
+        for axis, signal in steps.items()
+    }
 
 
 def duration_of(inputs: Mapping[str, Signal]) -> float:

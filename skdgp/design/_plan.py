@@ -20,7 +20,9 @@ from skdgp.design._information import Information, errors_of
 from skdgp.design._rehearsal import REACTION, RESPONSE, ROW_STEP
 from skdgp.dynamics import Aircraft, Trim
 
-SAMPLES = 20  # stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at most
+# stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at
+# most
+SAMPLES = 20
 GEOMETRY = ("wing_area", "span", "chord")
 
 
@@ -39,16 +41,18 @@ class Plan:
     before, after : Information
         About the derivatives, without and with the plan.
     manoeuvres : DataFrame
-        In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim, ``start`` [s],
-        ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to the limits), ``risk`` (predicted
-        probability of leaving the envelope; NaN without posterior), ``gain`` (by which part it reduces the errors of
-        the goal, on geometric average) and ``gain_per_second`` (of the logarithm of these errors).
+        In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim,
+        ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to
+        the limits), ``risk`` (predicted probability of leaving the envelope; NaN without
+        posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average)
+        and ``gain_per_second`` (of the logarithm of these errors).
     flight : DataFrame
-        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them. Of a model with a
-        posterior also the band of 95 % of the aircraft drawn: ``alpha_low``, ``alpha_high`` and so on.
+        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
+        Of a model with a posterior also the band of 95 % of the aircraft drawn: ``alpha_low``,
+        ``alpha_high`` and so on.
     parts : tuple of Information
-        Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn; ``after`` is ``before``
-        and their sum.
+        Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn;
+        ``after`` is ``before`` and their sum.
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
@@ -57,10 +61,12 @@ class Plan:
     weights : dict of str to ndarray (P, 1 + d, 1 + d)
         Of covariances, for the goals "function" and "free-flight".
     merged : dict of str to float
-        ``std_merged`` of derivatives at the trims (root mean square), of :func:`skdgp.dynamics.stability_derivatives`:
-        what alpha_dot and beta_dot may hold of them. No flight lowers it without these regressors.
+        ``std_merged`` of derivatives at the trims (root mean square), of
+        :func:`skdgp.dynamics.stability_derivatives`: what alpha_dot and beta_dot may hold of them.
+        No flight lowers it without these regressors.
     gusts : tuple of float, optional
-        Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm air.
+        Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm
+        air.
     """
 
     trains: tuple[Wavetrain, ...]
@@ -79,7 +85,9 @@ class Plan:
     gusts: tuple[float, ...] | None = None
     response: ClassVar[float] = RESPONSE
     reaction: ClassVar[float] = REACTION
-    """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
+    """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it
+    [s].
+    """
 
     @property
     def risk(self) -> float:
@@ -96,13 +104,18 @@ class Plan:
     def errors(self) -> pd.DataFrame:
         """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known.
 
-        They are without ``merged``. With it, ``std`` is the standard deviation before the flight that
-        :func:`skdgp.dynamics.stability_derivatives` returns, whose ``std_unmerged`` is ``before``.
+        They are without ``merged``. With it, ``std`` is the standard deviation before the flight
+        that :func:`skdgp.dynamics.stability_derivatives` returns, whose ``std_unmerged`` is
+        ``before``.
         """
-        columns = {name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")}
+        columns = {
+            name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")
+        }
         found = pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
         if self.merged:
-            found["std"] = np.hypot(found["before"], pd.Series(self.merged, dtype=float).reindex(found.index))
+            found["std"] = np.hypot(
+                found["before"], pd.Series(self.merged, dtype=float).reindex(found.index)
+            )
         return found
 
     def inputs(self, k: int) -> dict[str, Signal]:
@@ -123,7 +136,10 @@ class Plan:
     def to_dict(self) -> dict[str, Any]:
         """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
         names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-        step = min(ROW_STEP, *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()))
+        step = min(
+            ROW_STEP,
+            *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()),
+        )
         rows = []
         for k, row in enumerate(self.manoeuvres.to_dict("records")):
             limits = self.trains[int(row["train"])].limits
@@ -148,20 +164,32 @@ class Plan:
     @property
     def abort_limits(self) -> pd.DataFrame:
         """``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
-        both = self.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg({"low": "max", "high": "min"})
+        both = self.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg(
+            {"low": "max", "high": "min"}
+        )
         found = both.loc[list(QUANTITIES)]
-        found["low"] = found["low"].mask((found.index == "airspeed") & (found["low"] == 0.0), -np.inf)
+        found["low"] = found["low"].mask(
+            (found.index == "airspeed") & (found["low"] == 0.0), -np.inf
+        )
         finite, names = found.where(np.isfinite(found)), found.index
         sources = {"asked": "", "flown": GROWTH}
-        same = {word: finite.eq(self.limits.reindex(start + names).set_axis(names)) for word, start in sources.items()}
-        found["source"] = [", ".join(word for word, is_of in same.items() if is_of.loc[name].any()) for name in names]
+        same = {
+            word: finite.eq(self.limits.reindex(start + names).set_axis(names))
+            for word, start in sources.items()
+        }
+        found["source"] = [
+            ", ".join(word for word, is_of in same.items() if is_of.loc[name].any())
+            for name in names
+        ]
         return found[found["source"] != ""]
 
     @property
     def confounded(self) -> pd.DataFrame:
         """Pairs with a derivative of the goal that are still not told apart: see :meth:`Information.confounded`."""
         pairs = self.after.confounded()
-        names = pairs[["first", "second"]].apply(lambda one: pairs["coefficient"] + "_" + one.str.removesuffix(HAT))
+        names = pairs[["first", "second"]].apply(
+            lambda one: pairs["coefficient"] + "_" + one.str.removesuffix(HAT)
+        )
         return pairs[names.isin(self.goal).any(axis=1)].reset_index(drop=True)
 
 
@@ -200,7 +228,9 @@ def record_of(plan: Any, source: str = "a dictionary") -> Record:
         _finite([aircraft[name] for name in GEOMETRY])
         part = "known"
         known = plan[part]
-        before = Information(_finite(known["fisher"]), tuple(known["coefficients"]), tuple(known["regressors"]))
+        before = Information(
+            _finite(known["fisher"]), tuple(known["coefficients"]), tuple(known["regressors"])
+        )
         errors_of(before)
         part = "at"
         at = _finite([plan[part][name] for name in before.regressors]).tolist()
@@ -213,26 +243,42 @@ def record_of(plan: Any, source: str = "a dictionary") -> Record:
         weights = {name: np.asarray(value, dtype=float) for name, value in plan[part].items()}
         told = errors_of(before, weights)
         part = "errors"
-        errors = pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]].astype(float).fillna(np.inf)
+        errors = (
+            pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]]
+            .astype(float)
+            .fillna(np.inf)
+        )
         told[[*errors.index]]
         part = "limits"
-        pairs = {name: np.array([limit["low"], limit["high"]], dtype=float) for name, limit in plan[part].items()}
+        pairs = {
+            name: np.array([limit["low"], limit["high"]], dtype=float)
+            for name, limit in plan[part].items()
+        }
         limits = {name: (float(low), float(high)) for name, (low, high) in pairs.items()}
         part = "manoeuvres"
         for one in plan[part]:
-            expected = [one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")]
+            expected = [
+                one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")
+            ]
             _finite([len(one["name"]), one["duration"], one["pause"], len(expected)])
             for values in one["inputs"].values():
                 _finite(values)
         if not (plan[part] and all(one["inputs"] for one in plan[part])):
             raise ValueError
     except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-        what = f"whose {part!r} is missing or damaged" if isinstance(plan, dict) and plan else "which is none"
+        what = (
+            f"whose {part!r} is missing or damaged"
+            if isinstance(plan, dict) and plan
+            else "which is none"
+        )
         raise ValueError(
-            f"Got {source} as the plan, {what}, but expected the plan.json that python -m skdgp plan writes: copy it "
+            f"Got {source} as the plan, {what}, but expected the plan.json that python -m skdgp "
+            f"plan writes: copy it "
             "again, or plan again."
         ) from None
-    return Record(aircraft, before, at, step, curvature, weights, errors, limits, plan["manoeuvres"])
+    return Record(
+        aircraft, before, at, step, curvature, weights, errors, limits, plan["manoeuvres"]
+    )
 
 
 def _finite(values: Any) -> Array:

@@ -37,16 +37,36 @@ from skdgp.design._information import (
 from skdgp.design._library import TICK, Inputs, duration_of, input_bands, library, scaled
 from skdgp.design._plan import Plan
 from skdgp.design._rehearsal import LEAST, RESPONSE, Checked, Rehearsal
-from skdgp.dynamics import Aircraft, SimulationWarning, Trim, as_aerodynamics, linearize, stability_derivatives, trim
+from skdgp.dynamics import (
+    Aircraft,
+    SimulationWarning,
+    Trim,
+    as_aerodynamics,
+    linearize,
+    stability_derivatives,
+    trim,
+)
 
 ENTRIES = 12  # aircraft and entries drawn, over which the information of a manoeuvre is averaged
-SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: large responses are not in proportion to it
-TRIES, NEAR = 6, 0.03  # checks of a manoeuvre at most, and the part of its size by which the safe one may be missed
+# least factor by which a check makes a manoeuvre smaller: large responses are not in proportion to
+# it
+SHRINK = 0.7
+TRIES, NEAR = (
+    6,
+    0.03,
+)  # checks of a manoeuvre at most, and the part of its size by which the safe one may be missed
 MOST = np.pi / 2  # deflection that no surface has [rad]
 UNBOUNDED = ("thrust", "propeller_speed")  # axes that are no deflections
-MOST_PATHS, MOST_SECONDS = 10_000, 1800.0  # a risk of 5 % is then known to .2 %; the search takes a minute or two
-WORTH = 0.002  # least part by which a flight lowers the errors of the goal: for less it is not flown
-VAGUE = 1e-8  # information assumed of everything, relative to the largest of a manoeuvre, so that errors are finite
+MOST_PATHS, MOST_SECONDS = (
+    10_000,
+    1800.0,
+)  # a risk of 5 % is then known to .2 %; the search takes a minute or two
+WORTH = (
+    0.002  # least part by which a flight lowers the errors of the goal: for less it is not flown
+)
+# information assumed of everything, relative to the largest of a manoeuvre, so that errors are
+# finite
+VAGUE = 1e-8
 
 
 class Known(NamedTuple):
@@ -61,8 +81,9 @@ class Known(NamedTuple):
     bands : DataFrame, optional
         As `input_bands` returns, for a model without recognisable modes.
     curvature : bool, default=False
-        Whether the flight must tell the derivatives from unknown curvature too: errors are larger, and those after the
-        flight are the mean over aircraft and entries that are drawn, in still air.
+        Whether the flight must tell the derivatives from unknown curvature too: errors are larger,
+        and those after the flight are the mean over aircraft and entries that are drawn, in still
+        air.
     """
 
     information: Information | None = None
@@ -77,13 +98,14 @@ class Pilot(NamedTuple):
     Parameters
     ----------
     pause : float or "auto"
-        At the trim before and after each manoeuvre [s], of which 3 s after it count as response. "auto": a quarter of
-        the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), in which the airspeed returns; at least 3 s.
+        At the trim before and after each manoeuvre [s], of which 3 s after it count as response.
+        "auto": a quarter of the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), in
+        which the airspeed returns; at least 3 s.
     rate : float, default=50.0
         Of the autopilot [Hz].
     detents : mapping of str to float, optional
-        Of all axes [rad, or 1 of the throttle]: the plan then holds only steps, whose times are half seconds and whose
-        levels are multiples of these.
+        Of all axes [rad, or 1 of the throttle]: the plan then holds only steps, whose times are
+        half seconds and whose levels are multiples of these.
     """
 
     pause: float | Literal["auto"] = "auto"
@@ -110,23 +132,27 @@ def plan(
 ) -> Plan:
     r"""Return the flight that teaches most about a goal in a given time, inside an envelope.
 
-    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the modes (`input_bands`).
-    Each is simulated from a trim with the mean of the model. Its information (`expected_information`) adds to what is
-    known. Manoeuvres are chosen one by one for the largest reduction per second of the mean logarithm of the errors of
-    the goal; then each is exchanged while that helps.
+    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the
+    modes (`input_bands`). Each is simulated from a trim with the mean of the model. Its information
+    (`expected_information`) adds to what is known. Manoeuvres are chosen one by one for the largest
+    reduction per second of the mean logarithm of the errors of the goal; then each is exchanged
+    while that helps.
 
-    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own, from an entry beside
-    the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held controls 2 % of their limits). If K of N
-    leave the envelope, the predicted risk is (K + 1) / (N + 2) (Laplace's rule of succession). A manoeuvre is as large
-    as limits and allowed risk let it be, or left out, and the choice is made again. Controls are open loop during a
-    manoeuvre and a second after it, for which the risk is predicted; the pilot or the autopilot returns to the trim in
-    the pause.
+    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own,
+    from an entry beside the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held
+    controls 2 % of their limits). If K of N leave the envelope, the predicted risk is (K + 1) / (N
+    + 2) (Laplace's rule of succession). A manoeuvre is as large as limits and allowed risk let it
+    be, or left out, and the choice is made again. Controls are open loop during a manoeuvre and a
+    second after it, for which the risk is predicted; the pilot or the autopilot returns to the trim
+    in the pause.
 
-    Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the progress.
+    Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the
+    progress.
 
-    Raises ValueError if there is no trim, the trim has not an axis, the model has not a regressor of the goal or did
-    not see it move, no manoeuvre fits into the time, the autopilot is too slow, or no manoeuvre stays in the envelope.
-    Warns if the model does not know the turbulence of its flights, or the range of a quantity, and neither is given.
+    Raises ValueError if there is no trim, the trim has not an axis, the model has not a regressor
+    of the goal or did not see it move, no manoeuvre fits into the time, the autopilot is too slow,
+    or no manoeuvre stays in the envelope. Warns if the model does not know the turbulence of its
+    flights, or the range of a quantity, and neither is given.
 
     Parameters
     ----------
@@ -140,15 +166,17 @@ def plan(
     axes : sequence of str
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
-        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates non-dimensional; "function": the
-        error of the six coefficients over the flown range, each in units of its spread there; "free-flight": the
-        deviation of alpha, beta, phi and theta [rad] that these errors cause in 2 s. By default all derivatives.
+        Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates
+        non-dimensional; "function": the error of the six coefficients over the flown range, each in
+        units of its spread there; "free-flight": the deviation of alpha, beta, phi and theta [rad]
+        that these errors cause in 2 s. By default all derivatives.
     limits : mapping of str to Limits or float, optional
         Of the axes; by default the deviation from trim that the model was learned from.
     envelope : Envelope, optional
         By default that which was flown, and a fifth more; no lower than was flown.
     altitude : float, optional
-        [m]; by default the highest that was flown, or 100 m if the model does not know it. More gives more room.
+        [m]; by default the highest that was flown, or 100 m if the model does not know it. More
+        gives more room.
     banks : sequence of float, default=(0.0,)
         Of the trims [rad]: in turns the aircraft pitches while alpha is constant.
     known : Known, optional
@@ -181,7 +209,9 @@ def plan(
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     with one_blas_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is told as risk
+        warnings.simplefilter(
+            "ignore", SimulationWarning
+        )  # what leaves the envelope is told as risk
         planner = Planner(
             model, aircraft, airspeeds=airspeeds, seconds=seconds, axes=axes, limits=limits, envelope=envelope,
             altitude=altitude, banks=banks, known=known, pilot=pilot, thrust=thrust, goal=goal,
@@ -201,10 +231,13 @@ def _check_options(
         ("detents", getattr(pilot, "detents", None), Mapping),
     ):  # fmt: skip
         if not isinstance(value, kind | None):
-            raise TypeError(f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or None.")
+            raise TypeError(
+                f"Got {type(value).__name__} for {name}, but expected {kind.__name__} or None."
+            )
     if isinstance(axes, str) or not len(axes) or len({*axes}) < len(axes):
         raise ValueError(
-            f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
+            f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', "
+            f"'rudder']."
         )
     pause, detents, n_paths = pilot.pause, pilot.detents, envelope.n_paths
     is_auto = isinstance(pause, str) and pause == "auto"
@@ -220,10 +253,14 @@ def _check_options(
         if not (is_shaped and np.isfinite(values).all() and (values > least).all()):
             raise ValueError(f"Got {name}={value!r}, but expected {expected}.")
     if not (isinstance(n_paths, int | np.integer) and 0 <= n_paths <= MOST_PATHS):
-        raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 to {MOST_PATHS}.")
+        raise ValueError(
+            f"Got n_paths={n_paths!r}, but expected a number of aircraft to draw, 0 to "
+            f"{MOST_PATHS}."
+        )
     if seconds > MOST_SECONDS:
         raise ValueError(
-            f"Got seconds={seconds:g}, but expected at most {MOST_SECONDS:g}: plan a shorter flight, and fly it again."
+            f"Got seconds={seconds:g}, but expected at most {MOST_SECONDS:g}: plan a shorter "
+            f"flight, and fly it again."
         )
     for name, given in (("limits", limits or {}), ("detents", detents or {})):
         check_names(given, axes, "axes to move")
@@ -232,7 +269,8 @@ def _check_options(
             most = np.inf if axis in UNBOUNDED else MOST
             if not (isinstance(size, int | float | np.number) and 0 < size < most):
                 raise ValueError(
-                    f"Got {name} of {size!r} for the {axis}, but expected more than 0 and less than {most:.3g}: rad, "
+                    f"Got {name} of {size!r} for the {axis}, but expected more than 0 and less "
+                    f"than {most:.3g}: rad, "
                     "not degrees, or 0 to 1 of the throttle."
                 )
 
@@ -281,7 +319,9 @@ class Planner:
         check_names(self.coefficients, COEFFICIENTS, "coefficients")
         check_goal(goal, self.aerodynamics, self.coefficients)
         notify("planning: trims", 0, 0.0)
-        self.trims = self._trims(np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, np.atleast_1d(banks))
+        self.trims = self._trims(
+            np.atleast_1d(np.asarray(airspeeds, dtype=float)), altitude, np.atleast_1d(banks)
+        )
         for point in self.trims:
             check_names(axes, point.controls, "controls of the trim")
         self.limits = self._checked_limits(axes, limits or {})
@@ -289,24 +329,35 @@ class Planner:
         for point in self.trims:
             pause = pause_of(point.airspeed) if pilot.pause == "auto" else float(pilot.pause)
             pause = TICK * np.ceil(pause / TICK) if self.detents else pause  # a pilot counts
-            flown = Rehearsal(model, aircraft, point, self.limits, envelope, pilot.rate, pause, thrust, seed)
+            flown = Rehearsal(
+                model, aircraft, point, self.limits, envelope, pilot.rate, pause, thrust, seed
+            )
             self.rehearsals.append(flown)
         names = self.aerodynamics.regressors
-        self.at = np.mean([regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0)
-        self.before = Information(np.zeros((len(self.noise), 1 + len(names), 1 + len(names))), self.coefficients, names)
+        self.at = np.mean(
+            [regressors_of(one.still, aircraft, names)[0] for one in self.rehearsals], axis=0
+        )
+        self.before = Information(
+            np.zeros((len(self.noise), 1 + len(names), 1 + len(names))), self.coefficients, names
+        )
         if known.information is not None:
             self.before += known.information  # which checks names
         elif self.aerodynamics.is_uncertain:
             self.before = posterior_information(model, self.at, self.coefficients)
         self.about = self.at if known.curvature else None
-        self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)}
+        self.library = {
+            one.name: one for at in range(len(self.trims)) for one in self._library(at, known.bands)
+        }
         if not self.library:
             pause = min(one.pause for one in self.rehearsals)
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that short and can be "
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that "
+                f"short and can be "
                 "flown: give more seconds, a shorter pause, smaller limits or smaller detents."
             )
-        peak = np.max([np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0)
+        peak = np.max(
+            [np.einsum("pdd->pd", one.information.fisher) for one in self.library.values()], axis=0
+        )
         vague = VAGUE * np.stack([np.diag(row) for row in np.where(peak > 0, peak, 1.0)])
         self.known = vague + padded(self.before.fisher, peak.shape[1])
 
@@ -323,22 +374,26 @@ class Planner:
         """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
         if self.envelope.gusts == "auto" and self.aerodynamics.turbulence is None:
             warnings.warn(
-                "The model does not know the turbulence of its flights, so risks are those without gusts. Give "
+                "The model does not know the turbulence of its flights, so risks are those "
+                "without gusts. Give "
                 "Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
                 stacklevel=4,
             )
         if free := self.envelope.unlimited(self.aerodynamics):
             options = ", ".join(OPTIONS[name] for name in free)
             warnings.warn(
-                f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre "
-                f"may turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again.",
+                f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
+                f"them: a manoeuvre "
+                f"may turn the aircraft over or dive. Limit them by the envelope ({options}), or "
+                f"fit the model again.",
                 UserWarning,
                 stacklevel=4,
             )
         n_paths = self.envelope.n_paths
         if 1 / (n_paths + 2) > self.envelope.risk:
             raise ValueError(
-                f"Got n_paths={n_paths}, too few to show a risk of {self.envelope.risk:g}, but expected at least "
+                f"Got n_paths={n_paths}, too few to show a risk of {self.envelope.risk:g}, but "
+                f"expected at least "
                 f"{int(np.ceil(1 / self.envelope.risk)) - 2}, better three times as many."
             )
 
@@ -346,17 +401,26 @@ class Planner:
         """Return the trims, by default at the highest altitude that was flown."""
         flown = flown_quantities(self.aerodynamics)
         height = flown.get("altitude", (0.0, 100.0))[1] if altitude is None else altitude
-        level = {"altitude": height, "climb": None if self.thrust is None else 0.0, "thrust": self.thrust}
+        level = {
+            "altitude": height,
+            "climb": None if self.thrust is None else 0.0,
+            "thrust": self.thrust,
+        }
         pairs = product(airspeeds, banks)
         try:
-            return [cast(Trim, trim(self.model, self.aircraft, v, bank=bank or None, **level)) for v, bank in pairs]
+            return [
+                cast(Trim, trim(self.model, self.aircraft, v, bank=bank or None, **level))
+                for v, bank in pairs
+            ]
         except ValueError as error:
             low, high = flown.get("airspeed", (0.0, np.inf))
             if (low <= airspeeds).all() and (airspeeds <= high).all():
                 raise
             raise ValueError(f"{error} Flown were {low:.3g} to {high:.3g} m/s.") from None
 
-    def _checked_limits(self, axes: Sequence[str], limits: Mapping[str, Limits | float]) -> dict[str, Limits]:
+    def _checked_limits(
+        self, axes: Sequence[str], limits: Mapping[str, Limits | float]
+    ) -> dict[str, Limits]:
         """Return the limits of the axes, by default what the model was learned from; the throttle ends at 0 and 1."""
         given = {axis: as_limits(one) for axis, one in limits.items()}
         if self.detents:  # a pilot's ramps are his own
@@ -373,10 +437,16 @@ class Planner:
         names, flown = self.aerodynamics.regressors, self.aerodynamics.limits
         if flown is None or axis not in names:
             raise ValueError(
-                f"Got no limit of the {axis}, and the model does not say what was flown: give limits={{{axis!r}: ...}} "
+                f"Got no limit of the {axis}, and the model does not say what was flown: give "
+                f"limits={{{axis!r}: ...}} "
                 "(--limits)."
             )
-        return self._room(axis, flown[:, names.index(axis)], "flown was", f"give limits={{{axis!r}: ...}} (--limits)")
+        return self._room(
+            axis,
+            flown[:, names.index(axis)],
+            "flown was",
+            f"give limits={{{axis!r}: ...}} (--limits)",
+        )
 
     def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
         """Return the largest deviation of an axis from the trims, to both sides, in its range."""
@@ -384,14 +454,17 @@ class Planner:
         room = min(min(value - low, high - value) for value in values)
         if not room > 0:
             raise ValueError(
-                f"Got trims with the {axis} at {', '.join(f'{value:.3g}' for value in values)}, but {what} {low:.3g} "
+                f"Got trims with the {axis} at {', '.join(f'{value:.3g}' for value in values)}, "
+                f"but {what} {low:.3g} "
                 f"to {high:.3g}, which leaves it no room: {remedy}, or choose other airspeeds."
             )
         return float(room)
 
     def _information(self, flight: pd.DataFrame) -> Information:
         """Return what a simulated flight will tell."""
-        return expected_information(flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about)
+        return expected_information(
+            flight, self.aircraft, self.aerodynamics.regressors, self.noise, about=self.about
+        )
 
     def _entered(self, one: Manoeuvre) -> Manoeuvre:
         """Return a manoeuvre with what it teaches on average over aircraft and entries that are drawn, in still air."""
@@ -413,7 +486,11 @@ class Planner:
         notify(f"planning: {self._label(at)}library", 0, 0.0)
         if bands is None:
             axes = list(self.limits)
-            bands = input_bands(linearize(self.model, self.aircraft, self.trims[at], inputs=axes, thrust=self.thrust))
+            bands = input_bands(
+                linearize(
+                    self.model, self.aircraft, self.trims[at], inputs=axes, thrust=self.thrust
+                )
+            )
         return self.made(at, dict(library(bands, self.limits, self.detents, self.seed)))
 
     def made(self, at: int, named: Mapping[str, Inputs]) -> list[Manoeuvre]:
@@ -423,25 +500,47 @@ class Planner:
         named = {name: one for name, one in named.items() if duration_of(one) <= most}
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
-            rest = {name: scaled(one, factor, self.detents) for name, one in named.items() if name not in scales}
+            rest = {
+                name: scaled(one, factor, self.detents)
+                for name, one in named.items()
+                if name not in scales
+            }
             for name, flight in self._flights(at, rest).items():
                 scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
         inputs = {name: scaled(named[name], scale, self.detents) for name, scale in scales.items()}
-        inputs = {name: one for name, one in inputs.items() if any(signal.peak for signal in one.values())}  # detents
+        inputs = {
+            name: one for name, one in inputs.items() if any(signal.peak for signal in one.values())
+        }  # detents
         label, flights, pause = self._label(at), self._flights(at, inputs), rehearsal.pause
         return [
-            Manoeuvre(label + name, at, named[name], inputs[name], pause, self._information(one), one, scales[name])
+            Manoeuvre(
+                label + name,
+                at,
+                named[name],
+                inputs[name],
+                pause,
+                self._information(one),
+                one,
+                scales[name],
+            )
             for name, one in flights.items()
         ]
 
     def _flights(self, at: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of those manoeuvres that the mean flies to their end."""
         flights = self.rehearsals[at].flown([*named.values()]) if named else []
-        return {name: one for name, one in zip(named, flights, strict=True) if (one["ended"] == "").all()}
+        return {
+            name: one
+            for name, one in zip(named, flights, strict=True)
+            if (one["ended"] == "").all()
+        }
 
     def _gain(self, chosen: Sequence[Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
-        fisher, n = sum((one.information.fisher for one in chosen), self.known), self.before.fisher.shape[1]
+        fisher, n = (
+            sum((one.information.fisher for one in chosen), self.known),
+            self.before.fisher.shape[1],
+        )
         covariance = scaled_inverse(fisher)[:, :n, :n]
         return float(-0.5 * np.mean(np.log(self.errors @ covariance.ravel())))
 
@@ -453,7 +552,10 @@ class Planner:
         """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
         while options := [one for one in library if self._fits([*chosen, one])]:
             now = self._gain(chosen)
-            chosen = [*chosen, max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds)]
+            chosen = [
+                *chosen,
+                max(options, key=lambda one: (self._gain([*chosen, one]) - now) / one.seconds),
+            ]
         return chosen
 
     def _sequence(self, library: Sequence[Manoeuvre]) -> list[Manoeuvre]:
@@ -462,7 +564,10 @@ class Planner:
         best = self._filled(max(starts, key=self._gain), library)
         while True:
             swaps = [
-                [*best[:k], one, *best[k + 1 :]] for k, old in enumerate(best) for one in library if one is not old
+                [*best[:k], one, *best[k + 1 :]]
+                for k, old in enumerate(best)
+                for one in library
+                if one is not old
             ]
             swaps = [each for each in swaps if self._fits(each)]
             better = self._filled(max(swaps, key=self._gain), library) if swaps else best
@@ -476,10 +581,14 @@ class Planner:
         try:
             while chosen := self._sequence([*library.values()]):
                 gain = self._gain(chosen) - self._gain([])
-                if gain < WORTH and self.about is None:  # the mean's flight does not show what others tell of curvature
+                if (
+                    gain < WORTH and self.about is None
+                ):  # the mean's flight does not show what others tell of curvature
                     raise ValueError(
-                        f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of {list(self.limits)} "
-                        f"within their limits lower its errors by {gain:.2%}: move other axes, raise their limits, or "
+                        f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of "
+                        f"{list(self.limits)} "
+                        f"within their limits lower its errors by {gain:.2%}: move other axes, "
+                        f"raise their limits, or "
                         "ask for another goal."
                     )
                 n_checked = sum(one.risk is not None for one in library.values())
@@ -497,8 +606,10 @@ class Planner:
                 raise
         if not chosen:
             raise ValueError(
-                f"Got an envelope that every manoeuvre leaves in more than {self.envelope.risk:.0%} of cases, even at "
-                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow more risk, plan for "
+                f"Got an envelope that every manoeuvre leaves in more than "
+                f"{self.envelope.risk:.0%} of cases, even at "
+                f"{LEAST:.0%} of the limits; the last one by {causes}: widen this limit, allow "
+                f"more risk, plan for "
                 "weaker gusts, or fly another airspeed or altitude."
             )
         return chosen
@@ -509,7 +620,9 @@ class Planner:
         best: tuple[Inputs, Checked] | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
             inputs = scaled(one.full, scale, self.detents)
-            size = max(signal.peak / one.full[axis].peak for axis, signal in inputs.items())  # of whole detents
+            size = max(
+                signal.peak / one.full[axis].peak for axis, signal in inputs.items()
+            )  # of whole detents
             if size <= safe:
                 break
             checked = self.rehearsals[one.at].checked(inputs)
@@ -530,12 +643,18 @@ class Planner:
         if self.aerodynamics.is_uncertain:
             flight, risk = with_band(flight, checked.paths), checked.risk
         found = self._information(checked.flight)
-        return replace(one, inputs=inputs, information=found, flight=flight, scale=safe, risk=risk), causes
+        return replace(
+            one, inputs=inputs, information=found, flight=flight, scale=safe, risk=risk
+        ), causes
 
     def _plan_of(self, chosen: list[Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""
-        if self.about is not None:  # products that the mean's flight leaves at zero are small in others
-            taught = {one.name: self._entered(one) for one in {one.name: one for one in chosen}.values()}
+        if (
+            self.about is not None
+        ):  # products that the mean's flight leaves at zero are small in others
+            taught = {
+                one.name: self._entered(one) for one in {one.name: one for one in chosen}.values()
+            }
             chosen = [taught[one.name] for one in chosen]
         chosen = sorted(chosen, key=lambda one: one.at)
         flown = sorted({one.at for one in chosen})
@@ -555,7 +674,9 @@ class Planner:
                 })  # fmt: skip
                 start += one.seconds
         parts = tuple(one.information for one in chosen)
-        gusts = self.aerodynamics.turbulence if self.envelope.gusts == "auto" else self.envelope.gusts
+        gusts = (
+            self.aerodynamics.turbulence if self.envelope.gusts == "auto" else self.envelope.gusts
+        )
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
             trains=tuple(trains), trims=tuple(self.trims[at] for at in flown), goal=self.goal, parts=parts,
@@ -571,5 +692,7 @@ class Planner:
     def _merged(self) -> dict[str, float]:
         if self.aerodynamics.slope_errors is None:
             return {}
-        table = stability_derivatives(self.model, self.aircraft, self.trims, n_paths=2, thrust=self.thrust)
+        table = stability_derivatives(
+            self.model, self.aircraft, self.trims, n_paths=2, thrust=self.thrust
+        )
         return np.sqrt((table["std_merged"] ** 2).groupby(level=1).mean()).to_dict()

@@ -17,12 +17,18 @@ from skdgp.design._library import MULTISINES, Inputs
 from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
 
 ROW_STEP = 0.04  # time between rows of a simulation, which count as independent measurements [s]
-ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of the angles from trim in which a manoeuvre begins [rad]
+ENTRY = {
+    "phi": 0.035,
+    "theta": 0.035,
+}  # standard deviations of the angles from trim in which a manoeuvre begins [rad]
 ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
-"""Standard deviations of the airspeed, relative to it, and of held controls, relative to their limits."""
+"""Standard deviations of the airspeed, relative to it, and of held controls, relative to their
+limits.
+"""
 LEAST = 0.2  # part of the limits below which a manoeuvre is left out
 RESPONSE, REACTION = 3.0, 1.0
-"""How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s]."""
+"""How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s].
+"""
 
 
 class Hold(NamedTuple):
@@ -78,7 +84,9 @@ class Rehearsal:
     def __post_init__(self) -> None:
         self.aerodynamics = as_aerodynamics(self.model)
         self.response = min(RESPONSE, self.pause)  # flown after each manoeuvre too [s]
-        self._nothing: Inputs = {next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])}
+        self._nothing: Inputs = {
+            next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])
+        }
 
     @cached_property
     def still(self) -> pd.DataFrame:
@@ -90,7 +98,9 @@ class Rehearsal:
         trains, tables = self._tables(several)
         shortest = min(table["time"].iloc[-1] for table in tables)
         flown = self._simulated([self.point] * len(tables), tables, shortest)
-        parts = [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
+        parts = (
+            [flown] if len(tables) == 1 else [part for _, part in flown.groupby("start", sort=True)]
+        )
         return [self._cut(part, train) for part, train in zip(parts, trains, strict=True)]
 
     def drawn(self, inputs: Inputs, n_paths: int, gusts: Any = None) -> pd.DataFrame:
@@ -100,22 +110,37 @@ class Rehearsal:
         (train,), tables = self._tables([inputs])
         rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
         spreads = {axis: ENTRY_CONTROLS * limit.amplitude for axis, limit in self.limits.items()}
-        beside = {axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()}
+        beside = {
+            axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()
+        }
         columns = {str(name): values.to_numpy() for name, values in tables[0].items()}
 
         def controls(t: float, state: Any) -> dict[str, Any]:
-            return {name: np.interp(t, time, values) + beside.get(name, 0.0) for name, values in columns.items()}
+            return {
+                name: np.interp(t, time, values) + beside.get(name, 0.0)
+                for name, values in columns.items()
+            }
 
         start = ENTRY | {"u": ENTRY_SPEED * self.point.airspeed}
-        options = {"n_paths": n_paths, "random_state": self.seed, "initial_std": start, "air": Air(gusts=gusts)}
+        options = {
+            "n_paths": n_paths,
+            "random_state": self.seed,
+            "initial_std": start,
+            "air": Air(gusts=gusts),
+        }
         return self._cut(self._simulated([self.point], controls, time[-1], **options), train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
         """Return manoeuvres, and what their surfaces do: they follow the autopilot with the lags of their servos."""
-        trains = [Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()}) for inputs in several]
+        trains = [
+            Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+            for inputs in several
+        ]
         longest = max(train.duration for train in trains) + self.response
         trimmed = self.point.controls
-        tables = [train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains]
+        tables = [
+            train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains
+        ]
         for table in tables:
             for axis, limit in self.limits.items():
                 deviation = table[axis].to_numpy() - trimmed[axis]
@@ -127,7 +152,9 @@ class Rehearsal:
         return simulate(self.model, self.aircraft, starts, controls, ROW_STEP, **options)
 
     def _cut(self, flight: pd.DataFrame, train: Wavetrain) -> pd.DataFrame:
-        return flight[flight["time"] <= train.duration + self.response + 1e-6].reset_index(drop=True)
+        return flight[flight["time"] <= train.duration + self.response + 1e-6].reset_index(
+            drop=True
+        )
 
     @cached_property
     def hold(self) -> Hold:
@@ -137,29 +164,47 @@ class Rehearsal:
         risk, causes = self.risk(begun)
         if risk > self.envelope.risk:
             raise ValueError(
-                f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and {self.point.altitude:.0f} m "
-                f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but expected at most "
-                f"{self.envelope.risk:.0%}: {self._possible(begun)}widen this limit, choose another airspeed or "
+                f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
+                f"{self.point.altitude:.0f} m "
+                f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but "
+                f"expected at most "
+                f"{self.envelope.risk:.0%}: {self._possible(begun)}widen this limit, choose "
+                f"another airspeed or "
                 "altitude, or weaker gusts."
             )
         limits = self.envelope.bounds(self.aerodynamics)
-        is_set = [name.removeprefix(GROWTH) in self.limits for name in limits]  # a control has no response
+        is_set = [
+            name.removeprefix(GROWTH) in self.limits for name in limits
+        ]  # a control has no response
         margin = np.where(is_set, 0.0, self.envelope.margin)
         low, high = np.array([*limits.values()]).T
         centre, allowed = self.channels(self.still), 0
         if self.aerodynamics.is_uncertain:
             allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
-        return Hold(centre, self.channels(paths).reshape(-1, *centre.shape), low, high, margin, allowed)
+        return Hold(
+            centre, self.channels(paths).reshape(-1, *centre.shape), low, high, margin, allowed
+        )
 
     def _possible(self, paths: pd.DataFrame) -> str:
         """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
-        bounds = [pair for name, pair in self.envelope.bounds(self.aerodynamics).items() if name.endswith("airspeed")]
-        off = paths.groupby("flight", sort=False)["airspeed"].agg(["min", "max"]) - self.point.airspeed
+        bounds = [
+            pair
+            for name, pair in self.envelope.bounds(self.aerodynamics).items()
+            if name.endswith("airspeed")
+        ]
+        off = (
+            paths.groupby("flight", sort=False)["airspeed"].agg(["min", "max"])
+            - self.point.airspeed
+        )
         low = max(pair[0] for pair in bounds) - off["min"].quantile(0.5 * self.envelope.risk)
         high = min(pair[1] for pair in bounds) - off["max"].quantile(1 - 0.5 * self.envelope.risk)
         if not np.isfinite(high - low) or low <= self.point.airspeed <= high:
             return ""
-        return f"fly at {low:.3g} to {high:.3g} m/s, " if low < high else "no airspeed stays in its range, "
+        return (
+            f"fly at {low:.3g} to {high:.3g} m/s, "
+            if low < high
+            else "no airspeed stays in its range, "
+        )
 
     def room(self, flight: pd.DataFrame) -> float:
         """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
@@ -168,7 +213,9 @@ class Rehearsal:
 
     def _unattended(self, flight: pd.DataFrame) -> pd.DataFrame:
         """Return flights of a manoeuvre until the pilot acts."""
-        return flight[flight["time"] <= flight["time"].max() - max(0.0, self.response - REACTION) + 1e-6]
+        return flight[
+            flight["time"] <= flight["time"].max() - max(0.0, self.response - REACTION) + 1e-6
+        ]
 
     def channels(self, flight: pd.DataFrame) -> Matrix:
         """Return what the envelope limits along flights, one after another, (n, c)."""
@@ -192,8 +239,13 @@ class Rehearsal:
         shares = by_path.mean().sort_values(ascending=False)
         shares = shares[shares > 0]
         causes = ", ".join(
-            f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})" for name, share in shares.items()
+            f"{name} ({share:.0%}, {option_of(str(name), self.aerodynamics)})"
+            for name, share in shares.items()
         )
         n_left = int(by_path.any(axis=1).sum())
-        risk = (n_left + 1) / (self.envelope.n_paths + 2) if self.aerodynamics.is_uncertain else float(n_left)
+        risk = (
+            (n_left + 1) / (self.envelope.n_paths + 2)
+            if self.aerodynamics.is_uncertain
+            else float(n_left)
+        )
         return risk, causes.replace(GROWTH, "flown ")

@@ -17,15 +17,18 @@ from skdgp._flight.checks import check_names
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 PX4 = {"aileron": ("xyz[0]", 1.0), "elevator": ("xyz[1]", -1.0), "rudder": ("xyz[2]", -1.0)}
-"""Component of vehicle_torque_setpoint, and sign: PX4's positive commands roll right, pitch up, yaw right."""
+"""Component of vehicle_torque_setpoint, and sign: PX4's positive commands roll right, pitch up, yaw
+right.
+"""
 ARDUPILOT = {
     "elevator": (19, -1.0), "aileron": (4, 1.0), "rudder": (21, -1.0), "throttle": (70, 1.0),
     "elevon_left": (77, -1.0), "elevon_right": (78, -1.0), "vtail_left": (79, -1.0), "vtail_right": (80, -1.0),
     "flaperon_left": (24, 1.0), "flaperon_right": (25, -1.0),
 }  # fmt: skip
 """SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves
-of a V-tail up. Flaperons roll right, flaps lower the left and raise the right command; later versions turn the left one
-(ArduPlane/servos.cpp), which the script sees by the command of the ailerons."""
+of a V-tail up. Flaperons roll right, flaps lower the left and raise the right command; later
+versions turn the left one (ArduPlane/servos.cpp), which the script sees by the command of the
+ailerons."""
 MIXES = {
     "elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0},
     "vtail_left": {"elevator": 1.0, "rudder": 1.0}, "vtail_right": {"elevator": 1.0, "rudder": -1.0},
@@ -42,7 +45,11 @@ SWITCHES = range(300, 308)
 
 
 def write_csv(
-    path: str | os.PathLike[str], train: Wavetrain, rate: float, *, trim: Mapping[str, float] | None = None
+    path: str | os.PathLike[str],
+    train: Wavetrain,
+    rate: float,
+    *,
+    trim: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """Write `Wavetrain.table` as CSV, and return it: ``time`` [s] and the axes [rad, or 1 of the throttle].
 
@@ -79,11 +86,13 @@ def write_csv(
     return table
 
 
-def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float]) -> pd.DataFrame:
+def write_px4(
+    path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float]
+) -> pd.DataFrame:
     """Write the inputs in the columns, units and signs of PX4's topic vehicle_torque_setpoint, and return the table.
 
-    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right. Those of the CSV file
-    are to be added to the setpoints of the controllers.
+    Torque setpoints are from -1 to 1 about x, y, z: positive rolls right, pitches up, yaws right.
+    Those of the CSV file are to be added to the setpoints of the controllers.
 
     Parameters
     ----------
@@ -103,8 +112,8 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
     Raises
     ------
     ValueError
-        If an axis is none of these, a full deflection lacks, is not > 0 or smaller than an input, or as of
-        `Wavetrain.table`.
+        If an axis is none of these, a full deflection lacks, is not > 0 or smaller than an input,
+        or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -130,35 +139,43 @@ def write_px4(path: str | os.PathLike[str], train: Wavetrain, rate: float, full:
 
 
 def write_ardupilot_lua(
-    path: str | os.PathLike[str], train: Wavetrain, rate: float, full: Mapping[str, float], *, switch: int = 300
+    path: str | os.PathLike[str],
+    train: Wavetrain,
+    rate: float,
+    full: Mapping[str, float],
+    *,
+    switch: int = 300,
 ) -> None:
     """Write a Lua script for ArduPilot that adds the inputs to the autopilot's commands while a switch is high.
 
-    The script holds the signals as formulas, not as samples: some kilobytes for any duration. It keeps the limits of
-    the axes at every step, also where steps come late. The inputs end at once when the switch is low or the aircraft is
-    disarmed, and the autopilot's own commands return within five steps if the script stops. It logs them (PLAN).
+    The script holds the signals as formulas, not as samples: some kilobytes for any duration. It
+    keeps the limits of the axes at every step, also where steps come late. The inputs end at once
+    when the switch is low or the aircraft is disarmed, and the autopilot's own commands return
+    within five steps if the script stops. It logs them (PLAN).
 
     Parameters
     ----------
     path : path-like
-        Such as ``plan.lua``; copy it to ``APM/scripts`` of the autopilot's card and set SCR_ENABLE to 1.
+        Such as ``plan.lua``; copy it to ``APM/scripts`` of the autopilot's card and set SCR_ENABLE
+        to 1.
     train : Wavetrain
         Of elevator, aileron, rudder, throttle, or of the elevons.
     rate : float
         At which the script runs [Hz].
     full : mapping of str to float
-        The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the servo's range
-        [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron, ``vtail_left`` and ``vtail_right``
-        with elevator and rudder, ``flaperon_left`` and ``flaperon_right`` with the aileron. The throttle needs none.
+        The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the
+        servo's range [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron,
+        ``vtail_left`` and ``vtail_right`` with elevator and rudder, ``flaperon_left`` and
+        ``flaperon_right`` with the aileron. The throttle needs none.
     switch : int, default=300
         RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
 
     Raises
     ------
     ValueError
-        If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces, ArduPilot has no
-        servo function for one, a full deflection is no number > 0 or smaller than the inputs of the surface, a signal
-        is none of this package, or as of `Wavetrain.table`.
+        If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces,
+        ArduPilot has no servo function for one, a full deflection is no number > 0 or smaller than
+        the inputs of the surface, a signal is none of this package, or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -173,7 +190,9 @@ def write_ardupilot_lua(
     write_atomically(path, text_writer(ardupilot_script(train, rate, full, switch)))
 
 
-def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300) -> str:
+def ardupilot_script(
+    train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300
+) -> str:
     """Return the text of the script that `write_ardupilot_lua` writes, with its errors.
 
     Parameters
@@ -187,7 +206,8 @@ def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float], s
     """
     if not (rate <= FASTEST and switch in SWITCHES):
         raise ValueError(
-            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an RCn_OPTION of "
+            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and "
+            f"an RCn_OPTION of "
             f"{SWITCHES[0]} to {SWITCHES[-1]}."
         )
     full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
@@ -196,11 +216,18 @@ def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float], s
     axes = []
     for axis in train.axes:
         limit = train.limits.get(axis, UNLIMITED)
-        signals = [_parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()]
-        axes.append({"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals})
+        signals = [
+            _parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()
+        ]
+        axes.append(
+            {"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals}
+        )
     surfaces = []
     for name, mix in mixes.items():
-        (servo, sign), scale = ARDUPILOT[name], THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE
+        (servo, sign), scale = (
+            ARDUPILOT[name],
+            THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE,
+        )
         surfaces.append({
             "name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle", "scale": scale,
             "parts": [mix.get(axis, 0.0) for axis in train.axes],
@@ -226,25 +253,33 @@ def _moved(
     for name, value in full.items():
         if not 0 < value < np.inf:
             raise ValueError(
-                f"Got {value:g} as the full deflection of the {name}, but expected a number > 0: give the deflection "
+                f"Got {value:g} as the full deflection of the {name}, but expected a number > 0: "
+                f"give the deflection "
                 "at the end of its servo's range."
             )
-    mixes = {name: {axis: gain for axis, gain in mix.items() if axis in axes} for name, mix in gains.items()}
+    mixes = {
+        name: {axis: gain for axis, gain in mix.items() if axis in axes}
+        for name, mix in gains.items()
+    }
     if still := [axis for axis in axes if not any(axis in mix for mix in mixes.values())]:
         raise ValueError(
-            f"Got full deflections of {list(full)}, but expected also those of surfaces that move with the "
+            f"Got full deflections of {list(full)}, but expected also those of surfaces that move "
+            f"with the "
             f"{' and the '.join(still)}: add them."
         )
     return {name: mix for name, mix in mixes.items() if mix}
 
 
-def _check_room(table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]) -> None:
+def _check_room(
+    table: pd.DataFrame, mixes: Mapping[str, Mapping[str, float]], full: Mapping[str, float]
+) -> None:
     """Raise ValueError if a full deflection is smaller than the inputs of a surface."""
     for name, mix in mixes.items():
         peak = np.abs(sum(gain * table[axis] for axis, gain in mix.items())).max()
         if not peak <= full[name] * (1.0 + ROUNDING):
             raise ValueError(
-                f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is {full[name]:g}: make them "
+                f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is "
+                f"{full[name]:g}: make them "
                 "smaller."
             )
 
@@ -253,11 +288,14 @@ def _parts(signal: Signal) -> dict[str, Any]:
     """Return what the script evaluates a signal from."""
     kind = {"kind": type(signal).__name__, "duration": signal.duration}
     if isinstance(signal, Steps):
-        return kind | {name: getattr(signal, name).tolist() for name in ("edges", "swings", "ramps")}
+        return kind | {
+            name: getattr(signal, name).tolist() for name in ("edges", "swings", "ramps")
+        }
     if isinstance(signal, Chirp | Multisine):
         return kind | vars(signal)
     raise ValueError(
-        f"Got a {type(signal).__name__}, which the script does not know, but expected Steps, Chirp or Multisine."
+        f"Got a {type(signal).__name__}, which the script does not know, but expected Steps, "
+        f"Chirp or Multisine."
     )
 
 

@@ -22,7 +22,12 @@ from skdgp._mechanics.air import Air, Turbulence, dryden_wind
 from skdgp._mechanics.aircraft import Aircraft
 from skdgp._mechanics.engines import Propeller, ThrustLine
 from skdgp._mechanics.estimate import ScaleFactor
-from skdgp._mechanics.loads import aerodynamic_loads, external_loads, propeller_loads, propulsive_loads
+from skdgp._mechanics.loads import (
+    aerodynamic_loads,
+    external_loads,
+    propeller_loads,
+    propulsive_loads,
+)
 from skdgp._mechanics.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._inputs import FlightComputer

@@ -42,15 +42,16 @@ def stability_derivatives(
 ) -> pd.DataFrame:
     r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
-    Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`, :math:`rb/2V`,
-    :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model has (Stevens, Lewis & Johnson 2016,
-    section 2.3). Lift and drag are
+    Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`,
+    :math:`rb/2V`, :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model
+    has (Stevens, Lewis & Johnson 2016, section 2.3). Lift and drag are
 
     .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
         C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
-    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and the rates p and r are
-    in them. Raises ValueError if axes are unknown, or the model is not defined there.
+    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and
+    the rates p and r are in them. Raises ValueError if axes are unknown, or the model is not
+    defined there.
 
     Parameters
     ----------
@@ -62,41 +63,47 @@ def stability_derivatives(
     axes : {"body", "stability"}
         "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
-        Number of posterior functions that give the standard deviations, each with a relative error of
-        1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
+        Number of posterior functions that give the standard deviations, each with a relative error
+        of 1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, air
-        As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the loads.
+        As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the
+        loads.
 
     Returns
     -------
     DataFrame
-        A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``), with columns
-        ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``, ``regressor``, and ``per``, the unit of
-        the regressor. Several points have an outer level ``point``, and columns ``airspeed``, ``alpha``, ``beta``.
-        Of a model learned from flights, ``std`` is the root of the sum of the squares of
+        A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``),
+        with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
+        ``regressor``, and ``per``, the unit of the regressor. Several points have an outer level
+        ``point``, and columns ``airspeed``, ``alpha``, ``beta``. Of a model learned from flights,
+        ``std`` is the root of the sum of the squares of
 
         - ``std_posterior``: over functions drawn from the posterior,
-        - ``std_random``: errors correlated between samples and between outputs, estimated block by block,
-        - ``std_method``: difference to the slopes of a polynomial with past regressors as instruments, what third
-          powers change, and how far noise of the regressors may flatten a slope,
-        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative. ``std_unmerged`` is without
-          it: what more flights of the same kind lower, and what :func:`skdgp.design.plan` plans for.
+        - ``std_random``: errors correlated between samples and between outputs, estimated block by
+          block,
+        - ``std_method``: difference to the slopes of a polynomial with past regressors as
+          instruments, what third powers change, and how far noise of the regressors may flatten a
+          slope,
+        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
+          ``std_unmerged`` is without it: what more flights of the same kind lower, and what
+          :func:`skdgp.design.plan` plans for.
 
-        ``n_effective`` is the number of independent samples that would determine the slope as well. Compact models
-        lack ``std_random``, ``std_method`` and ``n_effective``.
+        ``n_effective`` is the number of independent samples that would determine the slope as well.
+        Compact models lack ``std_random``, ``std_method`` and ``n_effective``.
 
-        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make of the values, and
-        ``aircraft`` names the largest of them. They are shared, and not part of ``std``: trim, modes and simulations
-        with the same aircraft do not depend on them. Compare derivatives with those of another source by both.
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make
+        of the values, and ``aircraft`` names the largest of them. They are shared, and not part of
+        ``std``: trim, modes and simulations with the same aircraft do not depend on them. Compare
+        derivatives with those of another source by both.
 
     Notes
     -----
-    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went together in the flights:
-    its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli 2006, section 5.1; docs/control.md).
-    ``std_merged`` is for derivatives by alpha_dot of 0 +- .4 times those by q, as of a tail in the downwash, and by
-    beta_dot of 0 +- .2 times those by r.
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went
+    together in the flights: its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
+    2006, section 5.1; docs/control.md). ``std_merged`` is for derivatives by alpha_dot of 0 +- .4
+    times those by q, as of a tail in the downwash, and by beta_dot of 0 +- .2 times those by r.
 
     Examples
     --------
@@ -122,11 +129,16 @@ def stability_derivatives(
     X, frame = now.regressors, _Frame(motion, now, axes)
     values = frame(now.coefficients, motion.aerodynamics.gradient(X))
     if not np.isfinite(values).all():
-        raise ValueError("Got coefficients or slopes that are not finite: the model is not defined there.")
+        raise ValueError(
+            "Got coefficients or slopes that are not finite: the model is not defined there."
+        )
     parts: dict[str, Array] = {}
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
         parts = _deviations(motion, now, frame, n_paths, random_state)
-    tables = [frame.table(values[k], {name: part[k] for name, part in parts.items()}) for k in range(len(states))]
+    tables = [
+        frame.table(values[k], {name: part[k] for name, part in parts.items()})
+        for k in range(len(states))
+    ]
     if aircraft.deviations:
         _add_errors_of_aircraft(tables, motion, now, frame)
     if single:
@@ -137,7 +149,9 @@ def stability_derivatives(
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
 
 
-def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed) -> dict[str, Array]:
+def _deviations(
+    motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed
+) -> dict[str, Array]:
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     X, model = now.regressors, motion.aerodynamics
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
@@ -151,13 +165,17 @@ def _deviations(motion: Motion, now: Instant, frame: _Frame, n_paths: int, rando
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
     if errors is None:
         return parts
-    random, white = (frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None]))
+    random, white = (
+        frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None])
+    )
     share = np.divide(white, random, out=np.full_like(white, np.nan), where=random > 0) ** 2
     parts |= {"std_random": random, "std_method": frame.errors(errors.method)}
     return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
 
 
-def _add_errors_of_aircraft(tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame) -> None:
+def _add_errors_of_aircraft(
+    tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame
+) -> None:
     """Add what errors of the aircraft's sizes make of the values, and the largest of these errors."""
     aircraft, deviations = motion.aircraft, motion.aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)
@@ -178,7 +196,9 @@ class _Frame:
         self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
         self.turn = _axes(now.alpha, self.rows, self.stability)
         self.columns = list(motion.regressors)
-        self.scale = np.stack([_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1)
+        self.scale = np.stack(
+            [_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1
+        )
         self.added: list[str] = []
         if self.stability:
             have = set(self.columns)
@@ -192,7 +212,10 @@ class _Frame:
         S = self.turn @ (slopes * self.scale[:, None, :])
         S = np.concatenate([S, np.zeros((*S.shape[:-1], len(self.added)))], axis=-1)
         if "alpha" in self.columns:
-            lift, drag, k = (*(self.rows.index(name) for name in ("CL", "CD")), self.columns.index("alpha"))
+            lift, drag, k = (
+                *(self.rows.index(name) for name in ("CL", "CD")),
+                self.columns.index("alpha"),
+            )
             S[..., lift, k] -= C[..., drag, 0]
             S[..., drag, k] += C[..., lift, 0]
         if self.stability:
@@ -201,19 +224,26 @@ class _Frame:
                 if set(pair) <= set(self.columns):
                     x, z = map(self.columns.index, pair)
                     about_x, about_z = S[..., x].copy(), S[..., z].copy()
-                    S[..., x], S[..., z] = cos * about_x + sin * about_z, cos * about_z - sin * about_x
+                    S[..., x], S[..., z] = (
+                        cos * about_x + sin * about_z,
+                        cos * about_z - sin * about_x,
+                    )
         return np.concatenate([C, S], axis=-1)
 
     def errors(self, errors: Array, apart: bool = False) -> Array:
         """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or those of each."""
-        parts = np.abs([self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)])
+        parts = np.abs(
+            [self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)]
+        )
         return parts if apart else np.sqrt(np.sum(parts**2, axis=0))
 
     def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:
         """Return the table of one point, of values and parts of their deviations (rows, 1 + columns)."""
         names = ["", *self.columns]
         pairs = [(row, name) for row in self.rows for name in names]
-        table = pd.DataFrame({"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs])
+        table = pd.DataFrame(
+            {"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs]
+        )
         columns = {name: part.ravel() for name, part in parts.items()}
         if columns:
             table["std"] = np.sqrt(sum(columns[name] ** 2 for name in PARTS if name in columns))
@@ -237,14 +267,24 @@ def _points(
         found = [flight_point(motion, one, controls) for one in point]
     elif isinstance(point, Trim) or np.ndim(point) == 1:
         found = [flight_point(motion, point, controls)]
-        return found[0][0][None], {name: np.array([value]) for name, value in found[0][1].items()}, True
+        return (
+            found[0][0][None],
+            {name: np.array([value]) for name, value in found[0][1].items()},
+            True,
+        )
     else:
         n = len(point)
         given = {name: np.broadcast_to(value, n) for name, value in (controls or {}).items()}
-        each = [{name: values[k] for name, values in given.items()} if given else None for k in range(n)]
+        each = [
+            {name: values[k] for name, values in given.items()} if given else None for k in range(n)
+        ]
         found = [flight_point(motion, state, one) for state, one in zip(point, each, strict=True)]
     names = found[0][1]
-    return np.stack([state for state, _ in found]), {n: np.array([c[n] for _, c in found]) for n in names}, False
+    return (
+        np.stack([state for state, _ in found]),
+        {n: np.array([c[n] for _, c in found]) for n in names},
+        False,
+    )
 
 
 def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
@@ -266,7 +306,9 @@ def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
     name = motion.regressors[k]
     if name not in LENGTHS:
         return np.ones_like(airspeed)
-    return motion.factor(k, airspeed) / rate_factor(name, getattr(motion.aircraft, LENGTHS[name]), airspeed)
+    return motion.factor(k, airspeed) / rate_factor(
+        name, getattr(motion.aircraft, LENGTHS[name]), airspeed
+    )
 
 
 def _merged(row: str, name: str, source: int) -> str:

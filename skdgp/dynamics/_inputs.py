@@ -12,9 +12,23 @@ import pandas as pd
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, CHANNELS, EARTH_VELOCITY, EULER, POSITION, RATES
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    CHANNELS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+)
 from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
-from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion, ned_to_body, quaternion_to_euler
+from skdgp._flight.frames import (
+    air_velocity,
+    body_to_ned,
+    euler_to_quaternion,
+    ned_to_body,
+    quaternion_to_euler,
+)
 from skdgp._mechanics import rigid_body
 from skdgp._mechanics.air import LocalAir
 from skdgp._mechanics.error_covariance import checked_std
@@ -24,7 +38,9 @@ from skdgp._mechanics.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15
-"""By which the airspeed of a start may differ from that of its ground speed and the wind, as a share."""
+"""By which the airspeed of a start may differ from that of its ground speed and the wind, as a
+share.
+"""
 LOWEST_LAND = -450.0
 """Altitude of the lowest land there is [m]."""
 
@@ -32,16 +48,20 @@ LOWEST_LAND = -450.0
 def as_starts(x0: Any) -> pd.DataFrame | Array:
     """Return one start or several as a table of names or an array of states, with a row for each.
 
-    ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list of them.
+    ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
+    of them.
     """
     if isinstance(x0, Sequence) and len(x0) and all(hasattr(one, "state") for one in x0):
         x0 = [one.state for one in x0]
     if isinstance(x0, Mapping):
         lacking = [name for name in START_NAMES if name not in x0]
         for name in map(str, x0):
-            if name not in CHANNELS and (near := get_close_matches(name, lacking, n=1, cutoff=0.75)):
+            if name not in CHANNELS and (
+                near := get_close_matches(name, lacking, n=1, cutoff=0.75)
+            ):
                 raise ValueError(
-                    f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean {near[0]!r}?"
+                    f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean "
+                    f"{near[0]!r}?"
                 )
     if not isinstance(x0, Mapping | pd.Series | pd.DataFrame):
         x0 = getattr(x0, "state", x0)
@@ -65,24 +85,34 @@ def initial_states(
 ) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
-    By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative to the air); what
-    else is not given is zero. Altitude counts before down, as the density follows from it. Raises ValueError if the
-    velocity is missing, or a value is not finite or not in radians. Warns if ground speed, wind and airspeed do not
-    fit, or a start lies below any land.
+    By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative
+    to the air); what else is not given is zero. Altitude counts before down, as the density follows
+    from it. Raises ValueError if the velocity is missing, or a value is not finite or not in
+    radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
     """
     states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
     if not np.isfinite(states).all():
-        bad = [name for name, column in zip(STATE_NAMES, states.T, strict=True) if not np.isfinite(column).all()]
-        raise ValueError(f"Got a start whose {bad} are NaN or infinite: choose rows in which the state was measured.")
+        bad = [
+            name
+            for name, column in zip(STATE_NAMES, states.T, strict=True)
+            if not np.isfinite(column).all()
+        ]
+        raise ValueError(
+            f"Got a start whose {bad} are NaN or infinite: choose rows in which the state was "
+            f"measured."
+        )
     if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
-        raise ValueError("Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude.")
+        raise ValueError(
+            "Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude."
+        )
     return states
 
 
 def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
     """Return the states (n, 13) of a flight table, zero where a column is absent.
 
-    ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or `EARTH_VELOCITY`.
+    ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or
+    `EARTH_VELOCITY`.
     """
     states = np.zeros((len(table), len(STATE_NAMES)))
     states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, (len(table),)).T)
@@ -90,43 +120,57 @@ def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
     states[:, rigid_body.POSITION] = stacked(table, POSITION, (len(table),))
     if velocity:
         values = stacked(table, velocity, (len(table),))
-        states[:, VELOCITY] = values if velocity == BODY_VELOCITY else ned_to_body(states[:, ATTITUDE], values)
+        states[:, VELOCITY] = (
+            values if velocity == BODY_VELOCITY else ned_to_body(states[:, ATTITUDE], values)
+        )
     return states
 
 
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
-    given = [names for names in (BODY_VELOCITY, EARTH_VELOCITY) if all(name in table for name in names)]
+    given = [
+        names for names in (BODY_VELOCITY, EARTH_VELOCITY) if all(name in table for name in names)
+    ]
     states = table_states(table, given[0] if given else ())
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     if (states[:, 2] > -LOWEST_LAND).any():
         warnings.warn(
-            f"Got a start at an altitude of {-states[:, 2].max():g} m, below any land: down is positive downwards, "
+            f"Got a start at an altitude of {-states[:, 2].max():g} m, below any land: down is "
+            f"positive downwards, "
             "altitude = -down.",
             stacklevel=4,
         )
     air = air_at(states)
     wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
     if not given:
-        check_names(["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)")
+        check_names(
+            ["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)"
+        )
         if (table["airspeed"].to_numpy(float) <= 0).any():
-            raise ValueError(f"Got airspeed {table['airspeed'].min():g} m/s in x0, but expected one > 0.")
+            raise ValueError(
+                f"Got airspeed {table['airspeed'].min():g} m/s in x0, but expected one > 0."
+            )
         states[:, VELOCITY] = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T) + wind
-    given_speed = table["airspeed"].to_numpy(float) if "airspeed" in table else np.full(len(table), np.nan)
+    given_speed = (
+        table["airspeed"].to_numpy(float) if "airspeed" in table else np.full(len(table), np.nan)
+    )
     airspeed = np.linalg.norm(states[:, VELOCITY] - wind, axis=1)
     off = np.abs(airspeed - given_speed)
     if (off > AIRSPEED_TOLERANCE * np.abs(given_speed)).any():
         worst = int(np.nanargmax(off))
         warnings.warn(
-            f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, but x0 says "
+            f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} "
+            f"m/s, but x0 says "
             f"{given_speed[worst]:.1f} m/s: give the wind of that flight (air=wind).",
             stacklevel=4,
         )
     return states
 
 
-def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any) -> Array:
+def perturbed(
+    states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any
+) -> Array:
     """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
     std = checked_std(std)
     drawn = np.tile(states, (n_paths, 1, 1))
@@ -138,13 +182,17 @@ def perturbed(states: Array, std: Mapping[str, float] | None, n_paths: int, rand
         return np.stack([off.get(name, zero) for name in names], axis=-1)
 
     drawn[..., rigid_body.POSITION] += errors(POSITION)
-    drawn[..., VELOCITY] += errors(BODY_VELOCITY) + ned_to_body(drawn[..., ATTITUDE], errors(EARTH_VELOCITY))
+    drawn[..., VELOCITY] += errors(BODY_VELOCITY) + ned_to_body(
+        drawn[..., ATTITUDE], errors(EARTH_VELOCITY)
+    )
     drawn[..., rigid_body.RATES] += errors(RATES)
     if any(name in std for name in EULER):
         angles = quaternion_to_euler(drawn[..., ATTITUDE]) + errors(EULER)
         ground = body_to_ned(drawn[..., ATTITUDE], drawn[..., VELOCITY])
         drawn[..., ATTITUDE] = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
-        if not any(name in std for name in BODY_VELOCITY):  # the velocity over the ground is what was measured
+        if not any(
+            name in std for name in BODY_VELOCITY
+        ):  # the velocity over the ground is what was measured
             drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
     return drawn
 
@@ -162,7 +210,10 @@ def tables_of(*sources: Any) -> list[pd.DataFrame]:
                         "(time - time.iloc[0]).dt.total_seconds() of stamps."
                     )
                 if not (np.diff(table["time"].to_numpy(float)) > 0).all():
-                    raise ValueError("Got a table whose time does not increase, but expected seconds, row after row.")
+                    raise ValueError(
+                        "Got a table whose time does not increase, but expected seconds, row "
+                        "after row."
+                    )
                 found.append(table)
     return found
 
@@ -177,10 +228,13 @@ class FlightComputer(NamedTuple):
     """(t, state) to controls by name."""
 
 
-def control_schedule(controls: Any, clock: Clock, wanted: Callable[[str], bool], n_starts: int) -> Callable:
+def control_schedule(
+    controls: Any, clock: Clock, wanted: Callable[[str], bool], n_starts: int
+) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
-    ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a feedback law sees.
+    ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a
+    feedback law sees.
     """
     if isinstance(controls, FlightComputer):
         held: dict[int, Mapping] = {}
@@ -199,14 +253,19 @@ def control_schedule(controls: Any, clock: Clock, wanted: Callable[[str], bool],
         for name, value in constant.items():
             if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
                 raise ValueError(
-                    f"Got control {name} of shape {value.shape}, not all finite, or not one for each of {n_starts} "
-                    "starts, but expected a finite number, or one for each start; what varies is a table with time."
+                    f"Got control {name} of shape {value.shape}, not all finite, or not one for "
+                    f"each of {n_starts} "
+                    "starts, but expected a finite number, or one for each start; what varies is "
+                    "a table with time."
                 )
         return lambda step, stage, observe: constant
     tables = as_tables(controls, "controls", n_starts)
     names = [name for name in map(str, tables[0]) if name != "time" and wanted(name)]
     if not names:
-        raise ValueError(f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft.")
+        raise ValueError(
+            f"Got controls with columns {list(tables[0])}, none of which is a control of this "
+            f"aircraft."
+        )
     values = interpolated(tables, names, clock, "controls")
     return lambda step, stage, observe: {name: values[name][stage] for name in names}
 
@@ -216,25 +275,38 @@ def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     tables = _as_list(source)
     if not all(isinstance(table, pd.DataFrame) for table in tables):
         raise TypeError(
-            f"Got {type(source).__name__} as {what}, but expected a table with a column time, a list of such (one "
+            f"Got {type(source).__name__} as {what}, but expected a table with a column time, a "
+            f"list of such (one "
             "for each start), a mapping of constants, or a function."
         )
     if len(tables) not in (1, n_starts):
-        raise ValueError(f"Got {len(tables)} tables as {what} for {n_starts} starts, but expected one, or as many.")
+        raise ValueError(
+            f"Got {len(tables)} tables as {what} for {n_starts} starts, but expected one, or as "
+            f"many."
+        )
     return tables
 
 
-def interpolated(tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str) -> dict[str, Array]:
+def interpolated(
+    tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str
+) -> dict[str, Array]:
     """Return columns at every stage, linear between rows: (n_stages,), or (n_stages, n_starts) of several tables."""
     parts = []
     for table in tables:
         check_columns(table, names, what=what)
         time = table["time"].to_numpy(float) - table["time"].iloc[0]
-        needed = table[time <= clock.n_steps * clock.dt + np.diff(time).max()] if len(time) > 1 else table
+        needed = (
+            table[time <= clock.n_steps * clock.dt + np.diff(time).max()]
+            if len(time) > 1
+            else table
+        )
         values = {name: _numbers(table[name], f"{what} {name}") for name in names}
         holes = [name for name in names if not np.isfinite(values[name][: len(needed)]).all()]
         if holes:
-            raise ValueError(f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them out.")
+            raise ValueError(
+                f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them "
+                f"out."
+            )
         parts.append({name: np.interp(clock.stages, time, values[name]) for name in names})
     if len(parts) == 1:
         return parts[0]
@@ -244,7 +316,11 @@ def interpolated(tables: list[pd.DataFrame], names: Iterable[str], clock: Clock,
 def _numbers(values: Any, what: str) -> Array:
     """Return values as floats, NaN where a table misses one."""
     try:
-        return values.to_numpy(float, na_value=np.nan) if isinstance(values, pd.Series) else np.asarray(values, float)
+        return (
+            values.to_numpy(float, na_value=np.nan)
+            if isinstance(values, pd.Series)
+            else np.asarray(values, float)
+        )
     except (TypeError, ValueError) as error:
         raise ValueError(f"Got {what} that is no number, but expected numbers: {error}.") from error
 
@@ -267,7 +343,8 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: f
     if other:
         what, first = other[0]
         warnings.warn(
-            f"Got controls that begin at time {first:g} s, but {what}: the first row of each table counts as the "
+            f"Got controls that begin at time {first:g} s, but {what}: the first row of each "
+            f"table counts as the "
             "start. Cut them alike, table[table['time'] >= start].",
             stacklevel=3,
         )

@@ -11,7 +11,14 @@ import pandas as pd
 
 from skdgp._flight.channels import COEFFICIENTS, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_columns, check_flight, check_table
-from skdgp._flight.faults import NOT_MEASURED, POSSIBLE, FlightDataWarning, faults_message, find_faults, without_faults
+from skdgp._flight.faults import (
+    NOT_MEASURED,
+    POSSIBLE,
+    FlightDataWarning,
+    faults_message,
+    find_faults,
+    without_faults,
+)
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._mechanics.aircraft import Aircraft
 from skdgp._mechanics.loads import dynamic_pressure, external_loads, propulsive_loads
@@ -32,40 +39,43 @@ def aerodynamic_coefficients(
 ) -> pd.DataFrame:
     """Return the six aerodynamic coefficients along a flight.
 
-    With specific force f, rates omega, propulsive and external loads F_T, M_T (Hemakumara & Sukkarieh 2011,
-    equations 3 to 8),
+    With specific force f, rates omega, propulsive and external loads F_T, M_T (Hemakumara &
+    Sukkarieh 2011, equations 3 to 8),
 
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
 
-    Raises ValueError if a column is missing, time does not increase, values are impossible in SI units, or nothing
-    gives the thrust. Warns with FlightDataWarning if samples were not measured: the coefficients are NaN there.
+    Raises ValueError if a column is missing, time does not increase, values are impossible in SI
+    units, or nothing gives the thrust. Warns with FlightDataWarning if samples were not measured:
+    the coefficients are NaN there.
 
     Parameters
     ----------
     flight : pandas.DataFrame
-        Columns ``time`` [s], ``airspeed`` [m/s], ``density`` [kg/m^3], ``ax``, ``ay``, ``az`` [m/s^2], ``p``,
-        ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``, ``q_dot``, ``r_dot`` [rad/s^2]
-        where all three were measured, else the rates are differentiated.
+        Columns ``time`` [s], ``airspeed`` [m/s], ``density`` [kg/m^3], ``ax``, ``ay``, ``az``
+        [m/s^2], ``p``, ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``,
+        ``q_dot``, ``r_dot`` [rad/s^2] where all three were measured, else the rates are
+        differentiated.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     cutoff : float, "auto" or None, default="auto"
-        Zero-phase smoothing of the measured channels, and of the rates before they are differentiated: a corner
-        frequency [Hz], the smoother of each channel's spectrum, or none.
+        Zero-phase smoothing of the measured channels, and of the rates before they are
+        differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
     thrust : {"auto", "columns", "propeller", None}, default="auto"
-        As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown thrust, which is then
-        part of the coefficients: throttle and airspeed as regressors explain it, and a simulation has ``thrust=None``.
+        As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
+        thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
+        it, and a simulation has ``thrust=None``.
     external_forces : sequence of str, default=()
-        Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they exist,
-        tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
+        Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they
+        exist, tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
     ignore : iterable of str, default=()
         Columns of ``flight`` that are not searched for faults.
 
     Returns
     -------
     pandas.DataFrame
-        Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN, stuck, impossible or
-        a spike (as :func:`skdgp.preprocessing.inspect_flight` finds them).
+        Columns CX, CY, CZ, Cl, Cm, Cn with the flight's index; NaN where a channel needed is NaN,
+        stuck, impossible or a spike (as :func:`skdgp.preprocessing.inspect_flight` finds them).
 
     Examples
     --------
@@ -85,8 +95,15 @@ def aerodynamic_coefficients(
     external_force, external_moment = external_loads(flight, external_forces)
     rates = measured[list(RATES)].to_numpy(float)
     force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float) - force - external_force
-    moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft) - moment - external_moment
-    scale = dynamic_pressure(measured["airspeed"], measured["density"])[:, None] * aircraft.wing_area
+    moment = (
+        rate_derivatives @ aircraft.inertia
+        + gyroscopic_moment(rates, aircraft)
+        - moment
+        - external_moment
+    )
+    scale = (
+        dynamic_pressure(measured["airspeed"], measured["density"])[:, None] * aircraft.wing_area
+    )
     values = np.hstack([force / scale, moment / (scale * aircraft.moment_lengths)])
     values[~np.isfinite(values).all(axis=1)] = np.nan
     return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
@@ -99,14 +116,20 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     found = [each for each in found if each.kind in NOT_MEASURED]
     if found:
         warnings.warn(
-            faults_message(found, "The coefficients are not known there (NaN)."), FlightDataWarning, stacklevel=3
+            faults_message(found, "The coefficients are not known there (NaN)."),
+            FlightDataWarning,
+            stacklevel=3,
         )
     return without_faults(flight, found)
 
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
-    clock: dict[str, Any] = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight"), "cutoff": cutoff}
+    clock: dict[str, Any] = {
+        "time": flight["time"].to_numpy(float),
+        "flight": flight.get("flight"),
+        "cutoff": cutoff,
+    }
     names = ["airspeed", *SPECIFIC_FORCE, *RATES]
     given = all(name in flight for name in RATE_DERIVATIVES)
     if given:

@@ -19,7 +19,16 @@ from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler
 from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.jacobian import OUTPUTS, SPIN, TURN, Lag, check_settled, draw_errors, jacobian, lag_of
+from skdgp._mechanics.jacobian import (
+    OUTPUTS,
+    SPIN,
+    TURN,
+    Lag,
+    check_settled,
+    draw_errors,
+    jacobian,
+    lag_of,
+)
 from skdgp._mechanics.loads import Thrust, thrust_control
 from skdgp._mechanics.motion import Motion
 from skdgp._mechanics.rigid_body import ATTITUDE, RATES
@@ -77,11 +86,20 @@ class LinearModel:
     def std(self) -> Matrices:
         """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
         if self.paths is None:
-            raise ValueError("Got a linear model without paths: linearize(..., n_paths=100) has them.")
+            raise ValueError(
+                "Got a linear model without paths: linearize(..., n_paths=100) has them."
+            )
         pairs = zip(self.paths, self._tables(), strict=True)
-        return Matrices(*(pd.DataFrame(path.std(axis=0, ddof=1), mean.index, mean.columns) for path, mean in pairs))
+        return Matrices(
+            *(
+                pd.DataFrame(path.std(axis=0, ddof=1), mean.index, mean.columns)
+                for path, mean in pairs
+            )
+        )
 
-    def select(self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> LinearModel:
+    def select(
+        self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
+    ) -> LinearModel:
         """Return the part with these states, inputs and outputs; what is left out stands still."""
         for asked, have, what in (
             (states, self.states, "states"), (inputs, self.inputs, "inputs"), (outputs, self.outputs, "outputs")
@@ -109,20 +127,23 @@ class LinearModel:
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
 
-        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation factors
-        (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode. A pair that has split into two
-        real roots keeps its name with a number; a roll and a spiral that have become one oscillation are the
-        "roll-spiral". Position and heading are left out.
+        A pair of roots is :math:`s^2 + 2\zeta\omega s + \omega^2`. Modes are named by participation
+        factors (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode. A
+        pair that has split into two real roots keeps its name with a number; a roll and a spiral
+        that have become one oscillation are the "roll-spiral". Position and heading are left out.
 
         Returns
         -------
         DataFrame
-            Columns ``eigenvalue`` [1/s], ``frequency`` [rad/s], undamped, ``damping``, ``time_constant`` [s], negative
-            where it diverges, ``time_to_half``, ``time_to_double``, ``period`` [s], infinite where there is none. With
-            paths also ``frequency_std``, ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which
-            hold 95 % of the paths: the upper one is infinite where some do not decay.
+            Columns ``eigenvalue`` [1/s], ``frequency`` [rad/s], undamped, ``damping``,
+            ``time_constant`` [s], negative where it diverges, ``time_to_half``, ``time_to_double``,
+            ``period`` [s], infinite where there is none. With paths also ``frequency_std``,
+            ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which hold 95 %
+            of the paths: the upper one is infinite where some do not decay.
         """
-        return _mode_table(self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A)
+        return _mode_table(
+            self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A
+        )
 
     def to_scipy(self) -> Any:
         """Return it as :class:`scipy.signal.StateSpace`, which has no names."""
@@ -136,7 +157,8 @@ class LinearModel:
             import control
         except ImportError as error:
             raise ImportError(
-                'to_control() needs python-control, which is not installed: run pip install "skdgp[control]".'
+                "to_control() needs python-control, which is not installed: run pip install "
+                '"skdgp[control]".'
             ) from error
         tables = (table.to_numpy() for table in self._tables())
         return control.ss(*tables, states=self.states, inputs=self.inputs, outputs=self.outputs)
@@ -168,9 +190,10 @@ def linearize(
 ) -> LinearModel:
     """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
-    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit function theorem.
-    Air is at rest; in steady wind the same holds for the motion relative to the air. Raises ValueError if a name is
-    unknown, the airspeed is zero, or the model is not defined there.
+    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit
+    function theorem. Air is at rest; in steady wind the same holds for the motion relative to the
+    air. Raises ValueError if a name is unknown, the airspeed is zero, or the model is not defined
+    there.
 
     Parameters
     ----------
@@ -180,15 +203,17 @@ def linearize(
         A trim, or a state (`STATE_NAMES`) with its ``controls``.
     controls : mapping of str to float, optional
     states : sequence of str
-        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand still. With
-        ``"down"`` the density changes with height.
+        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand
+        still. With ``"down"`` the density changes with height.
     inputs : sequence of str, optional
         By default the model's controls and the one that sets the thrust.
     outputs : sequence of str, optional
-        Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these six.
+        Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these
+        six.
     n_paths : int
-        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and the spread of
-        the modes; with the other errors that :func:`skdgp.dynamics.stability_derivatives` names.
+        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and
+        the spread of the modes; with the other errors that
+        :func:`skdgp.dynamics.stability_derivatives` names.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, air
@@ -232,13 +257,19 @@ def linearize(
     chosen = list(states), chosen_inputs, chosen_outputs
     paths = None
     if check_paths(n_paths):
-        paths = _matrices(*_drawn(motion, state, controls, n_paths, random_state), controls, *chosen)
-    blocks = zip(_matrices(motion, state, None, controls, *chosen), _block_names(*chosen), strict=True)
+        paths = _matrices(
+            *_drawn(motion, state, controls, n_paths, random_state), controls, *chosen
+        )
+    blocks = zip(
+        _matrices(motion, state, None, controls, *chosen), _block_names(*chosen), strict=True
+    )
     A, B, C, D = (pd.DataFrame(values, rows, columns) for values, (rows, columns) in blocks)
     return LinearModel(A, B, C, D, state, controls, paths)
 
 
-def _block_names(states: list[str], inputs: list[str], outputs: list[str]) -> list[tuple[list[str], list[str]]]:
+def _block_names(
+    states: list[str], inputs: list[str], outputs: list[str]
+) -> list[tuple[list[str], list[str]]]:
     """Return the names of rows and columns of A, B, C, D."""
     return [(states, states), (states, inputs), (outputs, states), (outputs, inputs)]
 
@@ -246,25 +277,39 @@ def _block_names(states: list[str], inputs: list[str], outputs: list[str]) -> li
 def check_paths(n_paths: int) -> int:
     """Return the number of paths, none or enough to have a spread."""
     if n_paths < 0 or n_paths == 1:
-        raise ValueError(f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread.")
+        raise ValueError(
+            f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
+        )
     return n_paths
 
 
-def flight_point(motion: Motion, point: Any, controls: Mapping | None) -> tuple[Array, dict[str, float]]:
+def flight_point(
+    motion: Motion, point: Any, controls: Mapping | None
+) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
     if isinstance(point, Sequence) and any(hasattr(one, "state") for one in point):
-        raise TypeError(f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims].")
+        raise TypeError(
+            f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in "
+            f"trims]."
+        )
     state = np.array(getattr(point, "state", point), dtype=float)
     controls = getattr(point, "controls", None) if controls is None else controls
     if state.shape != (13,) or not np.isfinite(state).all():
         raise ValueError(
-            f"Got a point of shape {state.shape} or with values that are not finite, but expected a Trim or a state of "
+            f"Got a point of shape {state.shape} or with values that are not finite, but expected "
+            f"a Trim or a state of "
             "13 finite numbers (STATE_NAMES)."
         )
     if controls is None:
-        raise ValueError(f"Got a state without controls, but expected controls={{name: value}} of {motion.controls}.")
+        raise ValueError(
+            f"Got a state without controls, but expected controls={{name: value}} of "
+            f"{motion.controls}."
+        )
     if not np.linalg.norm(state[3:6]) > 0:
-        raise ValueError("Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho V^2 / 2.")
+        raise ValueError(
+            "Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho "
+            "V^2 / 2."
+        )
     return state, {name: float(value) for name, value in motion.mixed(controls).items()}
 
 
@@ -286,19 +331,31 @@ def _drawn(
 
 
 def _matrices(
-    motion: Motion, state: Array, lag: Lag | None, controls: Mapping, states: list, inputs: list, outputs: list
+    motion: Motion,
+    state: Array,
+    lag: Lag | None,
+    controls: Mapping,
+    states: list,
+    inputs: list,
+    outputs: list,
 ) -> Matrices:
     found = jacobian(motion, state, controls, inputs=inputs, lag=lag)
     check_settled(found.instant)
     if not np.isfinite(found.state).all():
-        raise ValueError("Got slopes of the model that are not finite at this point: it is not defined there.")
+        raise ValueError(
+            "Got slopes of the model that are not finite at this point: it is not defined there."
+        )
     rate, change = _in_euler_angles(found.state, state)
     rows, all_outputs = [ALL_STATES.index(name) for name in states], (*ALL_STATES, *OUTPUTS)
     seen = [all_outputs.index(name) for name in outputs]
-    C = np.concatenate([np.broadcast_to(np.eye(12), rate.shape), found.outputs_state @ change], axis=-2)
+    C = np.concatenate(
+        [np.broadcast_to(np.eye(12), rate.shape), found.outputs_state @ change], axis=-2
+    )
     B = np.array(found.controls)
     D = np.concatenate([np.zeros_like(B), found.outputs_controls], axis=-2)
-    return Matrices(rate[..., rows, :][..., rows], B[..., rows, :], C[..., seen, :][..., rows], D[..., seen, :])
+    return Matrices(
+        rate[..., rows, :][..., rows], B[..., rows, :], C[..., seen, :][..., rows], D[..., seen, :]
+    )
 
 
 def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
@@ -322,21 +379,35 @@ def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
 
 def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
     r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
-    core = [name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family] or states
+    core = [
+        name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family
+    ] or states
     rows = [states.index(name) for name in core]
     A = A[np.ix_(rows, rows)]
     eigenvalues, left, right = eig(A, left=True)
     share = np.abs(left.conj() * right)
     named = _named(_units(eigenvalues), share / share.sum(axis=0), core, eigenvalues)
-    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named))
+    table = pd.DataFrame(
+        [_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named)
+    )
     if paths is None:
         return table
-    drawn = np.linalg.eigvals(paths[:, rows][:, :, rows])  # each in the order of those that they lie nearest to
+    drawn = np.linalg.eigvals(
+        paths[:, rows][:, :, rows]
+    )  # each in the order of those that they lie nearest to
     spread = [one[linear_sum_assignment(np.abs(eigenvalues[:, None] - one))[1]] for one in drawn]
-    found = np.array([[_values(values[list(unit)]) for unit in named.values()] for values in spread])
+    found = np.array(
+        [[_values(values[list(unit)]) for unit in named.values()] for values in spread]
+    )
     decay = np.quantile(found[..., 2], [0.025, 0.975], axis=0)
-    table["frequency_std"], table["damping_std"] = found[..., 0].std(axis=0, ddof=1), found[..., 1].std(axis=0, ddof=1)
-    table["time_constant_lower"], table["time_constant_upper"] = _inverse(decay[1]), _inverse(decay[0])
+    table["frequency_std"], table["damping_std"] = (
+        found[..., 0].std(axis=0, ddof=1),
+        found[..., 1].std(axis=0, ddof=1),
+    )
+    table["time_constant_lower"], table["time_constant_upper"] = (
+        _inverse(decay[1]),
+        _inverse(decay[0]),
+    )
     table.loc[decay[0] <= 0, "time_constant_upper"] = np.inf
     table.loc[decay[1] <= 0, "time_constant_lower"] = -np.inf
     return table
@@ -363,7 +434,9 @@ def _named(
 
     def split(units, names, size):
         every = (chosen for number in range(1, size + 1) for chosen in combinations(units, number))
-        whole = (chosen for chosen in every if sum(map(len, chosen)) == size)  # units that hold so many eigenvalues
+        whole = (
+            chosen for chosen in every if sum(map(len, chosen)) == size
+        )  # units that hold so many eigenvalues
         return max(whole, key=lambda chosen: sum(moving(names, unit) for unit in chosen))
 
     named: dict[str, tuple[int, ...]] = {}
@@ -376,9 +449,13 @@ def _named(
         named |= _numbered("phugoid", [unit for unit in along if unit not in short], eigenvalues)
     if set(LATERAL) <= set(states):
         dutch = split(rest, ("v", "r"), 2)
-        others = sorted((unit for unit in rest if unit not in dutch), key=lambda unit: -moving(("p",), unit))
+        others = sorted(
+            (unit for unit in rest if unit not in dutch), key=lambda unit: -moving(("p",), unit)
+        )
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True))
+        named |= dict(
+            zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True)
+        )
         rest = []
     return named or _numbered("mode", rest, eigenvalues)
 
@@ -386,13 +463,21 @@ def _named(
 def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
     """Return the one unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    return {name: units[0]} if len(units) == 1 else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
+    return (
+        {name: units[0]}
+        if len(units) == 1
+        else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
+    )
 
 
 def _values(eigenvalues: np.ndarray) -> tuple[float, float, float]:
     """Return frequency, damping and rate of decay of one root, or of two as s^2 + 2 zeta omega s + omega^2."""
     decay = float(-eigenvalues.real.mean())
-    frequency = float(np.sqrt(np.abs(np.prod(eigenvalues)))) if len(eigenvalues) == 2 else float(abs(eigenvalues[0]))
+    frequency = (
+        float(np.sqrt(np.abs(np.prod(eigenvalues))))
+        if len(eigenvalues) == 2
+        else float(abs(eigenvalues[0]))
+    )
     return frequency, decay / frequency if frequency > 0 else 0.0, decay
 
 

@@ -30,20 +30,28 @@ from skdgp.dynamics._simulate import is_control
 from skdgp.dynamics._wind import wind_schedule
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Factors of the prior covariance that are tried; the first is so small that it shows the direction alone."""
+"""Factors of the prior covariance that are tried; the first is so small that it shows the direction
+alone.
+"""
 CONFIDENCE = 0.9
 """Of Student's one-sided test that a correction predicts flights left out better."""
 SUPPORT = 60
 """Points of the flights at which the affine part of the posterior is taken."""
 SURE = 1e-6
-"""Directions of the affine part with a smaller share of the largest standard deviation are left as they are."""
+"""Directions of the affine part with a smaller share of the largest standard deviation are left as
+they are.
+"""
 N_DRIFTS, KEPT = 150, 0.9
-"""Drifts from which the covariance of the states is estimated, and the share of it that is kept off the diagonal."""
+"""Drifts from which the covariance of the states is estimated, and the share of it that is kept off
+the diagonal.
+"""
 MOST_STEPS = 6
 SLOPE_STEP = 0.3
 """Of finite differences, in prior standard deviations."""
 N_TIMES = 5
-"""Times of a segment at which states are compared, evenly spaced, the last at the end of the shortest."""
+"""Times of a segment at which states are compared, evenly spaced, the last at the end of the
+shortest.
+"""
 SMALLEST_GAIN = 0.01
 """Relative decrease of the loss below which iterations end."""
 
@@ -52,7 +60,8 @@ class OutputError(NamedTuple):
     """Result of `fit_output_error`."""
 
     model: Aerodynamics
-    """The corrected model, or the given one where no correction predicts segments held out better."""
+    """The corrected model, or the given one where no correction predicts segments held out better.
+    """
     correction: Matrix
     """Of the coefficients: by a constant and by standardised regressors, (6, 1 + d)."""
     prior_scale: float
@@ -76,16 +85,18 @@ def fit_output_error(
 ) -> OutputError:
     r"""Correct a model so that its free flight from recorded starts fits the recorded states.
 
-    The method of output error (Jategaonkar 2015, chapter 4), with the model's posterior as prior and its drift as
-    process noise. The correction of the coefficients is affine in the regressors, :math:`\Phi(x) \theta`. It minimises
+    The method of output error (Jategaonkar 2015, chapter 4), with the model's posterior as prior
+    and its drift as process noise. The correction of the coefficients is affine in the regressors,
+    :math:`\Phi(x) \theta`. It minimises
 
     .. math:: \sum_s r_s^T C_s^{-1} r_s + \theta^T (k P)^{-1} \theta
 
-    by Gauss-Newton steps: r are the recorded less the simulated states of a segment at five times, C the
-    covariance of both by ``noise`` and the drift, and P the prior covariance of the affine part of the model's errors.
-    The factor k is the one that predicts best when each flight is left out in turn (each segment of a single flight),
-    to first order. **The model is returned as it is where a correction does not predict these better**: where Student's
-    one-sided test of the gains of a small correction (k = 0.1) does not show it with 90 % confidence.
+    by Gauss-Newton steps: r are the recorded less the simulated states of a segment at five times,
+    C the covariance of both by ``noise`` and the drift, and P the prior covariance of the affine
+    part of the model's errors. The factor k is the one that predicts best when each flight is left
+    out in turn (each segment of a single flight), to first order. **The model is returned as it is
+    where a correction does not predict these better**: where Student's one-sided test of the gains
+    of a small correction (k = 0.1) does not show it with 90 % confidence.
 
     Paths of the corrected model are those of the model, with their affine part drawn anew from
     :math:`N(\theta, (\sum_s J_s^T C_s^{-1} J_s + (k P)^{-1})^{-1})`.
@@ -95,15 +106,17 @@ def fit_output_error(
     model, aircraft
         As for :func:`skdgp.dynamics.simulate`, with a posterior.
     flights : sequence of DataFrame
-        Segments of 1 to 10 s, with ``time``, the states, the controls, and what is needed of a start; a column
-        ``flight`` names their flights. May be the flights that the model was learned from.
+        Segments of 1 to 10 s, with ``time``, the states, the controls, and what is needed of a
+        start; a column ``flight`` names their flights. May be the flights that the model was
+        learned from.
     noise : mapping of str to float
-        Standard deviations of the recorded states that are fitted, and of the start: u, v, w or v_north, v_east,
-        v_down, phi, theta, psi, p, q, r, perhaps north, east, down.
+        Standard deviations of the recorded states that are fitted, and of the start: u, v, w or
+        v_north, v_east, v_down, phi, theta, psi, p, q, r, perhaps north, east, down.
     dt : float, default=0.02
         Time step [s].
     air, thrust
-        As for :func:`skdgp.dynamics.simulate`; a list of winds has one for each segment, no gusts are drawn.
+        As for :func:`skdgp.dynamics.simulate`; a list of winds has one for each segment, no gusts
+        are drawn.
     random_state : int or RandomState, default=0
         Of the drifts.
 
@@ -114,8 +127,8 @@ def fit_output_error(
     Raises
     ------
     ValueError
-        If the model has no posterior, there are fewer than two segments, or none is flown to its end; those that are
-        not are left out with a warning.
+        If the model has no posterior, there are fewer than two segments, or none is flown to its
+        end; those that are not are left out with a warning.
 
     Examples
     --------
@@ -143,16 +156,22 @@ def fit_output_error(
     """
     aerodynamics = as_aerodynamics(model)
     if not aerodynamics.is_uncertain:
-        raise ValueError(f"Got a model without a posterior ({aerodynamics!r}), but expected one to be the prior.")
+        raise ValueError(
+            f"Got a model without a posterior ({aerodynamics!r}), but expected one to be the prior."
+        )
     if len(flights) < 2:
-        raise ValueError(f"Got {len(flights)} segment, but expected at least two: cut the flight into seconds.")
+        raise ValueError(
+            f"Got {len(flights)} segment, but expected at least two: cut the flight into seconds."
+        )
     problem = _Problem(aerodynamics, aircraft, list(flights), noise, dt, random_state, air, thrust)
     z = np.zeros(problem.root.shape[1])
     residuals, slopes = problem.linear(z)
     left_out, before = _left_out(problem, residuals, slopes), float(np.mean(residuals**2))
     held_out = left_out.mean()
     gain = left_out[0.0] - left_out[SCALES[0]]
-    if len(gain) < 2 or gain.mean() <= student.ppf(CONFIDENCE, len(gain) - 1) * gain.std() / np.sqrt(len(gain)):
+    if len(gain) < 2 or gain.mean() <= student.ppf(
+        CONFIDENCE, len(gain) - 1
+    ) * gain.std() / np.sqrt(len(gain)):
         return OutputError(aerodynamics, np.zeros(problem.shape), 0.0, held_out, (before, before))
     scale = min(SCALES, key=lambda k: float(held_out[k]))
     z, residuals, slopes = _minimum(problem, residuals, slopes, scale)
@@ -216,8 +235,12 @@ class _Correction:
         drawn = self.before.sample(n_paths, random_state)
         gradient = drawn._gradient
         at = np.broadcast_to(self.support, (n_paths, *self.support.shape))
-        error = np.swapaxes(self.affine @ (drawn.function(at) - self.before.function(self.support)), 1, 2)
-        seed = check_random_state(random_state).randint(2**31 - 1, size=6)  # other numbers than those of the paths
+        error = np.swapaxes(
+            self.affine @ (drawn.function(at) - self.before.function(self.support)), 1, 2
+        )
+        seed = check_random_state(random_state).randint(
+            2**31 - 1, size=6
+        )  # other numbers than those of the paths
         z = np.random.default_rng(seed).standard_normal((n_paths, self.root.shape[1]))
         theta = self.theta + (z @ self.root.T).reshape(-1, *self.theta.shape) - error
 
@@ -231,7 +254,9 @@ class _Correction:
     def _covariance(self, X: Matrix) -> Matrix:
         n, both = len(X), np.vstack([X, self.support])
         joint = self.before.covariance(both)
-        lift = np.hstack([np.eye(n), -self.basis(X) @ self.affine])  # of errors without their affine part
+        lift = np.hstack(
+            [np.eye(n), -self.basis(X) @ self.affine]
+        )  # of errors without their affine part
         A, spread = np.kron(np.eye(6), lift), np.kron(np.eye(6), self.basis(X)) @ self.root
         return A @ joint @ A.T + spread @ spread.T
 
@@ -244,12 +269,16 @@ class _Problem:
         self.names, self.aerodynamics = list(self.noise), aerodynamics
         if not self.names:
             raise ValueError(
-                f"Got noise={dict(noise)!r}, but expected standard deviations > 0 of states to fit, by name."
+                f"Got noise={dict(noise)!r}, but expected standard deviations > 0 of states to "
+                f"fit, by name."
             )
         for flight in flights:
             check_columns(flight, ["time", *self.names], what="segment")
             if not np.isfinite(flight[self.names].to_numpy(float)).all():
-                raise ValueError(f"Got a segment with missing values in {self.names}, but expected numbers: fill them.")
+                raise ValueError(
+                    f"Got a segment with missing values in {self.names}, but expected numbers: "
+                    f"fill them."
+                )
         air = as_air(air)
         self.motion = Motion(aerodynamics, aircraft, thrust=thrust, air=air)
         self.clock = Clock.of(dt, min(float(np.ptp(flight["time"])) for flight in flights), [])
@@ -259,18 +288,22 @@ class _Problem:
         starts = as_starts(pd.concat([flight.iloc[:1] for flight in flights], ignore_index=True))
         self.starts = initial_states(starts, lambda at: self.air(0, at))
         self.recorded = np.stack([self._at_times(flight) for flight in flights])
-        codes, names = flight_codes([flight["flight"].iloc[0] if "flight" in flight else 0 for flight in flights])
+        codes, names = flight_codes(
+            [flight["flight"].iloc[0] if "flight" in flight else 0 for flight in flights]
+        )
         self.units = codes if len(names) > 1 else np.arange(len(flights))
         record = self._record(aerodynamics, self.starts)
         self.flown = record.end > self.clock.n_steps
         if not self.flown.any():
             raise ValueError(
-                f"Got {len(flights)} segments of {self.clock.n_steps * dt:g} s, none of which the model flies to its "
+                f"Got {len(flights)} segments of {self.clock.n_steps * dt:g} s, none of which the "
+                f"model flies to its "
                 "end: cut shorter ones, or look at starts, controls, wind and thrust."
             )
         if not self.flown.all():
             warnings.warn(
-                f"{np.count_nonzero(~self.flown)} of {len(flights)} segments are left out: the model does not fly them "
+                f"{np.count_nonzero(~self.flown)} of {len(flights)} segments are left out: the "
+                f"model does not fly them "
                 "to their end. Cut shorter ones.",
                 stacklevel=3,
             )
@@ -284,7 +317,9 @@ class _Problem:
         time = flight["time"].to_numpy(float)
         at = time[0] + self.clock.dt * self.steps
         values = flight[self.names].to_numpy(float).T
-        turned = [np.unwrap(v) if name in EULER else v for name, v in zip(self.names, values, strict=True)]
+        turned = [
+            np.unwrap(v) if name in EULER else v for name, v in zip(self.names, values, strict=True)
+        ]
         return np.stack([np.interp(at, time, v) for v in turned], axis=-1)
 
     def _record(self, model: Aerodynamics, states: Array, drifts: Array | None = None) -> Any:
@@ -313,12 +348,17 @@ class _Problem:
     def _whitening(self, random_state: Seed) -> Array:
         """Return W (n_segments, m, m) with W C W^T = 1, for the m states of a segment at all times."""
         drawn = self._flown(np.zeros((N_DRIFTS, *self.shape)), random_state, disturbed=True)
-        errors = self._off(drawn, self._flown(np.zeros((1, *self.shape)))).reshape(N_DRIFTS, len(self.starts), -1)
+        errors = self._off(drawn, self._flown(np.zeros((1, *self.shape)))).reshape(
+            N_DRIFTS, len(self.starts), -1
+        )
         found = []
         for each in np.moveaxis(errors[:, self.flown], 1, 0):
             each = each[np.isfinite(each).all(axis=1)]
             C = KEPT * (each.T @ each) / len(each)
-            C += np.diag((1 / KEPT - 1) * np.diag(C) + np.tile(np.square([*self.noise.values()]), len(self.steps)))
+            C += np.diag(
+                (1 / KEPT - 1) * np.diag(C)
+                + np.tile(np.square([*self.noise.values()]), len(self.steps))
+            )
             found.append(np.linalg.inv(np.linalg.cholesky(C)))
         return np.stack(found)
 
@@ -337,7 +377,9 @@ class _Problem:
         theta = (self.root @ np.column_stack([z, z[:, None] + SLOPE_STEP * np.eye(len(z))])).T
         states = self._flown(theta.reshape(-1, *self.shape))
         slopes = self.white(self._off(states[1:], states[:1])) / SLOPE_STEP
-        return self.white(self._off(self.recorded, states[0])), np.moveaxis(np.nan_to_num(slopes), 0, -1)
+        return self.white(self._off(self.recorded, states[0])), np.moveaxis(
+            np.nan_to_num(slopes), 0, -1
+        )
 
 
 def _step(residuals: Array, slopes: Array, scale: float, z: Vector) -> tuple[Any, Any]:
@@ -353,12 +395,16 @@ def _left_out(problem: _Problem, residuals: Array, slopes: Array) -> pd.DataFram
     rows = []
     for out in (units == unit for unit in np.unique(units)):
         found = {scale: _step(residuals[~out], slopes[~out], scale, zero)[0] for scale in SCALES}
-        off = {0.0: residuals[out]} | {scale: residuals[out] - slopes[out] @ z for scale, z in found.items()}
+        off = {0.0: residuals[out]} | {
+            scale: residuals[out] - slopes[out] @ z for scale, z in found.items()
+        }
         rows.append({scale: float(np.mean(each**2)) for scale, each in off.items()})
     return pd.DataFrame(rows)
 
 
-def _minimum(problem: _Problem, residuals: Array, slopes: Array, scale: float) -> tuple[Vector, Array, Array]:
+def _minimum(
+    problem: _Problem, residuals: Array, slopes: Array, scale: float
+) -> tuple[Vector, Array, Array]:
     """Return the best z by Gauss-Newton steps from zero, halved where they go too far; residuals and slopes there."""
     z = np.zeros(slopes.shape[-1])
     loss = float(np.sum(residuals**2))

@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike
 from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Indices
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import BODY_VELOCITY, COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
+from skdgp._flight.channels import (
+    BODY_VELOCITY,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+)
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import cross_matrix, quaternion_to_matrix, wrapped
@@ -42,27 +49,31 @@ def replay(
 ) -> pd.DataFrame:
     """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
-    RK4 of `rigid_body_derivative` over the log's samples, with the loads of the predicted coefficients at the measured
-    airspeed and density, the propulsive and external loads and gravity. Raises ValueError if a column is missing,
-    shapes disagree, or a parameter is out of its range.
+    RK4 of `rigid_body_derivative` over the log's samples, with the loads of the predicted
+    coefficients at the measured airspeed and density, the propulsive and external loads and
+    gravity. Raises ValueError if a column is missing, shapes disagree, or a parameter is out of its
+    range.
 
     Parameters
     ----------
     flight : pandas.DataFrame
-        ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``; ``v_north``, ``v_east``,
-        ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down`` where known; ``flight`` (id); the columns
-        of the thrust.
+        ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``;
+        ``v_north``, ``v_east``, ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down``
+        where known; ``flight`` (id); the columns of the thrust.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     coefficients : array-like of shape (n, 6)
-        CX CY CZ Cl Cm Cn at every row of the flight. Rows with NaN are not flown: windows end there.
+        CX CY CZ Cl Cm Cn at every row of the flight. Rows with NaN are not flown: windows end
+        there.
     std : array-like of shape (n, 6) or (n, 6, 6), optional
-        Standard deviations of the coefficients, or their covariances across the six. Gives the bands.
+        Standard deviations of the coefficients, or their covariances across the six. Gives the
+        bands.
     horizon : float or sequence of float, default=2.0
         Seconds from restart to restart.
     correlation_time : float, default=0.5
-        Of the errors of the coefficients [s], whose correlation is ``exp(-|t - t'| / correlation_time)``. 0: every
-        sample anew; ``numpy.inf``: one error for a whole window, the widest bands.
+        Of the errors of the coefficients [s], whose correlation is ``exp(-|t - t'| /
+        correlation_time)``. 0: every sample anew; ``numpy.inf``: one error for a whole window, the
+        widest bands.
     initial_std : mapping of str to float, optional
         Standard deviations of the measured state at a restart, by name ("v_east", "phi", "p", ...).
     thrust, external_forces
@@ -73,11 +84,13 @@ def replay(
     Returns
     -------
     pandas.DataFrame
-        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``, ``window`` (count of
-        restarts), ``elapsed`` [s] since the restart, the states (north, east, down where known) v_north, v_east,
-        v_down, phi, theta, psi, p, q, r, and, given ``std``, their standard deviations ``v_east_std``, ..., to first
-        order, by ``std`` and ``initial_std`` alone. A row where one window ends and the next starts shows the end. Rows
-        not flown are NaN, their window -1: those without loads, and those before the first whole state.
+        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``,
+        ``window`` (count of restarts), ``elapsed`` [s] since the restart, the states (north, east,
+        down where known) v_north, v_east, v_down, phi, theta, psi, p, q, r, and, given ``std``,
+        their standard deviations ``v_east_std``, ..., to first order, by ``std`` and
+        ``initial_std`` alone. A row where one window ends and the next starts shows the end. Rows
+        not flown are NaN, their window -1: those without loads, and those before the first whole
+        state.
 
     Examples
     --------
@@ -96,14 +109,19 @@ def replay(
     horizons = np.atleast_1d(np.asarray(horizon, dtype=float))
     if not (horizons > 0).all() or not correlation_time >= 0:
         raise ValueError(
-            f"Got horizon={horizon!r} and correlation_time={correlation_time!r}, but expected seconds, the horizon > 0."
+            f"Got horizon={horizon!r} and correlation_time={correlation_time!r}, but expected "
+            f"seconds, the horizon > 0."
         )
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, "p", "q", "r"])
     path = _Path.of(flight, aircraft, coefficients, std, thrust, external_forces, float(gravity))
     uncertainty = [] if path.load_factor is None else [path.load_factor.reshape(len(flight), -1)]
     driven = np.isfinite(np.hstack([path.force, path.moment, *uncertainty])).all(axis=1)
     start_std, tables = checked_std(initial_std), []
-    runs = [slice(part.start + r.start, part.start + r.stop) for part in segments for r in true_runs(driven[part])]
+    runs = [
+        slice(part.start + r.start, part.start + r.stop)
+        for part in segments
+        for r in true_runs(driven[part])
+    ]
     for h in horizons.tolist():
         rows = restart_windows(path.time, runs, h, known=np.isfinite(path.state.sum(axis=1)))
         states, std = _integrate(path, rows), None
@@ -111,19 +129,24 @@ def replay(
             steps = np.diff(path.time[rows]).T[..., None, None]
             samples, along = _error_rates(path, rows, states), np.swapaxes(states, 0, 1)
             found = state_deviations(samples, steps, start_std, along, correlation_time)
-            std = np.stack([each[:, [STATES.index(name) for name in REPLAYED]] for each in found], axis=1)
+            std = np.stack(
+                [each[:, [STATES.index(name) for name in REPLAYED]] for each in found], axis=1
+            )
         tables.append(_table(flight, rows, states, std, h))
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
 
-def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = "") -> pd.DataFrame:
+def replay_errors(
+    trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = ""
+) -> pd.DataFrame:
     """Return how far a replay is from the flight: median absolute error of each state for each horizon.
 
-    ``trajectory`` is what `replay` returned of ``flight``; ``suffix`` is added to the names of the flight's columns:
-    "_true" compares with the truth of a simulation. The columns are ``state``, ``horizon`` [s], ``median`` (over all
-    samples but the restarts), ``at_end`` (over the ends of full windows), ``spread`` (standard deviation of the
-    measured state over the flight) and, where the replay has bands, ``coverage``: the share of samples within 1.96
-    standard deviations. Units are those of the states; angles the short way round.
+    ``trajectory`` is what `replay` returned of ``flight``; ``suffix`` is added to the names of the
+    flight's columns: "_true" compares with the truth of a simulation. The columns are ``state``,
+    ``horizon`` [s], ``median`` (over all samples but the restarts), ``at_end`` (over the ends of
+    full windows), ``spread`` (standard deviation of the measured state over the flight) and, where
+    the replay has bands, ``coverage``: the share of samples within 1.96 standard deviations. Units
+    are those of the states; angles the short way round.
 
     Examples
     --------
@@ -137,12 +160,17 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
     """
     states = [name for name in REPLAYED if name in trajectory and name + suffix in flight]
     if not states:
-        raise ValueError(f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}.")
+        raise ValueError(
+            f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}."
+        )
     rows = []
     for horizon in trajectory["horizon"].unique().tolist():
         part = trajectory[trajectory["horizon"] == horizon]
         if len(part) != len(flight):
-            raise ValueError(f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as many.")
+            raise ValueError(
+                f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as "
+                f"many."
+            )
         elapsed = part["elapsed"].to_numpy()
         flown, ends = elapsed > 0, np.abs(elapsed - horizon) < 0.02 * horizon
         for state in states:
@@ -153,7 +181,10 @@ def replay_errors(trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str
             if state in EULER:  # about the direction of the mean
                 known = wrapped(known - np.angle(np.exp(1j * known).sum()))
             row = {"state": state, "horizon": horizon, "median": _nanmedian(error[flown])}
-            row |= {"at_end": _nanmedian(error[ends]), "spread": float(known.std()) if known.size else np.nan}
+            row |= {
+                "at_end": _nanmedian(error[ends]),
+                "spread": float(known.std()) if known.size else np.nan,
+            }
             if f"{state}_std" in part:
                 seen = flown & np.isfinite(error)
                 inside = error[seen] <= 1.96 * part[f"{state}_std"].to_numpy()[seen]
@@ -181,16 +212,24 @@ class _Path(NamedTuple):
     ) -> _Path:  # fmt: skip
         airspeed, density = flight["airspeed"].to_numpy(float), flight["density"].to_numpy(float)
         loads = (
-            aerodynamic_loads(_coefficient_array(coefficients, flight), airspeed, density, aircraft),
+            aerodynamic_loads(
+                _coefficient_array(coefficients, flight), airspeed, density, aircraft
+            ),
             propulsive_loads(flight, aircraft, thrust),
             external_loads(flight, external_forces),
         )
         force, moment = (np.sum(parts, axis=0) for parts in zip(*loads, strict=True))
         load_factor = None
         if std is not None:
-            per_coefficient = np.hstack(aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft))
+            per_coefficient = np.hstack(
+                aerodynamic_loads(np.ones((len(flight), 6)), airspeed, density, aircraft)
+            )
             load_factor = per_coefficient[:, :, None] * _covariance_factor(std, len(flight))
-        measured = [names for names in (EARTH_VELOCITY, BODY_VELOCITY) if all(name in flight for name in names)]
+        measured = [
+            names
+            for names in (EARTH_VELOCITY, BODY_VELOCITY)
+            if all(name in flight for name in names)
+        ]
         velocity = measured[0] if measured else EARTH_VELOCITY
         check_columns(flight, velocity)
         state, time = table_states(flight, velocity), flight["time"].to_numpy(float)
@@ -204,18 +243,25 @@ def _coefficient_array(coefficients: Any, flight: pd.DataFrame) -> Array:
     values = np.asarray(coefficients, dtype=float)
     if values.shape != (len(flight), 6):
         raise ValueError(
-            f"Got coefficients of shape {values.shape}, but expected ({len(flight)}, 6): {', '.join(COEFFICIENTS)} at "
+            f"Got coefficients of shape {values.shape}, but expected ({len(flight)}, 6): "
+            f"{', '.join(COEFFICIENTS)} at "
             "every row of the flight."
         )
     return values
 
 
-def _table(flight: pd.DataFrame, rows: Indices, states: Array, std: Array | None, horizon: float) -> pd.DataFrame:
+def _table(
+    flight: pd.DataFrame, rows: Indices, states: Array, std: Array | None, horizon: float
+) -> pd.DataFrame:
     """Return the samples of all windows in the order of the flight; a shared row shows the end of its window."""
     seen = channels(states)
     flown = np.stack([seen[name] for name in REPLAYED], axis=-1)
     time, n = flight["time"].to_numpy(float), len(flight)
-    columns = {"window": np.full(n, -1), "elapsed": np.full(n, np.nan), "states": np.full((n, 12), np.nan)}
+    columns = {
+        "window": np.full(n, -1),
+        "elapsed": np.full(n, np.nan),
+        "states": np.full((n, 12), np.nan),
+    }
     window = np.broadcast_to(np.arange(len(rows))[:, None], rows.shape)
     values = {"window": window, "elapsed": time[rows] - time[rows[:, :1]], "states": flown}
     if std is not None:
@@ -229,7 +275,8 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, std: Array | None
     table = table.assign(horizon=horizon, window=columns["window"], elapsed=columns["elapsed"])
     measured = flight[list(EULER)].to_numpy(float)
     angles = columns["states"][:, 6:9]
-    # The turn nearest to the log's, which may count heading from 0 to 2 pi: the two can be drawn together.
+    # The turn nearest to the log's, which may count heading from 0 to 2 pi: the two can be drawn
+    # together.
     angles += 2 * np.pi * np.nan_to_num(np.round((measured - angles) / (2 * np.pi)))
     known = [k for k, name in enumerate(REPLAYED) if k >= 3 or name in flight]
     table[[REPLAYED[k] for k in known]] = columns["states"][:, known]
@@ -247,7 +294,10 @@ def _integrate(path: _Path, rows: Indices) -> Array:
         dt = (path.time[there] - path.time[here])[:, None]
 
         def rate_per_step(fraction: float, state: Array, here=here, there=there, dt=dt) -> Array:
-            force, moment = ((1 - fraction) * load[here] + fraction * load[there] for load in (path.force, path.moment))
+            force, moment = (
+                (1 - fraction) * load[here] + fraction * load[there]
+                for load in (path.force, path.moment)
+            )
             return rigid_body_derivative(state, force, moment, path.aircraft, path.gravity) * dt
 
         states[:, k + 1] = rk4_step(rate_per_step, 0.0, states[:, k], 1.0)
@@ -267,7 +317,9 @@ def _error_rates(path: _Path, rows: Indices, states: Array) -> Iterator[tuple[Ar
         A[:, V, V], A[:, V, W] = -omega, velocity
         A[:, V, T] = cross_matrix(path.gravity * rotation[:, 2])
         A[:, T, T], A[:, T, W] = -omega, np.eye(3)
-        A[:, W, W] = inverse @ (cross_matrix(state[:, rigid_body.RATES] @ inertia) - omega @ inertia)
+        A[:, W, W] = inverse @ (
+            cross_matrix(state[:, rigid_body.RATES] @ inertia) - omega @ inertia
+        )
         B[:, V], B[:, W] = load_factor[:, :3] / path.aircraft.mass, inverse @ load_factor[:, 3:]
         yield A, B
 
@@ -281,7 +333,8 @@ def _covariance_factor(std: ArrayLike, n_samples: int) -> Array:
     values = np.asarray(std, dtype=float)
     if values.shape not in ((n_samples, 6), (n_samples, 6, 6)):
         raise ValueError(
-            f"Got std of shape {values.shape}, but expected ({n_samples}, 6), standard deviations of "
+            f"Got std of shape {values.shape}, but expected ({n_samples}, 6), standard deviations "
+            f"of "
             f"{', '.join(COEFFICIENTS)} at each sample, or ({n_samples}, 6, 6), their covariances."
         )
     if values.ndim == 2:
@@ -291,20 +344,30 @@ def _covariance_factor(std: ArrayLike, n_samples: int) -> Array:
     good = np.isfinite(values).all(axis=(1, 2))
     eigenvalues = np.linalg.eigvalsh(values[good])
     if (eigenvalues < -1e-8 * np.abs(eigenvalues).max(axis=1, initial=0.0, keepdims=True)).any():
-        raise ValueError("Got covariances with negative eigenvalues in std, but expected positive semi-definite ones.")
+        raise ValueError(
+            "Got covariances with negative eigenvalues in std, but expected positive "
+            "semi-definite ones."
+        )
     factor = np.full_like(values, np.nan)
     factor[good] = covariance_root(values[good])
     return factor
 
 
-def restart_windows(time: Array, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None) -> Indices:
+def restart_windows(
+    time: Array, runs: Iterable[slice], horizon: float, known: np.ndarray | None = None
+) -> Indices:
     """Return the rows of each window, (n_windows, n_steps + 1), shorter windows padded with their last row.
 
-    A window starts at a row of a run whose state is ``known`` (n,) and ends at the last such row no more than
-    ``horizon`` [s] later, where the next one starts; where there is none, it ends with the horizon.
+    A window starts at a row of a run whose state is ``known`` (n,) and ends at the last such row no
+    more than ``horizon`` [s] later, where the next one starts; where there is none, it ends with
+    the horizon.
     """
     known = np.ones(len(time), dtype=bool) if known is None else known
-    windows = [window for run in runs for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))]
+    windows = [
+        window
+        for run in runs
+        for window in _windows_of_run(time, run, horizon, np.flatnonzero(known))
+    ]
     if not windows:
         return np.empty((0, 1), dtype=int)
     length = max(map(len, windows))

@@ -33,13 +33,37 @@ from skdgp._mechanics.error_covariance import STATES, checked_std, state_deviati
 from skdgp._mechanics.jacobian import jacobian
 from skdgp._mechanics.loads import Thrust
 from skdgp._mechanics.motion import CONTROLS, PROPULSION, Motion
-from skdgp._mechanics.record import FLYING, REASONS, Clock, Record, channels, end_reasons, fly_record
+from skdgp._mechanics.record import (
+    FLYING,
+    REASONS,
+    Clock,
+    Record,
+    channels,
+    end_reasons,
+    fly_record,
+)
 from skdgp._mechanics.rigid_body import rk4_step
-from skdgp.dynamics._inputs import as_starts, control_schedule, initial_states, perturbed, tables_of, warn_of_clocks
-from skdgp.dynamics._wind import airspeeds, drift_in, gusty_air, met_turbulence, wind_field, wind_schedule
+from skdgp.dynamics._inputs import (
+    as_starts,
+    control_schedule,
+    initial_states,
+    perturbed,
+    tables_of,
+    warn_of_clocks,
+)
+from skdgp.dynamics._wind import (
+    airspeeds,
+    drift_in,
+    gusty_air,
+    met_turbulence,
+    wind_field,
+    wind_schedule,
+)
 
 MOST_KNOTS = 250
-"""Points of a trajectory at which the model's errors are known, linear between them: a knot a step on short flights."""
+"""Points of a trajectory at which the model's errors are known, linear between them: a knot a step
+on short flights.
+"""
 BEYOND = 0.02
 """Share of its range by which a regressor may exceed what was flown without a warning."""
 TINY = 1e-12
@@ -62,68 +86,78 @@ def simulate(
 ) -> pd.DataFrame:
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
-    At every stage the regressors are rebuilt from the simulated state as the pipeline builds them from a log; those
-    that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax, ay, az) are found by fixed point.
+    At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
+    from a log; those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax, ay,
+    az) are found by fixed point.
 
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
         Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
-    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts, 13)
-        The start, or several that are flown together. By name: a row of a flight, or ``airspeed``, ``alpha``, ``beta``,
-        ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...; what is not given is zero.
+    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts,
+    13)
+        The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
+        ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
+        what is not given is zero.
     controls : DataFrame, list of DataFrame, mapping or callable
-        Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what gives the thrust: a
-        table with ``time`` [s], its first row the start (linear between rows; a list: one for each start); constants
-        by name; or a feedback law, a function (t, state) to values by name, where ``state`` maps the names of
-        channels to arrays, ``state["phi"]``; or ``FlightComputer(law)``, which asks it once a step.
+        Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
+        gives the thrust: a table with ``time`` [s], its first row the start (linear between rows; a
+        list: one for each start); constants by name; or a feedback law, a function (t, state) to
+        values by name, where ``state`` maps the names of channels to arrays, ``state["phi"]``; or
+        ``FlightComputer(law)``, which asks it once a step.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional
         [s]; by default as long as the tables.
-    air : Air, DataFrame, list of DataFrame, array-like (3,), callable, Turbulence or "calm", optional
-        A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with density and gravity. By
-        default paths meet the gusts of a wind that is a table or a function, else those of the training flights. "calm"
-        is without gusts.
+    air : Air, DataFrame, list of DataFrame, array-like (3,), callable, Turbulence or "calm",
+    optional
+        A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with
+        density and gravity. By default paths meet the gusts of a wind that is a table or a
+        function, else those of the training flights. "calm" is without gusts.
     n_paths : int, optional
-        Number of functions drawn from the posterior to fly instead of the mean, each for a whole flight. Their spread
-        is the uncertainty of the trajectory.
+        Number of functions drawn from the posterior to fly instead of the mean, each for a whole
+        flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     return_std : bool, default=False
-        Whether to add standard deviations ``airspeed_std``, ``phi_std``, ... of the mean's trajectory by the joint
-        posterior along it, to first order, with the rates of gusts, but not their velocity: fast, and right for some
-        seconds; ``n_paths`` is right for longer.
+        Whether to add standard deviations ``airspeed_std``, ``phi_std``, ... of the mean's
+        trajectory by the joint posterior along it, to first order, with the rates of gusts, but not
+        their velocity: fast, and right for some seconds; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w", "v_north", ..., "phi",
+        Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w",
+        "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
-        "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line, or the propeller at
-        propeller_speed [rad/s] or throttle. A function (controls, airspeed, density) to newtons along the thrust
-        line. None: a glider, or a model whose coefficients include the thrust.
+        "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line,
+        or the propeller at propeller_speed [rad/s] or throttle. A function (controls, airspeed,
+        density) to newtons along the thrust line. None: a glider, or a model whose coefficients
+        include the thrust.
 
     Returns
     -------
     pandas.DataFrame
-        A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta, altitude, density, ``ax``,
-        ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and coefficients; ``beyond``, the regressor that is
-        farthest outside of what was flown, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
-        Several starts have a column ``start``, paths also ``path``; ``flight`` names each. ``attrs["air"]`` says in
-        words which gusts were met.
+        A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta,
+        altitude, density, ``ax``, ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and
+        coefficients; ``beyond``, the regressor that is farthest outside of what was flown, or "";
+        ``ended``, why the trajectory is over, or "": its rows are then NaN. Several starts have a
+        column ``start``, paths also ``path``; ``flight`` names each. ``attrs["air"]`` says in words
+        which gusts were met.
 
     Raises
     ------
     ValueError
-        If the start is not finite, controls are missing or end early, nothing gives the thrust, a regressor cannot be
-        rebuilt, the model lacks a coefficient or has no posterior to draw from, or there is a Turbulence without paths.
+        If the start is not finite, controls are missing or end early, nothing gives the thrust, a
+        regressor cannot be rebuilt, the model lacks a coefficient or has no posterior to draw from,
+        or there is a Turbulence without paths.
 
     Warns
     -----
     SimulationWarning
         If a trajectory ends early, or leaves what the model was learned from.
     UserWarning
-        If start, controls and wind carry times that do not begin together, or a start does not fit its wind.
+        If start, controls and wind carry times that do not begin together, or a start does not fit
+        its wind.
 
     Examples
     --------
@@ -149,29 +183,41 @@ def simulate(
     commands = control_schedule(controls, clock, is_control(motion), len(starts))
     states = initial_states(starts, lambda at: local(0, at))
     if n_paths is None and isinstance(asked.gusts, Turbulence):
-        raise ValueError("Got gusts without n_paths, but expected both: gusts are drawn, for each path its own.")
+        raise ValueError(
+            "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
+        )
     if n_paths is not None and return_std:
-        raise ValueError("Got n_paths and return_std=True, but expected one of them: paths spread by themselves.")
+        raise ValueError(
+            "Got n_paths and return_std=True, but expected one of them: paths spread by themselves."
+        )
     if initial_std is not None and n_paths is None and not return_std:
-        raise ValueError("Got initial_std without n_paths or return_std=True: nothing would show it.")
+        raise ValueError(
+            "Got initial_std without n_paths or return_std=True: nothing would show it."
+        )
     drift, drifts, said = None, None, ""
     if n_paths is not None or return_std:
         met, said = met_turbulence(asked, local, motion, clock, states)
         if asked.drift:
-            drift = drift_in(met, motion, float(airspeeds(states, local).mean()), drawn=n_paths is not None)
+            drift = drift_in(
+                met, motion, float(airspeeds(states, local).mean()), drawn=n_paths is not None
+            )
     if n_paths is not None:
         if met is not None and np.any(met.intensity):
             local = gusty_air(asked, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        drifts = None if drift is None else drift.draw(clock.stages, states.shape[:-1], random_state)
+        drifts = (
+            None if drift is None else drift.draw(clock.stages, states.shape[:-1], random_state)
+        )
     elif len(states) == 1:
         states = states[0]
     record = fly_record(motion, commands, local, clock, states, drifts)
     warn_of(record, motion)
     std = linear_std(record, motion, initial_std, drift) if return_std else {}
     first = [table["time"].iloc[0] for table in tables_of(controls)] or [0.0]
-    table = trajectory_table(record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std)
+    table = trajectory_table(
+        record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std
+    )
     table.attrs["air"] = said
     return table
 
@@ -181,21 +227,31 @@ def linear_std(
 ) -> dict[str, Array]:
     """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order."""
     start, shape = checked_std(initial_std), record.ended.shape
-    found = {f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)}
+    found = {
+        f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)
+    }
     for place in np.ndindex(shape):
         n = int(record.end[place])
         if n > 1:
-            for name, std in zip(found, _std_along(record, motion, start, drift, place, n).T, strict=True):
+            for name, std in zip(
+                found, _std_along(record, motion, start, drift, place, n).T, strict=True
+            ):
                 found[name][(slice(n), *place)] = std
     return found
 
 
 def _std_along(
-    record: Record, motion: Motion, start: Mapping[str, float], drift: Drift | None, place: Any, n: int
+    record: Record,
+    motion: Motion,
+    start: Mapping[str, float],
+    drift: Drift | None,
+    place: Any,
+    n: int,
 ) -> Array:
     """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory.
 
-    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance, and that of a drift.
+    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance,
+    and that of a drift.
     """
     states = record.states[(slice(n), *place)]
     knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
@@ -218,7 +274,10 @@ def _std_along(
 
     def samples() -> Iterator[tuple[Array, Array]]:
         for step in range(n):
-            yield between(slopes.state, step), between(slopes.coefficients, step) @ between(errors, step)
+            yield (
+                between(slopes.state, step),
+                between(slopes.coefficients, step) @ between(errors, step),
+            )
 
     air_data = (between(slopes.outputs_state[:, :3], step) for step in range(n))
     steps = [record.time[1]] * (n - 1)
@@ -228,7 +287,9 @@ def _std_along(
 def is_control(motion: Motion) -> Callable[[str], bool]:
     """Return the function that finds the controls among the columns of a table, which may be a whole log."""
     if callable(motion.thrust):
-        return lambda name: (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
+        return lambda name: (
+            (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
+        )
     mixing = motion.aerodynamics.mixing
     known = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
     return lambda name: name in known
@@ -237,8 +298,8 @@ def is_control(motion: Motion) -> Callable[[str], bool]:
 class Simulator:
     """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
 
-    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4). Several starts are
-    simulated as one batch.
+    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4).
+    Several starts are simulated as one batch.
 
     Parameters
     ----------
@@ -247,14 +308,16 @@ class Simulator:
     dt : float, default=0.02
         Time step [s].
     air, thrust
-        As for :func:`skdgp.dynamics.simulate`; the wind is constant or a function, no gusts are drawn besides it.
+        As for :func:`skdgp.dynamics.simulate`; the wind is constant or a function, no gusts are
+        drawn besides it.
 
     Attributes
     ----------
     ended : str or ndarray of str
         Why the flight, or each, is over; "" while it is not.
     beyond : str or ndarray of str
-        After a step: the regressor that is farthest outside of what the model was learned from, or "".
+        After a step: the regressor that is farthest outside of what the model was learned from, or
+        "".
 
     Examples
     --------
@@ -278,15 +341,28 @@ class Simulator:
     """
 
     def __init__(
-        self, model: Any, aircraft: Aircraft, dt: float = 0.02, *, air: Any = None, thrust: Thrust = "auto"
+        self,
+        model: Any,
+        aircraft: Aircraft,
+        dt: float = 0.02,
+        *,
+        air: Any = None,
+        thrust: Thrust = "auto",
     ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         air = as_air(air)
         if isinstance(air.gusts, Turbulence):
-            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: give a wind, as a function.")
+            raise ValueError(
+                "Got a Turbulence, but a Simulator draws no gusts: give a wind, as a function."
+            )
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
-        self.dt, self._steps, self._mean, self._air = float(dt), 0, self.motion.aerodynamics, wind_field(air.wind)
+        self.dt, self._steps, self._mean, self._air = (
+            float(dt),
+            0,
+            self.motion.aerodynamics,
+            wind_field(air.wind),
+        )
         self.ended: Any = FLYING
         self.beyond: Any = ""
         self._state: Any = None
@@ -309,14 +385,17 @@ class Simulator:
     ) -> dict[str, Any]:
         """Begin a flight, or several, and return ``time``, position, velocities, angles, rates, air data, altitude.
 
-        ``x0`` and ``initial_std`` are as for :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean of
-        the model flies, else functions drawn from its posterior, one for each start.
+        ``x0`` and ``initial_std`` are as for :func:`skdgp.dynamics.simulate`. Without a
+        ``random_state`` the mean of the model flies, else functions drawn from its posterior, one
+        for each start.
         """
         starts = as_starts(x0)
         states = initial_states(starts, lambda at: self._air(0.0, at))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
-        drawn = None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
+        drawn = (
+            None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
+        )
         self.motion.aerodynamics = drawn or self._mean
         self._state = states[0] if single and mean_flies else states
         self._single, self._start, self._steps = single, self._state, 0
@@ -328,7 +407,9 @@ class Simulator:
     def step(self, controls: Mapping) -> dict[str, Any]:
         """Return what is seen after a step with controls by name; raises ValueError before `reset` or after the end."""
         if self._state is None or not (self._ended == FLYING).any():
-            what = "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
+            what = (
+                "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
+            )
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
         controls = self.motion.mixed(controls)
 
@@ -342,8 +423,12 @@ class Simulator:
             self._steps += 1
             now = at(self.time, state)
             for reason, where in end_reasons(state, now).items():
-                self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = reason
-        names = np.array(["", *self.motion.regressors], dtype=object)[beyond(self.motion, now.regressors)]
+                self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = (
+                    reason
+                )
+        names = np.array(["", *self.motion.regressors], dtype=object)[
+            beyond(self.motion, now.regressors)
+        ]
         self.beyond = str(np.reshape(names, -1)[0]) if self._single else names
         flying = self._ended == FLYING
         self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
@@ -351,10 +436,15 @@ class Simulator:
 
     def _seen(self) -> dict[str, Any]:
         air = self._air(self.time, self._state)
-        seen: dict[str, Any] = {"time": self.time} | channels(self._state, None if air is None else air.wind)
+        seen: dict[str, Any] = {"time": self.time} | channels(
+            self._state, None if air is None else air.wind
+        )
         over = self._ended != FLYING
         if over.any():
-            seen = {name: np.where(over, np.nan, value) if name != "time" else value for name, value in seen.items()}
+            seen = {
+                name: np.where(over, np.nan, value) if name != "time" else value
+                for name, value in seen.items()
+            }
         if not self._single:
             self.ended = self._ended.copy()
             return seen
@@ -366,11 +456,13 @@ class SimulationWarning(UserWarning):
     """A trajectory ended early, or left the range of the training data."""
 
 
-def trajectory_table(record: Any, motion: Motion, first_times: Array, further: dict[str, Array]) -> pd.DataFrame:
+def trajectory_table(
+    record: Any, motion: Motion, first_times: Array, further: dict[str, Array]
+) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
-    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times`` (n_starts,) is the time at
-    each start, ``further`` holds more columns (n_times, ...).
+    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times``
+    (n_starts,) is the time at each start, ``further`` holds more columns (n_times, ...).
     """
     shape = record.ended.shape
     n_times = len(record.time)
@@ -383,15 +475,22 @@ def trajectory_table(record: Any, motion: Motion, first_times: Array, further: d
     seen = channels(record.states, wind) | {"density": record.density}
     for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
         seen[name] = record.derivative[..., rigid_body.RATES][..., k]
-    for names, values in ((SPECIFIC_FORCE, record.specific_force), (COEFFICIENTS, record.coefficients)):
+    for names, values in (
+        (SPECIFIC_FORCE, record.specific_force),
+        (COEFFICIENTS, record.coefficients),
+    ):
         seen |= {name: values[..., k] for k, name in enumerate(names)}
     if wind is not None:
         seen |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
-    table: dict[str, Any] = {"time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))}
+    table: dict[str, Any] = {
+        "time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))
+    }
     table |= _identity(shape, n_times)
     table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
-    farthest = np.array(["", *motion.regressors], dtype=object)[column(beyond(motion, record.regressors))]
+    farthest = np.array(["", *motion.regressors], dtype=object)[
+        column(beyond(motion, record.regressors))
+    ]
     table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(over, record.ended, "")))
     return pd.DataFrame(table)
@@ -405,7 +504,10 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
     names = [f"start {start}" for start in starts]
     if paths:
         several = shape[1] > 1
-        names = [f"path {p}, {name}" if several else f"path {p}" for p, name in zip(*paths, names, strict=True)]
+        names = [
+            f"path {p}, {name}" if several else f"path {p}"
+            for p, name in zip(*paths, names, strict=True)
+        ]
     found: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
     found["start"] = np.repeat(starts, n_times)
     return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
@@ -427,23 +529,33 @@ def warn_of(record: Any, motion: Motion) -> None:
     ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
     if ended:
-        why = ", ".join(f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended)
+        why = ", ".join(
+            f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended
+        )
         warnings.warn(
-            f"{len(ended)} of {n} trajectories ended early, the first {record.end.min() * dt:.2f} s after its start "
-            f"({why}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind "
+            f"{len(ended)} of {n} trajectories ended early, the first {record.end.min() * dt:.2f} "
+            f"s after its start "
+            f"({why}). Their rows are NaN from there on, and the column ended says why. Look at "
+            f"start, controls, wind "
             "and thrust; try a smaller dt.",
             SimulationWarning,
             stacklevel=3,
         )
-    outside, limits = beyond(motion, record.regressors).reshape(len(record.time), -1), motion.aerodynamics.limits
+    outside, limits = (
+        beyond(motion, record.regressors).reshape(len(record.time), -1),
+        motion.aerodynamics.limits,
+    )
     if limits is not None and outside.any():
         first = int(np.flatnonzero(outside.any(axis=1))[0])
         k = int(outside[first].max()) - 1
         (low, high), values = limits[:, k], record.regressors[..., k]
         warnings.warn(
-            f"{np.count_nonzero(outside.any(axis=0))} of {n} trajectories left what the model was learned from, the "
-            f"first {first * dt:.2f} s after its start in {motion.aerodynamics.regressors[k]} (here "
-            f"{np.nanmin(values):.3g} to {np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column "
+            f"{np.count_nonzero(outside.any(axis=0))} of {n} trajectories left what the model was "
+            f"learned from, the "
+            f"first {first * dt:.2f} s after its start in {motion.aerodynamics.regressors[k]} "
+            f"(here "
+            f"{np.nanmin(values):.3g} to {np.nanmax(values):.3g}, learned from {low:.3g} to "
+            f"{high:.3g}): the column "
             "beyond says where.",
             SimulationWarning,
             stacklevel=3,
@@ -455,9 +567,10 @@ def trajectory_bands(
 ) -> pd.DataFrame:
     """Return the bands of an ensemble that `simulate` returned with ``n_paths``, by ``start`` and ``time``.
 
-    ``level`` is the share of the paths inside, of those that still fly: quantiles (1 - level) / 2 and (1 + level) / 2.
-    ``columns`` are by default velocities, angles (heading unwrapped), rates, airspeed, alpha, beta, altitude. The table
-    has ``<column>`` (the median), ``<column>_low``, ``<column>_high``, and ``flying``, the share that has not ended.
+    ``level`` is the share of the paths inside, of those that still fly: quantiles (1 - level) / 2
+    and (1 + level) / 2. ``columns`` are by default velocities, angles (heading unwrapped), rates,
+    airspeed, alpha, beta, altitude. The table has ``<column>`` (the median), ``<column>_low``,
+    ``<column>_high``, and ``flying``, the share that has not ended.
 
     Examples
     --------
@@ -469,8 +582,16 @@ def trajectory_bands(
     """
     if not 0 < level <= 1:
         raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
-    check_columns(trajectories, ["start", "path", "time", "ended"], what="ensemble (simulate with n_paths=...)")
-    wanted = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east") if columns is None else columns
+    check_columns(
+        trajectories,
+        ["start", "path", "time", "ended"],
+        what="ensemble (simulate with n_paths=...)",
+    )
+    wanted = (
+        (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
+        if columns is None
+        else columns
+    )
     names = [name for name in wanted if name in trajectories]
     rows = []
     for start, part in trajectories.groupby("start", sort=False):

@@ -37,9 +37,11 @@ WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
 ROUGHEST = 2.0
 """Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
-aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage (docs/simulation.md)."""
+aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
+(docs/simulation.md)."""
 HORIZON, POINTS = 1.0, 101
-"""Time [s] over which the effects of rotation and drift are compared, and points of the integral."""
+"""Time [s] over which the effects of rotation and drift are compared, and points of the integral.
+"""
 
 
 def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
@@ -52,12 +54,15 @@ def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
             position = state[..., POSITION]
             velocity = body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
             ahead, behind = (
-                np.asarray(wind(t + step, position + step * velocity), dtype=float) for step in (WIND_STEP, -WIND_STEP)
+                np.asarray(wind(t + step, position + step * velocity), dtype=float)
+                for step in (WIND_STEP, -WIND_STEP)
             )
             if ahead.shape not in ((3,), position.shape):
                 raise ValueError(
-                    f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected a function of "
-                    "(t, position) to the velocity of the air, north, east, down: (3,), or as the positions."
+                    f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected "
+                    f"a function of "
+                    "(t, position) to the velocity of the air, north, east, down: (3,), or as the "
+                    "positions."
                 )
             return LocalAir(0.5 * (ahead + behind), (ahead - behind) / (2 * WIND_STEP))
 
@@ -68,8 +73,10 @@ def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
     constant = np.asarray(wind, dtype=float)
     if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
         raise ValueError(
-            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the finite velocity of the "
-            "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a table with time."
+            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
+            f"finite velocity of the "
+            "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a "
+            "table with time."
         )
     return lambda t, state: LocalAir(constant)
 
@@ -102,8 +109,15 @@ def met_turbulence(
         if found is not None:
             return found, f"Gusts as those of the wind, {_sizes(found)}."
     if flown is None:
-        return None, "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
-    return flown, f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
+        return (
+            None,
+            "No gusts are drawn, but errors as in the training flights: their turbulence is not "
+            "known.",
+        )
+    return (
+        flown,
+        f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air.",
+    )
 
 
 def _sizes(turbulence: Turbulence) -> str:
@@ -117,7 +131,9 @@ def _has_gusts(wind: Any) -> bool:
     return callable(wind) or bool(tables_of(wind))
 
 
-def _turbulence_of(wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array) -> Turbulence | None:
+def _turbulence_of(
+    wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array
+) -> Turbulence | None:
     """Return the turbulence of a wind, None if it is too short to show it; a function is followed straight ahead."""
     speeds, tables = airspeeds(states, air), tables_of(wind)
     if not tables:
@@ -130,16 +146,27 @@ def _turbulence_of(wind: Any, air: AirAt, motion: Motion, clock: Clock, states: 
         time = clock.dt * np.arange(clock.n_steps + 1)
         tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
     try:
-        return Turbulence.from_wind(tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span)
+        return Turbulence.from_wind(
+            tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span
+        )
     except TooShort:
         return None
 
 
 def gusty_air(
-    asked: Air, met: Turbulence, air: AirAt, motion: Motion, clock: Clock, states: Array, n_paths: int, seed: Any
+    asked: Air,
+    met: Turbulence,
+    air: AirAt,
+    motion: Motion,
+    clock: Clock,
+    states: Array,
+    n_paths: int,
+    seed: Any,
 ) -> GustyAir:
     """Return the air (n_paths, n_starts) with gusts, or with their rates alone where the wind contains them."""
-    seeds = check_random_state(seed).randint(2**31 - 1, size=5)  # other numbers than those of the paths
+    seeds = check_random_state(seed).randint(
+        2**31 - 1, size=5
+    )  # other numbers than those of the paths
     n = len(states)
     length, intensity = (np.tile(part, (n, 1)) for part in (met.length, met.intensity))
     drawn = dryden_gusts(
@@ -152,11 +179,14 @@ def gusty_air(
     return GustyAir(air, Gusts(*parts), motion.is_implicit)
 
 
-def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool) -> Drift | None:
+def drift_in(
+    met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool
+) -> Drift | None:
     r"""Return the drift in the turbulence that is met; ``drawn``: besides the rates of its gusts.
 
-    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function, and the rates of
-    their gusts explain g. The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
+    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function,
+    and the rates of their gusts explain g. The rest are other effects of gusts, and errors of
+    regressors that a simulation lacks. It is
 
     .. math:: m + \min(1, \rho) (\tau^2 - g - m) + \rho g,
               \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
@@ -176,17 +206,24 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float, *, draw
             slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(speed))
     besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
-    in_gusts = 1.0 - SENSOR_GUST**2 / (np.square(flown.intensity).sum() + SENSOR_GUST**2)  # none of it in calm air
+    in_gusts = 1.0 - SENSOR_GUST**2 / (
+        np.square(flown.intensity).sum() + SENSOR_GUST**2
+    )  # none of it in calm air
     largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
     variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
-    return drift._replace(variance=variance if drawn else variance + ratio * (drift.variance - besides))
+    return drift._replace(
+        variance=variance if drawn else variance + ratio * (drift.variance - besides)
+    )
 
 
-def without_rotation(drift: Drift, flown: Turbulence, slopes: Array, airspeed: float, span: float) -> Vector:
+def without_rotation(
+    drift: Drift, flown: Turbulence, slopes: Array, airspeed: float, span: float
+) -> Vector:
     """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
 
-    Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral over 1 s. ``slopes``
-    (6, 3) are those of the coefficients by p, q, r [s], at this airspeed [m/s].
+    Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral
+    over 1 s. ``slopes`` (6, 3) are those of the coefficients by p, q, r [s], at this airspeed
+    [m/s].
     """
     A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
     covariance, step = solve_continuous_lyapunov(A, -B @ B.T), expm(A * HORIZON / (POINTS - 1))
@@ -206,5 +243,9 @@ def without_rotation(drift: Drift, flown: Turbulence, slopes: Array, airspeed: f
 def airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
     here = air(0, states)
-    wind = 0.0 if here is None else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
+    wind = (
+        0.0
+        if here is None
+        else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
+    )
     return np.linalg.norm(states[:, VELOCITY] - wind, axis=-1)

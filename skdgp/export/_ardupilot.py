@@ -20,26 +20,37 @@ from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import Posterior
 from skdgp.export._text import element, file_name, write_xml
 
-STALL, BLENDING = 0.3, 50.0  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
+STALL, BLENDING = (
+    0.3,
+    50.0,
+)  # least angle of stall [rad], beyond the flights; sharpness of the change to a flat plate
 EFFICIENCY = (0.2, 3.0)  # range of Oswald's factor
-SIGNS = {"elevator": -1.0, "aileron": 1.0, "rudder": -1.0}  # ArduPilot: positive raises the nose, rolls and yaws right
+SIGNS = {
+    "elevator": -1.0,
+    "aileron": 1.0,
+    "rudder": -1.0,
+}  # ArduPilot: positive raises the nose, rolls and yaws right
 LATERAL = {"b": "beta", "p": "p_hat", "r": "r_hat", "deltaa": "aileron", "deltar": "rudder"}
 PITCH = {"a": "alpha", "q": "q_hat", "deltae": "elevator"}
 TERMS = {"y": (1, LATERAL), "l": (3, LATERAL), "n": (5, LATERAL), "m": (4, PITCH)}
-"""By the letter of a coefficient in SITL's file: its column, and the regressor of each derivative."""
+"""By the letter of a coefficient in SITL's file: its column, and the regressor of each derivative.
+"""
 GAZEBO = {"CY": "CY", "Cl": "Cell", "Cm": "Cem", "Cn": "Cen", "CL": "CL", "CD": "CD"}
 CONSTANT = ("CL", "CD", "Cm")
 LINK = "base_link"
 
 
-def write_ardupilot(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: Any = None) -> pd.DataFrame:
+def write_ardupilot(
+    path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: Any = None
+) -> pd.DataFrame:
     """Write the JSON file of a plane of ArduPilot's simulator (SITL), and return what it loses.
 
-    The plane of SITL has a lift that is linear in alpha, elevator and q, a drag that is constant plus quadratic in
-    lift, and constant derivatives of the other coefficients, fitted to the model by least squares. Controls of SITL are
-    from -1 to 1; here 1 is the largest deflection of the flights, and positive raises the nose, rolls right and yaws
-    right. ``sim_vehicle.py -v ArduPlane -f plane:uav.json`` flies it. Mass and thrust are those of SITL (2 kg), which
-    cannot be set by this file: change them in ``SIM_Plane.cpp``. Raises ValueError if the model lacks alpha, or is
+    The plane of SITL has a lift that is linear in alpha, elevator and q, a drag that is constant
+    plus quadratic in lift, and constant derivatives of the other coefficients, fitted to the model
+    by least squares. Controls of SITL are from -1 to 1; here 1 is the largest deflection of the
+    flights, and positive raises the nose, rolls right and yaws right. ``sim_vehicle.py -v ArduPlane
+    -f plane:uav.json`` flies it. Mass and thrust are those of SITL (2 kg), which cannot be set by
+    this file: change them in ``SIM_Plane.cpp``. Raises ValueError if the model lacks alpha, or is
     compact and X is not given; TypeError if it is another estimator.
 
     Parameters
@@ -53,28 +64,35 @@ def write_ardupilot(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, 
     Returns
     -------
     DataFrame (6, 3)
-        "loss", "deviation" (of the posterior) and "spread" of CX ... Cn, root mean squares over the samples; SITL
-        ignores them in the file, as "mass" and "inertia".
+        "loss", "deviation" (of the posterior) and "spread" of CX ... Cn, root mean squares over the
+        samples; SITL ignores them in the file, as "mass" and "inertia".
     """
     flown = _Flown(model, aircraft, X)
     values, fitted = _plane(flown)
     loss = flown.loss(fitted)
-    values |= {"CGOffset": [0.0, 0.0, 0.0], "mass": aircraft.mass, "inertia": aircraft.inertia.tolist()}
+    values |= {
+        "CGOffset": [0.0, 0.0, 0.0],
+        "mass": aircraft.mass,
+        "inertia": aircraft.inertia.tolist(),
+    }
     values |= {"loss": loss.to_dict("index")}
     write_atomically(path, text_writer(json.dumps(values, indent=1) + "\n"))
     return loss
 
 
-def write_gazebo(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: Any = None) -> pd.DataFrame:
+def write_gazebo(
+    path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: Any = None
+) -> pd.DataFrame:
     """Write a block of Gazebo's AdvancedLiftDrag system with mass and inertia, and return what it loses.
 
-    The system has constant derivatives of lift, drag, side force and moments by alpha, beta, rates and surfaces, and a
-    drag that is quadratic in lift; CY, Cl and Cn have no constants. They are fitted as by :func:`write_ardupilot`,
-    with the same result and errors. Derivatives by surfaces are per degree, and the signs of this package: elevator > 0
-    pitches down, aileron > 0 rolls right, rudder > 0 yaws left.
+    The system has constant derivatives of lift, drag, side force and moments by alpha, beta, rates
+    and surfaces, and a drag that is quadratic in lift; CY, Cl and Cn have no constants. They are
+    fitted as by :func:`write_ardupilot`, with the same result and errors. Derivatives by surfaces
+    are per degree, and the signs of this package: elevator > 0 pitches down, aileron > 0 rolls
+    right, rudder > 0 yaws left.
 
-    The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin. Add joints named
-    after the surfaces.
+    The SDF file at ``path`` has one model: the link "base_link" with its inertial, and the plugin.
+    Add joints named after the surfaces.
 
     Parameters
     ----------
@@ -91,10 +109,16 @@ def write_gazebo(path: str | os.PathLike, model: Any, aircraft: Aircraft, *, X: 
     flown = _Flown(model, aircraft, X)
     plugin, fitted = _advanced_lift_drag(flown)
     loss = flown.loss(fitted)
-    turned = np.diag([1.0, -1.0, -1.0]) @ aircraft.inertia @ np.diag([1.0, -1.0, -1.0])  # x forward, y left, z up
-    inertia = (element(f"i{'xyz'[k]}{'xyz'[m]}", turned[k, m]) for k in range(3) for m in range(k, 3))
+    turned = (
+        np.diag([1.0, -1.0, -1.0]) @ aircraft.inertia @ np.diag([1.0, -1.0, -1.0])
+    )  # x forward, y left, z up
+    inertia = (
+        element(f"i{'xyz'[k]}{'xyz'[m]}", turned[k, m]) for k in range(3) for m in range(k, 3)
+    )
     inertial = element("inertial", element("mass", aircraft.mass), element("inertia", *inertia))
-    comment = ElementTree.Comment(" root mean square loss of this reduction:\n" + loss.to_string() + "\n")
+    comment = ElementTree.Comment(
+        " root mean square loss of this reduction:\n" + loss.to_string() + "\n"
+    )
     parts = comment, element("link", inertial, name=LINK), plugin
     sdf = element("sdf", element("model", *parts, name=file_name(aircraft.name)), version="1.9")
     ElementTree.indent(sdf)
@@ -108,7 +132,9 @@ class _Flown:
     def __init__(self, model: Any, aircraft: Aircraft, X: Any) -> None:
         posterior = Posterior(model, X)
         if "alpha" not in posterior.names:
-            raise ValueError(f"Got a model of {tuple(posterior.names)}, but expected alpha among its regressors.")
+            raise ValueError(
+                f"Got a model of {tuple(posterior.names)}, but expected alpha among its regressors."
+            )
         self.aircraft, self.regressors, self.limits = aircraft, posterior.names, posterior.limits
         self.X, self.C = posterior.tested, posterior.mean(posterior.tested)
         self.deviation = np.sqrt(np.mean(posterior.deviation(self.X) ** 2, axis=0))
@@ -152,7 +178,11 @@ def _plane(flown: _Flown) -> tuple[dict[str, Any], Matrix]:
     polar = cl[0] + cl[1] * flown.alpha
 
     def drag_of(weights: Vector) -> Array:
-        return weights[0] + polar**2 / (np.pi * flown.aspect * weights[1]) + weights[2] * longitudinal[:, 1]
+        return (
+            weights[0]
+            + polar**2 / (np.pi * flown.aspect * weights[1])
+            + weights[2] * longitudinal[:, 1]
+        )
 
     def errors(weights: Vector) -> Array:
         return drag_of(weights) - drag
@@ -170,7 +200,11 @@ def _plane(flown: _Flown) -> tuple[dict[str, Any], Matrix]:
         units = [SIGNS.get(name, 1.0) * largest.get(name, 1.0) for name in terms.values()]
         names = [f"c_{letter}_{key}" for key in ("0", *terms)]
         values |= dict(zip(names, [weights[0], *(weights[1:] * units)], strict=True))
-    values |= {"deltaa_max": largest["aileron"], "deltae_max": largest["elevator"], "deltar_max": largest["rudder"]}
+    values |= {
+        "deltaa_max": largest["aileron"],
+        "deltae_max": largest["elevator"],
+        "deltar_max": largest["rudder"],
+    }
     return {key: float(value) for key, value in values.items()}, fitted
 
 
@@ -181,10 +215,21 @@ def _advanced_lift_drag(flown: _Flown) -> tuple[Element, Matrix]:
     columns = flown.terms(["alpha", "beta", "p_hat", "q_hat", "r_hat", *surfaces])
     with_constant = np.column_stack([np.ones(len(C)), columns])
     weights, values = {}, {}
-    for name, y in {"CY": C[:, 1], "CL": flown.lift, "Cl": C[:, 3], "Cm": C[:, 4], "Cn": C[:, 5]}.items():
-        basis = with_constant if name in CONSTANT else columns  # the system has no constant of the others
+    for name, y in {
+        "CY": C[:, 1],
+        "CL": flown.lift,
+        "Cl": C[:, 3],
+        "Cm": C[:, 4],
+        "Cn": C[:, 5],
+    }.items():
+        basis = (
+            with_constant if name in CONSTANT else columns
+        )  # the system has no constant of the others
         found = np.linalg.lstsq(basis, y, rcond=None)[0]
-        values[name], weights[name] = basis @ found, found if name in CONSTANT else np.append(0.0, found)
+        values[name], weights[name] = (
+            basis @ found,
+            found if name in CONSTANT else np.append(0.0, found),
+        )
     steady = np.delete(with_constant, slice(3, 6), axis=1) @ np.delete(weights["CL"], slice(3, 6))
     polar = steady**2 / (np.pi * flown.aspect)
     basis = np.delete(with_constant, [1, 2], axis=1)
@@ -193,7 +238,9 @@ def _advanced_lift_drag(flown: _Flown) -> tuple[Element, Matrix]:
     rest = np.linalg.lstsq(basis, drag - polar / efficiency, rcond=None)[0]
     weights["CD"] = np.concatenate([rest[:1], [0.0, 0.0], rest[1:]])
     fitted = np.empty_like(C)
-    fitted[:, 0], fitted[:, 2] = _turned(flown.alpha, values["CL"], polar / efficiency + basis @ rest)
+    fitted[:, 0], fitted[:, 2] = _turned(
+        flown.alpha, values["CL"], polar / efficiency + basis @ rest
+    )
     for name, i in (("CY", 1), ("Cl", 3), ("Cm", 4), ("Cn", 5)):
         fitted[:, i] = values[name]
     parts: list[Element] = []
@@ -202,14 +249,29 @@ def _advanced_lift_drag(flown: _Flown) -> tuple[Element, Matrix]:
             parts.append(element(f"{key}0", weights[name][0]))
         if name != "CD":
             parts += [element(f"{key}a", weights[name][1]), element(f"{key}b", weights[name][2])]
-        parts += [element(f"{key}{rate}", value) for rate, value in zip("pqr", weights[name][3:6], strict=True)]
+        parts += [
+            element(f"{key}{rate}", value)
+            for rate, value in zip("pqr", weights[name][3:6], strict=True)
+        ]
     settings: dict[str, Any] = {"AR": flown.aspect, "mac": aircraft.chord, "eff": efficiency}
-    settings |= {"area": aircraft.wing_area, "alpha_stall": flown.stall, "Cema_stall": weights["Cm"][1]}
+    settings |= {
+        "area": aircraft.wing_area,
+        "alpha_stall": flown.stall,
+        "Cema_stall": weights["Cm"][1],
+    }
     settings |= {"forward": "1 0 0", "upward": "0 0 1", "cp": "0 0 0", "link_name": LINK}
     settings |= {"num_ctrl_surfaces": str(len(surfaces))}
     parts += [element(tag, value) for tag, value in settings.items()]
     for k, surface in enumerate(surfaces):
-        slopes = (element(f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0) for name, key in GAZEBO.items())
-        parts.append(element("control_surface", element("name", surface), element("direction", "1"), *slopes))
-    files = {"filename": "gz-sim-advanced-lift-drag-system", "name": "gz::sim::systems::AdvancedLiftDrag"}
+        slopes = (
+            element(f"{key}_ctrl", weights[name][6 + k] * np.pi / 180.0)
+            for name, key in GAZEBO.items()
+        )
+        parts.append(
+            element("control_surface", element("name", surface), element("direction", "1"), *slopes)
+        )
+    files = {
+        "filename": "gz-sim-advanced-lift-drag-system",
+        "name": "gz::sim::systems::AdvancedLiftDrag",
+    }
     return element("plugin", *parts, **files), fitted

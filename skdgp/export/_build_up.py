@@ -25,14 +25,27 @@ from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.export._text import units_of
 from skdgp.inference import ExactPosterior
 
-MAX_POINTS, MAX_TESTED = 10000, 10000  # samples of the projection; samples over which its loss is measured
+MAX_POINTS, MAX_TESTED = (
+    10000,
+    10000,
+)  # samples of the projection; samples over which its loss is measured
 FEW_POINTS = 2500  # samples of the projection while terms are chosen, and for deviations
-OTHERS, OTHERS_WEIGHT = 0.4, 0.25  # points that mix the regressors of different samples: share, and weight of each
-FEW, SINGLE, PAIR = 5, 33, 9  # breakpoints: of pairs while terms are chosen; the most of a table of one and of two
+OTHERS, OTHERS_WEIGHT = (
+    0.4,
+    0.25,
+)  # points that mix the regressors of different samples: share, and weight of each
+FEW, SINGLE, PAIR = (
+    5,
+    33,
+    9,
+)  # breakpoints: of pairs while terms are chosen; the most of a table of one and of two
 CURVATURE = 3e-6  # penalty of squared second differences, for each point
 NEGLIGIBLE = 1e-5  # of the mean variance: what a root of the posterior covariance leaves out
 CHUNK = 512  # points whose covariance with the others is computed at once
-RIDGE, PAIR_RIDGE = 1e-7, 1e-6  # of squared values; a table of two holds only what tables of one cannot
+RIDGE, PAIR_RIDGE = (
+    1e-7,
+    1e-6,
+)  # of squared values; a table of two holds only what tables of one cannot
 
 
 class Table(NamedTuple):
@@ -77,9 +90,11 @@ class BuildUp:
     lengths : tuple of float
         Span and chord of the non-dimensional rates [m].
     samples, predicted, predicted_std : ndarray (n, d), (n, 6), (n, 6)
-        Samples of the flown envelope, the coefficients of the model at them, and their standard deviations.
+        Samples of the flown envelope, the coefficients of the model at them, and their standard
+        deviations.
     loss : DataFrame (6, 2)
-        Root mean squares over the samples: "loss", the difference to the model, and "deviation", of its posterior.
+        Root mean squares over the samples: "loss", the difference to the model, and "deviation", of
+        its posterior.
     """
 
     aircraft: Aircraft
@@ -129,8 +144,12 @@ class BuildUp:
             found[name] = []
             for axes, rows in zip(basis.tables, basis.slices, strict=True):
                 shape = [len(points) for points in axes.breakpoints]
-                cells = (values[name][rows].reshape(shape) for values in (self._weights, self._stds))
-                found[name].append(Table(tuple(self.regressors[k] for k in axes.columns), axes.breakpoints, *cells))
+                cells = (
+                    values[name][rows].reshape(shape) for values in (self._weights, self._stds)
+                )
+                found[name].append(
+                    Table(tuple(self.regressors[k] for k in axes.columns), axes.breakpoints, *cells)
+                )
         return found
 
     def evaluate(self, X: Any, return_std: bool = False) -> Any:
@@ -138,7 +157,11 @@ class BuildUp:
 
         X is an array (n, d) of the regressors in their order, or a table with all of them by name.
         """
-        X = X[list(self.regressors)].to_numpy(float) if isinstance(X, pd.DataFrame) else np.asarray(X, dtype=float)
+        X = (
+            X[list(self.regressors)].to_numpy(float)
+            if isinstance(X, pd.DataFrame)
+            else np.asarray(X, dtype=float)
+        )
         mean, variance = np.empty((2, len(X), len(COEFFICIENTS)))
         for i, name in enumerate(COEFFICIENTS):
             basis = self._bases[name](X)
@@ -147,12 +170,14 @@ class BuildUp:
                 variance[:, i] = np.square(basis @ self._roots[name]).sum(axis=1)
         return (mean, np.sqrt(variance)) if return_std else mean
 
-    def effects(self, coefficient: str) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
+    def effects(
+        self, coefficient: str
+    ) -> Callable[[tuple[str, ...], Matrix], tuple[Vector, Vector]]:
         """Return a function that evaluates parts of a coefficient.
 
-        It takes names of one or two regressors and their values (n, 1) or (n, 2), and returns mean and standard
-        deviation (n,) of the terms of exactly these: derivative and table of one regressor, the table of two. The
-        terms have mean zero over the samples.
+        It takes names of one or two regressors and their values (n, 1) or (n, 2), and returns mean
+        and standard deviation (n,) of the terms of exactly these: derivative and table of one
+        regressor, the table of two. The terms have mean zero over the samples.
         """
         basis, weights = self._bases[coefficient], self._weights[coefficient]
         centre = np.asarray(basis(self.samples).mean(axis=0)).ravel()
@@ -184,7 +209,9 @@ class BuildUp:
         Equal seeds give equal functions, those of ``sample_paths``.
         """
         drawn = self._draw(n_draws, random_state) if n_draws else {}
-        return [replace(self, _weights={name: drawn[name][k] for name in drawn}) for k in range(n_draws)]
+        return [
+            replace(self, _weights={name: drawn[name][k] for name in drawn}) for k in range(n_draws)
+        ]
 
     @cached_property
     def _stds(self) -> dict[str, Vector]:
@@ -192,7 +219,9 @@ class BuildUp:
 
     def _slopes(self, weights: dict[str, Vector]) -> pd.DataFrame:
         d = len(self.regressors)
-        return pd.DataFrame([weights[name][1 : 1 + d] for name in weights], list(weights), list(self.regressors))
+        return pd.DataFrame(
+            [weights[name][1 : 1 + d] for name in weights], list(weights), list(self.regressors)
+        )
 
 
 def build_up(
@@ -206,15 +235,16 @@ def build_up(
 ) -> BuildUp:
     r"""Return the coefficients of a model as constants, derivatives and tables of one and of two regressors.
 
-    The posterior mean f is projected on such sums: with the basis :math:`\Phi` of the terms at the samples, weights W,
-    and a small penalty R of curvature, the values of all cells are :math:`\theta = L f`,
-    :math:`L = (\Phi^T W \Phi + R)^{-1} \Phi^T W` (the functional ANOVA of Hooker 2007, by least squares). They are
-    jointly normal with the covariance :math:`L K L^T` of the posterior covariance K. Mixtures of samples with a small
-    weight determine cells that were not flown. Of joint processes terms of three and more regressors are lost.
+    The posterior mean f is projected on such sums: with the basis :math:`\Phi` of the terms at the
+    samples, weights W, and a small penalty R of curvature, the values of all cells are
+    :math:`\theta = L f`, :math:`L = (\Phi^T W \Phi + R)^{-1} \Phi^T W` (the functional ANOVA of
+    Hooker 2007, by least squares). They are jointly normal with the covariance :math:`L K L^T` of
+    the posterior covariance K. Mixtures of samples with a small weight determine cells that were
+    not flown. Of joint processes terms of three and more regressors are lost.
 
-    Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends in one; ValueError if a
-    coefficient loses more than ``max_loss``, the model lacks a coefficient, is compact and X is not given, or a
-    parameter is invalid.
+    Raises TypeError if the model is not a ``DependentGPRegressor``, nor a pipeline that ends in
+    one; ValueError if a coefficient loses more than ``max_loss``, the model lacks a coefficient, is
+    compact and X is not given, or a parameter is invalid.
 
     Parameters
     ----------
@@ -222,20 +252,23 @@ def build_up(
         Fitted to all six coefficients; a pipeline ends in a ``DependentGPRegressor``.
     aircraft : Aircraft
     X : array or DataFrame (n, ...), optional
-        Input of the model: samples of the flown envelope. Default: the training samples, which a compact model lacks.
+        Input of the model: samples of the flown envelope. Default: the training samples, which a
+        compact model lacks.
     tolerance : float, default=0.1
-        Largest effect on a coefficient of the terms left out, root mean square over the samples, and of the breakpoints
-        left out of a table, as fractions of the root mean square posterior deviation.
+        Largest effect on a coefficient of the terms left out, root mean square over the samples,
+        and of the breakpoints left out of a table, as fractions of the root mean square posterior
+        deviation.
     pairs : {"all", "alpha", "none"}, default="all"
         Tables of two regressors to choose from: any two, alpha and another, or none.
     max_loss : float, default=1.0
-        Largest loss, root mean square over the samples, as a fraction of the root mean square posterior deviation;
-        ``np.inf`` accepts any.
+        Largest loss, root mean square over the samples, as a fraction of the root mean square
+        posterior deviation; ``np.inf`` accepts any.
 
     Returns
     -------
     BuildUp
-        ``constants``, ``derivatives``, ``tables``, ``loss``; ``evaluate(X)`` and ``sample(n_draws)``.
+        ``constants``, ``derivatives``, ``tables``, ``loss``; ``evaluate(X)`` and
+        ``sample(n_draws)``.
 
     Examples
     --------
@@ -254,7 +287,9 @@ def build_up(
     """
     check_choice("pairs", pairs, ("all", "alpha", "none"))
     if not 0 < tolerance < np.inf or not max_loss > 0:
-        raise ValueError(f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions.")
+        raise ValueError(
+            f"Got tolerance={tolerance!r}, max_loss={max_loss!r}, but expected positive fractions."
+        )
     posterior = Posterior(model, X)
     few, points = (_points(posterior.samples, most) for most in (FEW_POINTS, MAX_POINTS))
     mean, mean_of_few = posterior.mean(points.X), posterior.mean(few.X)
@@ -269,11 +304,17 @@ def build_up(
         losses[name] = np.sqrt(np.mean((basis(tested) @ weights[name] - truth[:, i]) ** 2))
     loss = pd.DataFrame({"loss": pd.Series(losses), "deviation": deviation})
     _check_loss(loss, max_loss, pairs)
-    roots = {name: _Projection(bases[name], few)(posterior.root(i, few.X)) for i, name in enumerate(COEFFICIENTS)}
+    roots = {
+        name: _Projection(bases[name], few)(posterior.root(i, few.X))
+        for i, name in enumerate(COEFFICIENTS)
+    }
 
     def draw(n_draws, random_state):
         values = posterior.paths(n_draws, random_state, points.X)
-        return {name: _Projection(bases[name], points)(values[..., i].T).T for i, name in enumerate(COEFFICIENTS)}
+        return {
+            name: _Projection(bases[name], points)(values[..., i].T).T
+            for i, name in enumerate(COEFFICIENTS)
+        }
 
     return BuildUp(
         aircraft=aircraft,
@@ -297,7 +338,8 @@ def write_build_up(path: str | os.PathLike, build: BuildUp) -> None:
     """Write a build-up as JSON, SI units and radians, or units of the controls; docs/export.md describes its keys."""
     columns = zip(build.regressors, build.units, build.reference, build.limits.T, strict=True)
     regressors = {
-        name: {"unit": unit, "reference": reference, "limits": limits} for name, unit, reference, limits in columns
+        name: {"unit": unit, "reference": reference, "limits": limits}
+        for name, unit, reference, limits in columns
     }
     coefficients = {
         name: {
@@ -320,8 +362,10 @@ def _check_loss(loss: pd.DataFrame, max_loss: float, pairs: str) -> None:
     if large := {name: f"{value:.2g}" for name, value in ratio.items() if value > max_loss}:
         hint = "" if pairs == "all" else " pairs='all',"
         raise ValueError(
-            f"Got a model that tables of at most two regressors change by {large} posterior deviations (root mean "
-            f"square over the samples), but expected at most {max_loss:g}. Try{hint} a smaller tolerance, a model with "
+            f"Got a model that tables of at most two regressors change by {large} posterior "
+            f"deviations (root mean "
+            f"square over the samples), but expected at most {max_loss:g}. Try{hint} a smaller "
+            f"tolerance, a model with "
             "structure='additive', or accept the loss: max_loss=np.inf."
         )
 
@@ -339,11 +383,15 @@ class Points(NamedTuple):
 def _points(samples: Matrix, most: int) -> Points:
     """Return some samples, the extreme ones among them, and mixtures of samples."""
     rng = check_random_state(0)
-    ends = np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])  # tables reach over all samples
+    ends = np.concatenate(
+        [samples.argmin(axis=0), samples.argmax(axis=0)]
+    )  # tables reach over all samples
     flown = samples[np.union1d(rng.permutation(len(samples))[:most], ends)]
     others = max(1000, int(OTHERS * len(flown)))
     mixed = np.column_stack([rng.choice(column, others) for column in samples.T])
-    weight = np.concatenate([np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)])
+    weight = np.concatenate(
+        [np.ones(len(flown)), np.full(others, OTHERS * OTHERS_WEIGHT * len(flown) / others)]
+    )
     scale = samples.std(axis=0)
     X, scale = np.concatenate([flown, mixed]), np.where(scale > 0, scale, 1.0)
     return Points(X, weight, len(flown), samples.mean(axis=0), scale)
@@ -353,7 +401,10 @@ def _candidates(names: Sequence[str], pairs: str) -> list[tuple[int, ...]]:
     """Return the columns of the terms to choose from: each regressor, and the allowed pairs."""
     every = list(combinations(range(len(names)), 2))
     with_alpha = [pair for pair in every if "alpha" in (names[pair[0]], names[pair[1]])]
-    return [*((k,) for k in range(len(names))), *{"all": every, "alpha": with_alpha, "none": []}[pairs]]
+    return [
+        *((k,) for k in range(len(names))),
+        *{"all": every, "alpha": with_alpha, "none": []}[pairs],
+    ]
 
 
 def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: int) -> list[Axes]:
@@ -361,23 +412,38 @@ def _grids(points: Points, terms: Sequence[tuple[int, ...]], single: int, pair: 
     flown = points.X[: points.n_samples]
 
     def grid(x, n):
-        return np.unique(0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n)))
+        return np.unique(
+            0.5 * np.linspace(x.min(), x.max(), n) + 0.5 * np.quantile(x, np.linspace(0.0, 1.0, n))
+        )
 
     varying = [term for term in terms if all(np.ptp(flown[:, k]) > 0 for k in term)]
-    return [Axes(term, tuple(grid(flown[:, k], single if len(term) == 1 else pair) for k in term)) for term in varying]
+    return [
+        Axes(term, tuple(grid(flown[:, k], single if len(term) == 1 else pair) for k in term))
+        for term in varying
+    ]
 
 
-def _important(points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]) -> list[list]:
+def _important(
+    points: Points, mean: Matrix, least: Vector, terms: Sequence[tuple[int, ...]]
+) -> list[list]:
     """Return the terms of each coefficient; those left out together change it by less than ``least`` (6,), RMS."""
     basis = _Basis(_grids(points, terms, 2 * PAIR - 1, FEW), points.reference)
     weights, flown = _Projection(basis, points)(mean), basis(points.X[: points.n_samples])
-    parts = np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices]) if basis.slices else np.empty((0, 0, 6))
+    parts = (
+        np.stack([flown[:, rows] @ weights[rows] for rows in basis.slices])
+        if basis.slices
+        else np.empty((0, 0, 6))
+    )
     kept = []
     for i in range(len(COEFFICIENTS)):
         size = np.array([part[:, i].std() for part in parts])
         order = np.argsort(size)
-        left_out = np.cumsum(parts[order][:, :, i] - parts[order][:, :, i].mean(axis=1, keepdims=True), axis=0)
-        enough = np.sqrt(np.mean(left_out**2, axis=1)) > least[i] if len(order) else np.empty(0, bool)
+        left_out = np.cumsum(
+            parts[order][:, :, i] - parts[order][:, :, i].mean(axis=1, keepdims=True), axis=0
+        )
+        enough = (
+            np.sqrt(np.mean(left_out**2, axis=1)) > least[i] if len(order) else np.empty(0, bool)
+        )
         first = int(np.argmax(enough)) if enough.any() else len(order)
         kept.append([basis.tables[k].columns for k in sorted(order[first:])])
     return kept
@@ -436,18 +502,29 @@ class _Basis:
     def __call__(self, X: Matrix) -> csr_array:
         """Return their values at X, (n, size): few of a row are not zero."""
         cells = [_cells(X[:, list(table.columns)], table.breakpoints) for table in self.tables]
-        lines = np.broadcast_to(np.arange(1 + len(self.reference)), (len(X), 1 + len(self.reference)))
-        columns = [lines, *(k + rows.start for (k, _), rows in zip(cells, self.slices, strict=True))]
-        values = np.hstack([np.ones((len(X), 1)), X - self.reference, *(weights for _, weights in cells)])
+        lines = np.broadcast_to(
+            np.arange(1 + len(self.reference)), (len(X), 1 + len(self.reference))
+        )
+        columns = [
+            lines,
+            *(k + rows.start for (k, _), rows in zip(cells, self.slices, strict=True)),
+        ]
+        values = np.hstack(
+            [np.ones((len(X), 1)), X - self.reference, *(weights for _, weights in cells)]
+        )
         places = np.arange(len(X) + 1) * values.shape[1]
-        return csr_array((values.ravel(), np.hstack(columns).ravel(), places), shape=(len(X), self.size))
+        return csr_array(
+            (values.ravel(), np.hstack(columns).ravel(), places), shape=(len(X), self.size)
+        )
 
 
 class _Projection:
     """The weights of a basis that represent functions by their values at points, by penalised least squares."""
 
     def __init__(self, basis: _Basis, points: Points):
-        self.scale = np.concatenate([[1.0], 1.0 / points.scale, np.ones(basis.size - 1 - len(basis.reference))])
+        self.scale = np.concatenate(
+            [[1.0], 1.0 / points.scale, np.ones(basis.size - 1 - len(basis.reference))]
+        )
         values, total = basis(points.X) * self.scale[None, :], points.weight.sum()
         self.weighted = csr_array((values * points.weight[:, None]).T)
         normal = (self.weighted @ values).toarray()
@@ -458,7 +535,9 @@ class _Projection:
 
     def __call__(self, values: Matrix) -> Matrix:
         """Return the weights (size, m) of functions with values (n, m) at the points."""
-        return self.scale[:, None] * cho_solve(self.factor, self.weighted @ values, check_finite=False)
+        return self.scale[:, None] * cho_solve(
+            self.factor, self.weighted @ values, check_finite=False
+        )
 
 
 def _cells(X: Matrix, breakpoints: Sequence[Vector]) -> tuple[Any, Matrix]:
@@ -501,7 +580,11 @@ class Posterior:
         self.last = model[-1] if before is not None else model
         self.factors = np.asarray(getattr(self.last, "std_scale_", 1.0)) * self.regressor.scale_
         outputs = self.regressor.output_names_
-        self.order = [outputs.index(c) for c in COEFFICIENTS] if set(COEFFICIENTS) <= set(outputs) else list(range(6))
+        self.order = (
+            [outputs.index(c) for c in COEFFICIENTS]
+            if set(COEFFICIENTS) <= set(outputs)
+            else list(range(6))
+        )
         self.samples = np.asarray(in_units(samples_of(self.regressor, before, X), self.scalers))
         self.tested = self.samples[:: -(-len(self.samples) // MAX_TESTED)]
         self.limits = np.stack([self.samples.min(axis=0), self.samples.max(axis=0)])
@@ -514,7 +597,9 @@ class Posterior:
     def _scaled(self, X):
         for step in reversed(self.scalers):
             names = getattr(step, "feature_names_in_", None)
-            X = np.asarray(step.transform(X if names is None else pd.DataFrame(X, columns=list(names))))
+            X = np.asarray(
+                step.transform(X if names is None else pd.DataFrame(X, columns=list(names)))
+            )
         return np.ascontiguousarray(X, dtype=float)
 
     def deviation(self, X: Matrix) -> Vector:
@@ -538,7 +623,9 @@ class Posterior:
                 left = left @ member.roots[i]
                 right = left.T
             for c in chunks:
-                of_member = member.kernel.block(i, i, X[c.start :], X[c]) - left[c.start :] @ right[:, c]
+                of_member = (
+                    member.kernel.block(i, i, X[c.start :], X[c]) - left[c.start :] @ right[:, c]
+                )
                 covariance[c.start :, c] += weights[k, i] * of_member
         away = (means - (means @ weights[:, i])[:, None]) * np.sqrt(weights[:, i])
         for c in chunks:

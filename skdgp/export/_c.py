@@ -20,8 +20,12 @@ from skdgp.export._model import PortableModel, Readout
 from skdgp.export._text import changes_text
 
 TOLERANCE = {"double": 1e-9, "float": 1e-4}
-"""Of the self-test, relative to the largest value; of deviations at least what :meth:`PortableModel.rounding` says."""
-ROUNDED = 2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
+"""Of the self-test, relative to the largest value; of deviations at least what
+:meth:`PortableModel.rounding` says.
+"""
+ROUNDED = (
+    2e-5  # largest change of a deviation, relative to the largest, by a root of 32-bit numbers
+)
 MAX_BYTES = 2**26  # a compiler takes no larger source in reasonable time
 MAX_REGRESSORS = 32  # bits of an unsigned long
 LARGE = 2**20  # numbers of roots from which their rounding is not tried before it is needed
@@ -34,13 +38,16 @@ CODE_BYTES = 4096  # of the functions and names
 UNBOUNDED = 1e30  # edge of an envelope that is not known
 
 
-def write_c(folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double") -> None:
+def write_c(
+    folder: str | os.PathLike[str], model: PortableModel, *, precision: str = "double"
+) -> None:
     """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile, all or none.
 
-    ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean, ``aero_beyond`` the
-    regressors outside of the flown envelope, ``aero_inputs`` regressors of flight data. ``make test`` compares them
-    with the model. :func:`export_model` writes a smaller form, too. Raises ValueError if ``precision`` is none of
-    these, the model exceeds 64 MB, or there are more than 32 regressors.
+    ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean,
+    ``aero_beyond`` the regressors outside of the flown envelope, ``aero_inputs`` regressors of
+    flight data. ``make test`` compares them with the model. :func:`export_model` writes a smaller
+    form, too. Raises ValueError if ``precision`` is none of these, the model exceeds 64 MB, or
+    there are more than 32 regressors.
 
     Parameters
     ----------
@@ -48,8 +55,9 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel, *, precision: 
         It must exist.
     model : PortableModel
     precision : {"double", "float"}
-        "float": arguments and results are of type float, and the root of the variance is rounded to 32 bits where this
-        changes no deviation visibly. Arithmetic is in double, since the explained variance nearly cancels the prior.
+        "float": arguments and results are of type float, and the root of the variance is rounded to
+        32 bits where this changes no deviation visibly. Arithmetic is in double, since the
+        explained variance nearly cancels the prior.
     """
     texts = c_files(model, precision)
     write_together(Path(folder), {name: text_writer(text) for name, text in texts.items()})
@@ -60,14 +68,25 @@ def c_files(model: PortableModel, precision: str = "double") -> dict[str, str]:
     size = c_bytes(model, precision)
     if size > MAX_BYTES:
         raise ValueError(
-            f"Got a model that takes {size / 1e6:.0f} MB in C, but expected at most {MAX_BYTES / 1e6:.0f} MB: "
+            f"Got a model that takes {size / 1e6:.0f} MB in C, but expected at most "
+            f"{MAX_BYTES / 1e6:.0f} MB: "
             "give max_kb=256 (--max-kb 256), or another size."
         )
     if len(model.regressors) > MAX_REGRESSORS:
-        raise ValueError(f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name fewer.")
+        raise ValueError(
+            f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name "
+            f"fewer."
+        )
     written, names = model.with_identifiers()
-    header = _header(written, precision, size) | {"hash": model.content_hash, "renamed": changes_text(names) or "none"}
-    values = {"aero.h": header, "aero.c": _source(written, precision), "test_aero.c": _test(model, precision)}
+    header = _header(written, precision, size) | {
+        "hash": model.content_hash,
+        "renamed": changes_text(names) or "none",
+    }
+    values = {
+        "aero.h": header,
+        "aero.c": _source(written, precision),
+        "test_aero.c": _test(model, precision),
+    }
     texts = {name: Template(_template(name)).substitute(value) for name, value in values.items()}
     return texts | {"Makefile": _template("Makefile")}
 
@@ -102,12 +121,19 @@ def _roots(model: PortableModel, precision: str) -> list[_Rounded | None]:
     if precision == "double":
         return [None] * len(model.readouts)
     rounded = [_Rounded.from_readout(readout) for readout in model.readouts]
-    readouts = [Readout(readout.weights, root.in_full()) for readout, root in zip(model.readouts, rounded, strict=True)]
+    readouts = [
+        Readout(readout.weights, root.in_full())
+        for readout, root in zip(model.readouts, rounded, strict=True)
+    ]
     X = _points(model)
-    std, other = (m.predict(X, True, False)[1] for m in (model, replace(model, readouts=tuple(readouts))))
+    std, other = (
+        m.predict(X, True, False)[1] for m in (model, replace(model, readouts=tuple(readouts)))
+    )
     visible = np.abs(other - std).max(axis=0) > ROUNDED * std.max(axis=0)
     visible = np.tile(visible, len(model.mixture))
-    return [None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)]
+    return [
+        None if visible[model.readout_of == k].any() else root for k, root in enumerate(rounded)
+    ]
 
 
 class _Table(NamedTuple):
@@ -143,7 +169,9 @@ def _blocks(model: PortableModel) -> _Table:
         place = places[key], add("shifts", block.shift[index]), add("roots", root)
         rows.append((block.first_column, block.size, len(index), len(used), *place, block.gain))
         used += index
-    centres, shifts, roots = (np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values())
+    centres, shifts, roots = (
+        np.concatenate([*values, np.zeros(int(not values))]) for values in parts.values()
+    )
     return _Table(rows, used, centres, shifts, roots, full)
 
 
@@ -153,31 +181,47 @@ def c_bytes(model: PortableModel, precision: str = "double") -> int:
     table, triangles = _blocks(model), [len(readout.packed_root) for readout in model.readouts]
     numbers = sum(len(values) for values in (table.centres, table.shifts, table.roots))
     numbers += sum(np.size(getattr(model, name)) for name in _VECTORS) + 2 * len(model.regressors)
-    numbers += sum(root.size for root in model.trend_roots) + sum(readout.size for readout in model.readouts)
+    numbers += sum(root.size for root in model.trend_roots) + sum(
+        readout.size for readout in model.readouts
+    )
     size = CODE_BYTES + 8 * numbers + len(table.used)
     size += BLOCK_BYTES * len(model.blocks) + PART_BYTES * len(model.readout_of)
     if precision == "double" or sum(triangles) > LARGE:
         return size + 8 * sum(triangles)
     roots = _roots(model, precision)
     return size + sum(
-        8 * n if root is None else 4 * n + 16 * len(root.row) for n, root in zip(triangles, roots, strict=True)
+        8 * n if root is None else 4 * n + 16 * len(root.row)
+        for n, root in zip(triangles, roots, strict=True)
     )
 
 
 _VECTORS = (
-    *("shift", "scale", "center", "output_scale", "deviation_scale", "prior_variance", "trend_center", "trend_scale"),
+    *(
+        "shift",
+        "scale",
+        "center",
+        "output_scale",
+        "deviation_scale",
+        "prior_variance",
+        "trend_center",
+        "trend_scale",
+    ),
     *("trend_weights", "mixture"),
 )
 
 
 def _header(model, precision, size) -> dict[str, Any]:
     aircraft = model.aircraft
-    constants = {name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")}
+    constants = {
+        name.upper(): getattr(aircraft, name) for name in ("mass", "wing_area", "span", "chord")
+    }
     tensor = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in tensor}
     functions = max(readout.size for readout in model.readouts)
     return {
-        "aircraft": re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name).replace("??", "? ?"),  # which can stand in a comment
+        "aircraft": re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name).replace(
+            "??", "? ?"
+        ),  # which can stand in a comment
         "size": size,
         "stack": 8 * (functions + 4 * len(model.regressors) + 1 + 2 * len(model.mixture)),
         "real": precision,
@@ -185,9 +229,13 @@ def _header(model, precision, size) -> dict[str, Any]:
         "d": len(model.regressors),
         "P": len(model.outputs),
         "sources": ", ".join(model.columns),
-        "inputs": ", ".join(f"{each.name} [{each.unit}]" if each.unit else each.name for each in model.regressors),
+        "inputs": ", ".join(
+            f"{each.name} [{each.unit}]" if each.unit else each.name for each in model.regressors
+        ),
         "outputs": ", ".join(model.outputs),
-        "constants": "\n".join(f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()),
+        "constants": "\n".join(
+            f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()
+        ),
     }
 
 
@@ -197,7 +245,9 @@ def _source(model, precision) -> dict[str, Any]:
     readouts = [model.readouts[k] for k in model.readout_of]
     roots, (low, high) = _roots(model, precision), _edges(model, precision)
     triangles = [
-        f"{{root_{k}, NULL, NULL, NULL}}" if roots[k] is None else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
+        f"{{root_{k}, NULL, NULL, NULL}}"
+        if roots[k] is None
+        else f"{{NULL, root_{k}, row_{k}, column_{k}}}"
         for k in model.readout_of
     ]
     blocks = [

@@ -95,12 +95,22 @@ class _Variable(NamedTuple):
         """Its unit, or ""."""
         if self.own_unit:
             return self.own_unit
-        return "s" if self.name == "dt" else CHANNELS[self.channel].unit if self.channel in CHANNELS else ""
+        return (
+            "s"
+            if self.name == "dt"
+            else CHANNELS[self.channel].unit
+            if self.channel in CHANNELS
+            else ""
+        )
 
     @property
     def meaning(self) -> str:
         """Its description, or ""."""
-        meaning = CHANNELS[self.channel].meaning if self.channel in CHANNELS else MEANINGS.get(self.name, "")
+        meaning = (
+            CHANNELS[self.channel].meaning
+            if self.channel in CHANNELS
+            else MEANINGS.get(self.name, "")
+        )
         return f"standard deviation: {meaning}" if self.kind == "d" else meaning
 
 
@@ -109,27 +119,29 @@ def write_fmu(
 ) -> str | None:
     r"""Write a model as an FMU for co-simulation; return the platform that it has a binary for.
 
-    It holds C source, and a binary for this platform if there is a C compiler (``CC``, cc, gcc or clang); it needs no
-    Python. Raises ValueError if ``form`` or ``fmi`` is none of these, the model is too large for C (see
-    :func:`write_c`) or has a control of the name of another variable, or, for an aircraft, lacks a coefficient or has a
-    regressor that a simulation cannot rebuild.
+    It holds C source, and a binary for this platform if there is a C compiler (``CC``, cc, gcc or
+    clang); it needs no Python. Raises ValueError if ``form`` or ``fmi`` is none of these, the model
+    is too large for C (see :func:`write_c`) or has a control of the name of another variable, or,
+    for an aircraft, lacks a coefficient or has a regressor that a simulation cannot rebuild.
 
     Parameters
     ----------
     path : path-like
     model : PortableModel
     form : {"aircraft", "coefficients"}, default="aircraft"
-        "aircraft": six degrees of freedom, as :func:`skdgp.dynamics.simulate` with at most ``dt`` a step. Inputs are
-        the controls [rad], the thrust [N], further loads of the propulsion [N, N m] and the wind [m/s]; outputs the
-        state, air data, accelerations, the coefficients and their standard deviations.
-        "coefficients": the coefficients and their standard deviations, of columns of a flight.
+        "aircraft": six degrees of freedom, as :func:`skdgp.dynamics.simulate` with at most ``dt`` a
+        step. Inputs are the controls [rad], the thrust [N], further loads of the propulsion [N, N
+        m] and the wind [m/s]; outputs the state, air data, accelerations, the coefficients and
+        their standard deviations. "coefficients": the coefficients and their standard deviations,
+        of columns of a flight.
     fmi : {"2.0", "3.0"}, default="2.0"
         Version of the standard.
 
     Returns
     -------
     str or None
-        Such as "linux64", or "x86_64-linux" of FMI 3.0; None, with a warning why: the FMU has source code alone.
+        Such as "linux64", or "x86_64-linux" of FMI 3.0; None, with a warning why: the FMU has
+        source code alone.
     """
     check_choice("form", form, FMU_FILES)
     check_choice("fmi", fmi, ROOTS)
@@ -144,7 +156,9 @@ def write_fmu(
     values = _model_values(written, variables, order) | {"token": token}
     sources["model.c"] = Template(_template(f"fmu_{form}.c")).substitute(values)
     members: dict[str, str | bytes] = {f"sources/{name}": text for name, text in sources.items()}
-    members["modelDescription.xml"] = _xml(_description(model, renamed, variables, form, fmi, token))
+    members["modelDescription.xml"] = _xml(
+        _description(model, renamed, variables, form, fmi, token)
+    )
     if fmi == "3.0":
         members["sources/buildDescription.xml"] = _xml(_build_description(form, fmi))
     found = _binary(sources, form, fmi)
@@ -171,7 +185,9 @@ def _coefficients(model: PortableModel) -> Iterator[_Variable]:
     start = _starts(model)
     yield _Variable("time", "t")
     throws = _full_throws(model)
-    yield from (_Variable(name, "i", start.get(name, 0.0), throws.get(name, "")) for name in model.columns)
+    yield from (
+        _Variable(name, "i", start.get(name, 0.0), throws.get(name, "")) for name in model.columns
+    )
     yield from (_Variable(name, "o") for name in model.outputs)
     yield from (_Variable(f"{name}_std", "d") for name in model.outputs)
     yield _Variable("beyond", "o")
@@ -184,7 +200,8 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
     unknown = [name for name in controls if name in CHANNELS and name not in CONTROLS]
     if unknown:
         raise ValueError(
-            f"Got a model of {unknown}, which are neither controls nor rebuilt along a flight: export "
+            f"Got a model of {unknown}, which are neither controls nor rebuilt along a flight: "
+            f"export "
             "form='coefficients', or learn a model without them."
         )
     start = _starts(model)
@@ -194,9 +211,18 @@ def _aircraft(model: PortableModel) -> Iterator[_Variable]:
     yield _Variable("dt", "p", TIME_STEP)
     yield from (_Variable(name, "d" if name.endswith("_std") else "o") for name in FOLLOWING)
     propulsion = _propulsion_control(model)
-    inputs = (*WIND, *THRUST_FORCES, *THRUST_MOMENTS, *([propulsion] if propulsion else []), *controls)
+    inputs = (
+        *WIND,
+        *THRUST_FORCES,
+        *THRUST_MOMENTS,
+        *([propulsion] if propulsion else []),
+        *controls,
+    )
     throws = _full_throws(model)
-    yield from (_Variable(name, "i", start.get(name, 0.0), throws.get(name, "")) for name in dict.fromkeys(inputs))
+    yield from (
+        _Variable(name, "i", start.get(name, 0.0), throws.get(name, ""))
+        for name in dict.fromkeys(inputs)
+    )
 
 
 def _full_throws(model: PortableModel) -> dict[str, str]:
@@ -214,27 +240,56 @@ def _propulsion_control(model: PortableModel) -> str | None:
 def _starts(model: PortableModel) -> dict[str, float]:
     """Return values near level flight at the mean of the training data: without any input, an FMU flies."""
     columns = [regressor for regressor in model.regressors if not regressor.power]
-    mean = [value for value, regressor in zip(model.shift, model.regressors, strict=True) if not regressor.power]
+    mean = [
+        value
+        for value, regressor in zip(model.shift, model.regressors, strict=True)
+        if not regressor.power
+    ]
     names = list(dict.fromkeys(name for regressor in columns for name in regressor.sources))
-    matrix = [[dict(zip(r.sources, r.factors, strict=True)).get(name, 0.0) for name in names] for r in columns]
-    start = dict(zip(names, np.linalg.lstsq(matrix, mean, rcond=None)[0].tolist(), strict=True)) if columns else {}
+    matrix = [
+        [dict(zip(r.sources, r.factors, strict=True)).get(name, 0.0) for name in names]
+        for r in columns
+    ]
+    start = (
+        dict(zip(names, np.linalg.lstsq(matrix, mean, rcond=None)[0].tolist(), strict=True))
+        if columns
+        else {}
+    )
     altitude = start.get("altitude", START_ALTITUDE)
     density = float(atmosphere.standard_density(altitude))
-    lift = -model.predict(model.shift[None])[0, model.outputs.index("CZ")] if "CZ" in model.outputs else 0.0
+    lift = (
+        -model.predict(model.shift[None])[0, model.outputs.index("CZ")]
+        if "CZ" in model.outputs
+        else 0.0
+    )
     speed, aircraft = start.get("airspeed", START_AIRSPEED), model.aircraft
     if "airspeed" not in start and lift > 0:
-        speed = np.sqrt(2 * aircraft.mass * atmosphere.STANDARD_GRAVITY / (density * aircraft.wing_area * lift))
+        speed = np.sqrt(
+            2 * aircraft.mass * atmosphere.STANDARD_GRAVITY / (density * aircraft.wing_area * lift)
+        )
     speed, alpha = float(np.clip(speed, SLOWEST_START, FASTEST_START)), start.get("alpha", 0.0)
-    start |= {"u": speed * float(np.cos(alpha)), "w": speed * float(np.sin(alpha)), "theta": alpha, "airspeed": speed}
+    start |= {
+        "u": speed * float(np.cos(alpha)),
+        "w": speed * float(np.sin(alpha)),
+        "theta": alpha,
+        "airspeed": speed,
+    }
     return start | {"down": -altitude, "altitude": altitude, "density": density}
 
 
-def _model_values(model: PortableModel, variables: list[_Variable], order: list[int] | None) -> dict[str, Any]:
+def _model_values(
+    model: PortableModel, variables: list[_Variable], order: list[int] | None
+) -> dict[str, Any]:
     """Return what the template of model.c is filled with; ``order`` is that of an aircraft's coefficients."""
     places = {variable.name: k for k, variable in enumerate(variables)}
-    channels = [name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in model.columns]
+    channels = [
+        name if name in places else name.removesuffix(TRUTH_SUFFIX) for name in model.columns
+    ]
     names = {f"V_{name}": k for name, k in places.items()}
-    names |= {"FIRST_COEFFICIENT": places[model.outputs[0]], "FIRST_DEVIATION": places[f"{model.outputs[0]}_std"]}
+    names |= {
+        "FIRST_COEFFICIENT": places[model.outputs[0]],
+        "FIRST_DEVIATION": places[f"{model.outputs[0]}_std"],
+    }
     names["FMU_VARIABLES"] = len(variables)
     tables = [
         "enum { " + ",\n".join(f"{name} = {k}" for name, k in names.items()) + " };",
@@ -250,14 +305,31 @@ def _model_values(model: PortableModel, variables: list[_Variable], order: list[
     if implicit:
         tables.append(_array("implicit", implicit, "static const int"))
     line = model.aircraft.thrust_line or CENTRED
-    arrays = {"base": atmosphere.BASE, "lapse": atmosphere.LAPSE, "direction": line.direction, "arm": line._arm}
+    arrays = {
+        "base": atmosphere.BASE,
+        "lapse": atmosphere.LAPSE,
+        "direction": line.direction,
+        "arm": line._arm,
+    }
     arrays |= {"temperature": atmosphere._TEMPERATURE, "pressure": atmosphere._PRESSURE}
     arrays |= {"inertia": model.aircraft.inertia, "inverse": model.aircraft.inertia_inverse}
-    numbers = {"gas": atmosphere.GAS_CONSTANT, "gravity": atmosphere.STANDARD_GRAVITY, "fastest": FASTEST}
+    numbers = {
+        "gas": atmosphere.GAS_CONSTANT,
+        "gravity": atmosphere.STANDARD_GRAVITY,
+        "fastest": FASTEST,
+    }
     numbers |= {"lowest": atmosphere.LOWEST, "highest": atmosphere.HIGHEST, "spinning": SPINNING}
-    texts = {"tables": "\n".join(tables), "propulsion": _propulsion(model, places), "slowest": f"{SLOWEST:g}"}
+    texts = {
+        "tables": "\n".join(tables),
+        "propulsion": _propulsion(model, places),
+        "slowest": f"{SLOWEST:g}",
+    }
     texts |= {name: _braces(array) for name, array in arrays.items()}
-    return texts | {name: repr(value) for name, value in numbers.items()} | {"n_implicit": len(implicit)}
+    return (
+        texts
+        | {name: repr(value) for name, value in numbers.items()}
+        | {"n_implicit": len(implicit)}
+    )
 
 
 def _propulsion(model: PortableModel, places: dict[str, int]) -> str:
@@ -271,7 +343,10 @@ def _propulsion(model: PortableModel, places: dict[str, int]) -> str:
     if control == "throttle" and propeller.speed_range is not None:
         idle, full = propeller.speed_range
         value = f"({idle!r} + {full - idle!r} * {value})"
-    lines = [f"    const double n = {value} / {2 * np.pi!r}, advance = v[V_airspeed] / {propeller.diameter!r};"]
+    lines = [
+        f"    const double n = {value} / {2 * np.pi!r}, advance = v[V_airspeed] / "
+        f"{propeller.diameter!r};"
+    ]
     for load, sign, coefficients, power in (
         ("thrust", 1.0, propeller.thrust_coefficients, 4),
         ("torque", -float(propeller.rotation), propeller.torque_coefficients, 5),
@@ -303,13 +378,20 @@ def _binary(sources: dict[str, str], form: str, fmi: str) -> tuple[str, str, byt
             if done.returncode == 0:
                 return *place, library.read_bytes()
         why = f"{compiler[0]} failed: {done.stderr.strip()[:200]}"
-    warnings.warn(f"The FMU has source code alone, no binary: {why}. Compile it where it is used.", stacklevel=3)
+    warnings.warn(
+        f"The FMU has source code alone, no binary: {why}. Compile it where it is used.",
+        stacklevel=3,
+    )
     return None
 
 
 def _platform(fmi: str) -> tuple[str, str] | None:
     """Return the folder of binaries for this platform, and the suffix of its shared libraries."""
-    system = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}.get(sys.platform)
+    system = {
+        "linux": ("linux", ".so"),
+        "darwin": ("darwin", ".dylib"),
+        "win32": ("windows", ".dll"),
+    }.get(sys.platform)
     machine = platform.machine().lower()
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     if system is None or machine not in ("x86_64", "aarch64") or sys.maxsize < 2**32:
@@ -319,13 +401,22 @@ def _platform(fmi: str) -> tuple[str, str] | None:
 
 
 def _description(
-    model: PortableModel, renamed: dict[str, str], variables: list[_Variable], form: str, fmi: str, token: str
+    model: PortableModel,
+    renamed: dict[str, str],
+    variables: list[_Variable],
+    form: str,
+    fmi: str,
+    token: str,
 ) -> Element:
     """Return modelDescription.xml."""
     second = fmi == "2.0"
     spelling = "FMUstate" if second else "FMUState"
     capable = [
-        *("canHandleVariableCommunicationStepSize", f"canGetAndSet{spelling}", f"canSerialize{spelling}"),
+        *(
+            "canHandleVariableCommunicationStepSize",
+            f"canGetAndSet{spelling}",
+            f"canSerialize{spelling}",
+        ),
         "canInterpolateInputs" if second else "providesIntermediateUpdate",
     ]
     source = [element("SourceFiles", element("File", name=ROOTS[fmi]))] if second else []
@@ -334,23 +425,43 @@ def _description(
     unknown = [k for k in outputs if variables[k].kind != "s"]
     if second:
         groups = (("Outputs", outputs), ("InitialUnknowns", unknown))
-        structure = [element(tag, *(element("Unknown", index=str(k + 1)) for k in group)) for tag, group in groups]
+        structure = [
+            element(tag, *(element("Unknown", index=str(k + 1)) for k in group))
+            for tag, group in groups
+        ]
     else:
         groups = (("Output", outputs), ("InitialUnknown", unknown))
         structure = [element(tag, valueReference=str(k)) for tag, group in groups for k in group]
     names = f". Names: {text}" if (text := changes_text(renamed)) else ""
     return element(
         "fmiModelDescription",
-        element("CoSimulation", *source, modelIdentifier=_identifier(form), **dict.fromkeys(capable, "true")),
-        element("UnitDefinitions", *(element("Unit", element("BaseUnit", **BASE_UNITS[u]), name=u) for u in units)),
-        element("LogCategories", *(element("Category", name=name) for name in ("logStatusError", "logStatusDiscard"))),
-        element("DefaultExperiment", startTime="0", stopTime=f"{STOP_TIME:g}", stepSize=repr(TIME_STEP)),
-        element("ModelVariables", *(_described(k, variable, second) for k, variable in enumerate(variables))),
+        element(
+            "CoSimulation",
+            *source,
+            modelIdentifier=_identifier(form),
+            **dict.fromkeys(capable, "true"),
+        ),
+        element(
+            "UnitDefinitions",
+            *(element("Unit", element("BaseUnit", **BASE_UNITS[u]), name=u) for u in units),
+        ),
+        element(
+            "LogCategories",
+            *(element("Category", name=name) for name in ("logStatusError", "logStatusDiscard")),
+        ),
+        element(
+            "DefaultExperiment", startTime="0", stopTime=f"{STOP_TIME:g}", stepSize=repr(TIME_STEP)
+        ),
+        element(
+            "ModelVariables",
+            *(_described(k, variable, second) for k, variable in enumerate(variables)),
+        ),
         element("ModelStructure", *structure),
         fmiVersion=fmi,
         modelName=model.aircraft.name,
         **{"guid" if second else "instantiationToken": token},
-        description=f"A posterior of Gaussian processes, by skdgp. Content {model.content_hash}{names}",
+        description=f"A posterior of Gaussian processes, by skdgp. Content "
+        f"{model.content_hash}{names}",
         generationTool="skdgp",
         variableNamingConvention="flat",
     )
@@ -371,8 +482,13 @@ def _described(reference: int, variable: _Variable, second: bool) -> Element:
     words = {"name": variable.name, "valueReference": str(reference)}
     words |= zip(("causality", "variability", "initial"), _ROLES[variable.kind], strict=True)
     words |= {"description": variable.meaning}
-    number = {"unit": variable.unit, "start": repr(float(variable.start)) if variable.kind in "spi" else ""}
-    words, number = ({name: value for name, value in each.items() if value} for each in (words, number))
+    number = {
+        "unit": variable.unit,
+        "start": repr(float(variable.start)) if variable.kind in "spi" else "",
+    }
+    words, number = (
+        {name: value for name, value in each.items() if value} for each in (words, number)
+    )
     if second:
         return element("ScalarVariable", element("Real", **number), **words)
     update = {"intermediateUpdate": "true"} if variable.kind == "i" else {}
@@ -383,7 +499,9 @@ def _build_description(form: str, fmi: str) -> Element:
     """Return buildDescription.xml, which FMI 3.0 asks for."""
     sources = element("SourceFileSet", element("SourceFile", name=ROOTS[fmi]), language="C99")
     library = element("Library", name="m")
-    configuration = element("BuildConfiguration", sources, library, modelIdentifier=_identifier(form))
+    configuration = element(
+        "BuildConfiguration", sources, library, modelIdentifier=_identifier(form)
+    )
     return element("fmiBuildDescription", configuration, fmiVersion=fmi)
 
 

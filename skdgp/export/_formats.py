@@ -29,10 +29,13 @@ Facts: TypeAlias = dict[str, Any]
 MEMBER_BYTES = 300  # of an array in a file, besides its numbers
 
 
-def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options: Any) -> dict[str, Any]:
+def export_model(
+    folder: str | os.PathLike[str], model: Any, to: str, **options: Any
+) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return facts of it.
 
-    Raises ValueError if there is no such format, it has no such option, or the model has no such form.
+    Raises ValueError if there is no such format, it has no such option, or the model has no such
+    form.
 
     Parameters
     ----------
@@ -47,49 +50,73 @@ def export_model(folder: str | os.PathLike[str], model: Any, to: str, **options:
     Returns
     -------
     dict
-        ``files``, paths, and ``loss`` of each coefficient: by a smaller size "mean" and "std" in posterior deviations;
-        by tables and derivatives "loss" and "deviation", root mean squares.
+        ``files``, paths, and ``loss`` of each coefficient: by a smaller size "mean" and "std" in
+        posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
-    known = [name for name in inspect.signature(FORMATS[to]).parameters if name not in ("folder", "model", "aircraft")]
+    known = [
+        name
+        for name in inspect.signature(FORMATS[to]).parameters
+        if name not in ("folder", "model", "aircraft")
+    ]
     unknown = [name for name in options if name not in known]
     if unknown:
-        raise ValueError(f"Got the options {unknown} for the format {to}, but expected {known or 'none'}.")
+        raise ValueError(
+            f"Got the options {unknown} for the format {to}, but expected {known or 'none'}."
+        )
     if to in ARRAY_FORMATS:
         portable = portable_model(**model) if isinstance(model, Bunch) else model
         return ARRAY_FORMATS[to](Path(folder), portable, **options)
     if not isinstance(model, Bunch):
         raise ValueError(
-            f"Got a portable model for the format {to}, but expected the model.joblib that identify wrote: the format "
+            f"Got a portable model for the format {to}, but expected the model.joblib that "
+            f"identify wrote: the format "
             "needs the pipeline and its samples, which a portable model does not hold."
         )
     return SAMPLE_FORMATS[to](Path(folder), model.pipeline, model.aircraft, **options)
 
 
-def _one_file(name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None) -> Facts:
+def _one_file(
+    name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None
+) -> Facts:
     """Write the portable model, in at most ``max_kb`` of a portable file, in one file of another format."""
     model = reduced_to_kb(model, _file_bytes, max_kb)
     return {"files": [write(folder / name, model)], "loss": loss_of(model)}
 
 
-def _c(folder: Path, model: PortableModel, *, precision: str = "double", max_kb: float | None = None) -> Facts:
+def _c(
+    folder: Path, model: PortableModel, *, precision: str = "double", max_kb: float | None = None
+) -> Facts:
     model = reduced_to_kb(model, partial(c_bytes, precision=precision), max_kb)
     write_c(folder, model, precision=precision)
     return {"files": [folder / name for name in C_FILES], "loss": loss_of(model)}
 
 
 def _fmu(
-    folder: Path, model: PortableModel, *, form: str = "aircraft", fmi: str = "2.0", max_kb: float | None = None
+    folder: Path,
+    model: PortableModel,
+    *,
+    form: str = "aircraft",
+    fmi: str = "2.0",
+    max_kb: float | None = None,
 ) -> Facts:
     model, path = reduced_to_kb(model, c_bytes, max_kb), folder / FMU_FILES.get(form, "")
-    return {"binary": write_fmu(path, model, form=form, fmi=fmi), "files": [path], "loss": loss_of(model)}
+    return {
+        "binary": write_fmu(path, model, form=form, fmi=fmi),
+        "files": [path],
+        "loss": loss_of(model),
+    }
 
 
 def _file_bytes(model: PortableModel) -> int:
     """Return the size of the file of a model."""
     arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
-    return arrays + 4 * MEMBER_BYTES * (1 + len(model.regressors)) + len(json.dumps(model.provenance, indent=1))
+    return (
+        arrays
+        + 4 * MEMBER_BYTES * (1 + len(model.regressors))
+        + len(json.dumps(model.provenance, indent=1))
+    )
 
 
 def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
@@ -108,7 +135,9 @@ def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
     return {"files": files, "loss": build.loss.to_dict("index")}
 
 
-def _jsbsim(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions", draws: int = 0) -> Facts:
+def _jsbsim(
+    folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions", draws: int = 0
+) -> Facts:
     return {"files": write_jsbsim(folder, model, aircraft, form=form, n_draws=draws)}
 
 
@@ -140,4 +169,6 @@ SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
 CHOICES = {"precision": [*TOLERANCE], "form": ["functions", "tables", *FMU_FILES], "fmi": [*ROOTS]}
 """The values of options that are words, of one format or another."""
 FORMATS = ARRAY_FORMATS | SAMPLE_FORMATS
-"""The function of each format: it writes a model into a folder, takes the options of the format, and returns facts."""
+"""The function of each format: it writes a model into a folder, takes the options of the format,
+and returns facts.
+"""

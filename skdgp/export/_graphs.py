@@ -19,10 +19,11 @@ OPSET, IR_VERSION = 17, 8
 def casadi_function(model: PortableModel) -> Any:
     """Return a ``casadi.Function`` from regressors ``x`` (d,) to ``mean`` (P,), ``std`` (P,) and ``jacobian`` (P, d).
 
-    The function is named ``aero``. The regressors are in their units, in the order of ``model.regressor_names``. The
-    Jacobian is that of the mean. The function can be differentiated further, also the deviation, and be saved with its
-    method ``save``. A reduced model (``export --max-kb``) is faster. Raises ImportError if CasADi is not installed,
-    ValueError if the model is too large, such as an exact one of many samples.
+    The function is named ``aero``. The regressors are in their units, in the order of
+    ``model.regressor_names``. The Jacobian is that of the mean. The function can be differentiated
+    further, also the deviation, and be saved with its method ``save``. A reduced model (``export
+    --max-kb``) is faster. Raises ImportError if CasADi is not installed, ValueError if the model is
+    too large, such as an exact one of many samples.
     """
     ca = extra("casadi")
     check_terms(model)
@@ -34,7 +35,9 @@ def casadi_function(model: PortableModel) -> Any:
         value = ca.dot(ca.DM(model.trend_weights[j]), p)
         half = ca.mtimes(ca.DM(model.trend_roots[j].T), p)
         for block, weights, rows in model.terms(j):
-            away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(model.centres[block.rows].T)
+            away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(
+                model.centres[block.rows].T
+            )
             F = np.diag(block.root) if block.root.ndim == 1 else block.root.T
             g = block.gain * ca.exp(-0.5 * ca.sum1(ca.mtimes(ca.DM(F), away) ** 2)).T
             value += ca.dot(ca.DM(weights), g)
@@ -60,10 +63,11 @@ def write_casadi(path: Path, model: PortableModel) -> Path:
 def onnx_model(model: PortableModel) -> Any:
     """Return an ``onnx.ModelProto`` from regressors ``x`` (n, d) to ``mean`` (n, P) and ``std`` (n, P), in double.
 
-    The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds regressors and
-    outputs as identifiers, "names" with the identifier of each name, the range of the training data and the content
-    hash. A reduced model (``export --max-kb``) is faster. Raises ImportError if ONNX is not installed, ValueError if
-    the model is too large, such as an exact one of many samples.
+    The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds
+    regressors and outputs as identifiers, "names" with the identifier of each name, the range of
+    the training data and the content hash. A reduced model (``export --max-kb``) is faster. Raises
+    ImportError if ONNX is not installed, ValueError if the model is too large, such as an exact one
+    of many samples.
     """
     onnx = extra("onnx")
     check_terms(model)
@@ -76,7 +80,9 @@ def onnx_model(model: PortableModel) -> Any:
         value = graph("Add", graph("MatMul", trend, weights[1:, None]), weights[:1, None])
         half = graph("Add", graph("MatMul", trend, root[1:]), root[:1])
         for block, w, rows in model.terms(j):
-            square = graph.squares(graph("Sub", z, block.shift), block.root, model.centres[block.rows])
+            square = graph.squares(
+                graph("Sub", z, block.shift), block.root, model.centres[block.rows]
+            )
             g = graph("Exp", graph("Mul", square, np.array(-0.5)))
             value = graph("Add", value, graph("MatMul", g, block.gain * w[:, None]))
             half = graph("Add", half, graph("MatMul", g, block.gain * rows))
@@ -95,13 +101,20 @@ def onnx_model(model: PortableModel) -> Any:
     graph("Mul", graph("Sqrt", variance), model.deviation_scale, out="std")
 
     sizes = {"x": len(model.regressors), "mean": len(model.outputs), "std": len(model.outputs)}
-    x, *results = (helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, ["n", n]) for name, n in sizes.items())
+    x, *results = (
+        helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, ["n", n])
+        for name, n in sizes.items()
+    )
     made = helper.make_graph(graph.nodes, "aero", [x], results, graph.constants)
     opset = helper.make_opsetid("", OPSET)
-    proto = helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp")
+    proto = helper.make_model(
+        made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp"
+    )
     written, names = model.with_identifiers()
     lists = {"regressors": written.regressor_names, "outputs": written.outputs}
-    lists |= {edge: tuple(map(repr, getattr(model.envelope, edge).tolist())) for edge in ("low", "high")}
+    lists |= {
+        edge: tuple(map(repr, getattr(model.envelope, edge).tolist())) for edge in ("low", "high")
+    }
     properties = {name: ",".join(values) for name, values in lists.items()}
     properties |= {"names": json.dumps(names), "content_hash": model.content_hash}
     helper.set_model_props(proto, properties)
@@ -123,13 +136,17 @@ class _Graph:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    def __call__(self, kind: str, *inputs: str | Array, out: str | None = None, **attributes: Any) -> str:
+    def __call__(
+        self, kind: str, *inputs: str | Array, out: str | None = None, **attributes: Any
+    ) -> str:
         out = f"v{len(self.nodes)}" if out is None else out
         names = []
         for each in inputs:
             names.append(each if isinstance(each, str) else f"c{len(self.constants)}")
             if not isinstance(each, str):
-                self.constants.append(self.onnx.numpy_helper.from_array(np.ascontiguousarray(each), names[-1]))
+                self.constants.append(
+                    self.onnx.numpy_helper.from_array(np.ascontiguousarray(each), names[-1])
+                )
         self.nodes.append(self.onnx.helper.make_node(kind, names, [out], **attributes))
         return out
 

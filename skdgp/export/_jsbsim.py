@@ -24,7 +24,15 @@ from skdgp.dynamics import Aircraft
 from skdgp.export._build_up import BuildUp, Posterior, build_up
 from skdgp.export._model import Block
 from skdgp.export._pipeline import posterior_form
-from skdgp.export._text import Content, changes_text, element, file_name, identifiers, number_text, write_xml
+from skdgp.export._text import (
+    Content,
+    changes_text,
+    element,
+    file_name,
+    identifiers,
+    number_text,
+    write_xml,
+)
 from skdgp.kernels._prior_paths import FeaturePaths, MixedPaths, SumPaths, TrendPaths
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
@@ -37,7 +45,11 @@ SURFACES = {
     "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
     "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
 }
-TRIMS = {"elevator": "fcs/pitch-trim-cmd-norm", "aileron": "fcs/roll-trim-cmd-norm", "rudder": "fcs/yaw-trim-cmd-norm"}
+TRIMS = {
+    "elevator": "fcs/pitch-trim-cmd-norm",
+    "aileron": "fcs/roll-trim-cmd-norm",
+    "rudder": "fcs/yaw-trim-cmd-norm",
+}
 THROTTLE, SPEED, AIRSPEED = "fcs/throttle-cmd-norm", "fcs/propeller_speed", "velocities/vt-fps"
 SOURCES = {  # property and factor to SI units
     "alpha": ("aero/alpha-rad", 1.0),
@@ -84,17 +96,18 @@ def write_jsbsim(
 ) -> list[Path]:
     """Write an aircraft that JSBSim loads, metrics, mass, inertia, thrust and aerodynamics; return the files.
 
-    With ``form="functions"`` the coefficients are the posterior mean, and further aircraft are functions drawn from the
-    posterior, sums of exponentials and cosines: those that ``sample_paths`` and ``simulate`` draw with the same
-    ``random_state``. A model with exact inference is compacted first (``DependentGPRegressor.compact``). With
-    ``form="tables"`` they are those of :func:`build_up`, faster and easier to read, where they lose at most
-    ``max_loss``.
+    With ``form="functions"`` the coefficients are the posterior mean, and further aircraft are
+    functions drawn from the posterior, sums of exponentials and cosines: those that
+    ``sample_paths`` and ``simulate`` draw with the same ``random_state``. A model with exact
+    inference is compacted first (``DependentGPRegressor.compact``). With ``form="tables"`` they are
+    those of :func:`build_up`, faster and easier to read, where they lose at most ``max_loss``.
 
-    ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``. The thrust is that of
-    ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at ``fcs/propeller_speed``
-    [rad/s]; without a propeller it is the property ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if
-    a parameter is invalid, a regressor is no property of JSBSim (accelerations), or functions are needed of a kernel
-    that is not a sum of Gaussian processes and a linear trend.
+    ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``. The
+    thrust is that of ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim
+    finds, or at ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property
+    ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if a parameter is invalid, a
+    regressor is no property of JSBSim (accelerations), or functions are needed of a kernel that is
+    not a sum of Gaussian processes and a linear trend.
 
     Parameters
     ----------
@@ -112,7 +125,8 @@ def write_jsbsim(
     tolerance : float, default=0.1
         As of :func:`build_up`, or as of ``DependentGPRegressor.compact`` for functions.
     max_loss : float, default=0.25
-        Largest loss of tables, as of :func:`build_up`; a coefficient that loses more is written as functions.
+        Largest loss of tables, as of :func:`build_up`; a coefficient that loses more is written as
+        functions.
     **options
         Of :func:`build_up`, for tables.
 
@@ -134,7 +148,12 @@ def write_jsbsim(
         names = list(ratio.index[ratio > max_loss])
     if model is not build and names:
         functions = gaussian_sums(
-            model, aircraft, X=options.get("X"), tolerance=tolerance, n_draws=n_draws, random_state=random_state
+            model,
+            aircraft,
+            X=options.get("X"),
+            tolerance=tolerance,
+            n_draws=n_draws,
+            random_state=random_state,
         )
     tables = [] if build is None else [build, *build.sample(n_draws, random_state)]
     paths = []
@@ -149,14 +168,24 @@ def write_jsbsim(
     return paths
 
 
-def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft) -> Element:
+def jsbsim_config(
+    name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: Aircraft
+) -> Element:
     """Return the file of an aircraft, with each coefficient of ``parts`` as tables or as functions."""
     names = identifiers(next(iter(parts.values())).regressors)
-    parts = {c: replace(part, regressors=tuple(names[r] for r in part.regressors)) for c, part in parts.items()}
+    parts = {
+        c: replace(part, regressors=tuple(names[r] for r in part.regressors))
+        for c, part in parts.items()
+    }
     found = next(iter(parts.values()))
     loss = pd.concat([part.loss.loc[[coefficient]] for coefficient, part in parts.items()])
-    lines = [*loss.to_string().splitlines(), f"Names: {text}" if (text := changes_text(names)) else ""]
-    controls = [r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT]
+    lines = [
+        *loss.to_string().splitlines(),
+        f"Names: {text}" if (text := changes_text(names)) else "",
+    ]
+    controls = [
+        r for r in found.regressors if r not in SOURCES and _rate(r) is None and r not in IMPLICIT
+    ]
     has_engine = aircraft.propeller is not None and aircraft.propeller.speed_range is not None
     waves = {c: part for c, part in parts.items() if isinstance(part, GaussianSum)}
     aerodynamics: list[Element] = []
@@ -170,7 +199,9 @@ def jsbsim_config(name: str, parts: dict[str, BuildUp | GaussianSum], aircraft: 
     return element(
         "fdm_config",
         ElementTree.Comment(NOTE + "".join(f"   {line}\n" for line in lines)),
-        element("fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")),
+        element(
+            "fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")
+        ),
         _metrics(aircraft),
         _mass(aircraft),
         element("ground_reactions"),
@@ -221,11 +252,18 @@ class GaussianSum:
 
 
 def gaussian_sums(
-    model: Any, aircraft: Aircraft, *, X: Any = None, tolerance: float = 0.1, n_draws: int = 0, random_state: Seed = 0
+    model: Any,
+    aircraft: Aircraft,
+    *,
+    X: Any = None,
+    tolerance: float = 0.1,
+    n_draws: int = 0,
+    random_state: Seed = 0,
 ) -> list[GaussianSum]:
     """Return the posterior mean of a model, then functions drawn from its posterior, those of ``sample_paths``.
 
-    A model with exact inference is compacted with the tolerance first; its draws are those of the compact model.
+    A model with exact inference is compacted with the tolerance first; its draws are those of the
+    compact model.
     """
     posterior = Posterior(model, X)
     original = posterior.mean(posterior.tested)
@@ -238,15 +276,19 @@ def gaussian_sums(
         raise ValueError(f"{error} Or use form='tables' with max_loss=np.inf.") from error
     if any(block.root.ndim == 2 for block in form["blocks"]):
         raise ValueError(
-            "Got filters of covariance_type='full', but expected 'diag': use form='tables' with max_loss=np.inf."
+            "Got filters of covariance_type='full', but expected 'diag': use form='tables' with "
+            "max_loss=np.inf."
         )
     shift, scale, others = scaling_of(posterior.scalers[::-1], len(posterior.names))
     if others:
         raise ValueError(
-            f"Got {type(others[0]).__name__}, but expected a scaler such as StandardScaler: use form='tables'."
+            f"Got {type(others[0]).__name__}, but expected a scaler such as StandardScaler: use "
+            f"form='tables'."
         )
     shares, d = form["mixture"].ravel(), len(posterior.names)
-    weights = [share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)]
+    weights = [
+        share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)
+    ]
     trend = shares[:, None] * form["trend_weights"]
     mean = GaussianSum(
         regressors=tuple(posterior.names),
@@ -259,7 +301,9 @@ def gaussian_sums(
         loss=pd.DataFrame(),
     )
     off = np.sqrt(np.mean((mean.evaluate(posterior.tested) - original) ** 2, axis=0))
-    mean = replace(mean, loss=pd.DataFrame({"loss": off, "deviation": deviation}, index=list(COEFFICIENTS)))
+    mean = replace(
+        mean, loss=pd.DataFrame({"loss": off, "deviation": deviation}, index=list(COEFFICIENTS))
+    )
     if not n_draws:
         return [mean]
     bundle = posterior.regressor.sample_paths(n_draws, random_state).bundle
@@ -268,7 +312,9 @@ def gaussian_sums(
     return [mean, *_drawn(mean, posterior, form, weights, trend, bundle)]
 
 
-def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], trend: Matrix) -> dict[str, Any]:
+def _terms(
+    posterior: Posterior, form: dict[str, Any], weights: list[Vector], trend: Matrix
+) -> dict[str, Any]:
     """Return what the parts add up to, for weights of their basis and trend."""
     order, scale, P = posterior.order, posterior.scale, form["mixture"].shape[1]
     blocks: list[list[tuple[Block, Vector]]] = [[] for _ in range(P)]
@@ -289,8 +335,8 @@ def _terms(posterior: Posterior, form: dict[str, Any], weights: list[Vector], tr
 def _drawn(mean, posterior, form, weights, trend, bundle: MixedPaths) -> Iterator[GaussianSum]:
     """Yield draws: waves of the prior, and the functions of the mean with weights of their own (Matheron's rule).
 
-    Each output of a draw is that of one member of an average. A draw f of a calibrated model with the mean m is
-    m + s (f - m), with s its factor of the deviation.
+    Each output of a draw is that of one member of an average. A draw f of a calibrated model with
+    the mean m is m + s (f - m), with s its factor of the deviation.
     """
     regressor, order, (K, P) = posterior.regressor, posterior.order, form["mixture"].shape
     s = posterior.factors / regressor.scale_
@@ -312,7 +358,9 @@ def _drawn(mean, posterior, form, weights, trend, bundle: MixedPaths) -> Iterato
                     gaussians.append([own[row] for own in leaf._weights])
                 else:
                     own = leaf.own[row, 0][:, :, None] * leaf.fed[:, None]
-                    of_prior = np.concatenate([leaf.shared[row], own.reshape(-1, len(order))])[:, order]
+                    of_prior = np.concatenate([leaf.shared[row], own.reshape(-1, len(order))])[
+                        :, order
+                    ]
                     of_prior = of_prior * (taken * regressor.scale_)[order]
                     waves.append(Cosines(leaf.omega[row].T, leaf.phase[row, 0], of_prior.T))
             for i in np.flatnonzero(taken):
@@ -337,14 +385,24 @@ def _metrics(aircraft: Aircraft) -> Element:
         element("wingarea", aircraft.wing_area, unit="M2"),
         element("wingspan", aircraft.span, unit="M"),
         element("chord", aircraft.chord, unit="M"),
-        *(_vector("location", CENTRE, name=place, unit="M") for place in ("AERORP", "EYEPOINT", "VRP")),
+        *(
+            _vector("location", CENTRE, name=place, unit="M")
+            for place in ("AERORP", "EYEPOINT", "VRP")
+        ),
     )
 
 
 def _mass(aircraft: Aircraft) -> Element:
     """Return mass and inertia: JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry."""
     J = aircraft.inertia
-    entries = {"ixx": J[0, 0], "iyy": J[1, 1], "izz": J[2, 2], "ixy": -J[0, 1], "ixz": J[0, 2], "iyz": -J[1, 2]}
+    entries = {
+        "ixx": J[0, 0],
+        "iyy": J[1, 1],
+        "izz": J[2, 2],
+        "ixy": -J[0, 1],
+        "ixz": J[0, 2],
+        "iyz": -J[1, 2],
+    }
     return element(
         "mass_balance",
         *(element(tag, value, unit="KG*M2") for tag, value in entries.items()),
@@ -364,12 +422,24 @@ def _thrust(aircraft: Aircraft) -> Element:
     thrust = _propeller("propulsion/thrust-lbs", propeller, loads[0], 4, 1.0 / POUND_FORCE)
     parts = [element("force", thrust, *at, name="thrust", frame="BODY")]
     if loads[1]:
-        torque = _propeller("propulsion/torque-lbsft", propeller, loads[1], 5, -propeller.rotation / FOOT_POUND)
-        parts.append(element("moment", torque, _vector("direction", line.direction), name="propeller", frame="BODY"))
+        torque = _propeller(
+            "propulsion/torque-lbsft", propeller, loads[1], 5, -propeller.rotation / FOOT_POUND
+        )
+        parts.append(
+            element(
+                "moment",
+                torque,
+                _vector("direction", line.direction),
+                name="propeller",
+                frame="BODY",
+            )
+        )
     return element("external_reactions", element("property", SPEED), *parts)
 
 
-def _propeller(name: str, propeller: Any, coefficients: Sequence[float], power: int, factor: float) -> Element:
+def _propeller(
+    name: str, propeller: Any, coefficients: Sequence[float], power: int, factor: float
+) -> Element:
     """Return the function rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
 
     def turns():
@@ -379,17 +449,26 @@ def _propeller(name: str, propeller: Any, coefficients: Sequence[float], power: 
         return _apply("sum", idle, _apply("product", full - idle, THROTTLE))
 
     terms = [
-        _apply("product", c * (FOOT / propeller.diameter) ** k, *[AIRSPEED] * k, *(turns() for _ in range(2 - k)))
+        _apply(
+            "product",
+            c * (FOOT / propeller.diameter) ** k,
+            *[AIRSPEED] * k,
+            *(turns() for _ in range(2 - k)),
+        )
         for k, c in enumerate(coefficients)
     ]
     scale = factor * propeller.diameter**power * SLUG / FOOT**3
-    return _function(name, _apply("product", scale, "atmosphere/rho-slugs_ft3", _apply("sum", *terms)))
+    return _function(
+        name, _apply("product", scale, "atmosphere/rho-slugs_ft3", _apply("sum", *terms))
+    )
 
 
 def _engine() -> Element:
     """Return an engine without power: JSBSim's trim moves the throttles of its engines, and no other property."""
     power = element("electric_engine", element("power", 0.0, unit="WATTS"), name="throttle")
-    thruster = element("thruster", element("direct", name="none"), _vector("location", CENTRE, unit="M"))
+    thruster = element(
+        "thruster", element("direct", name="none"), _vector("location", CENTRE, unit="M")
+    )
     return element("propulsion", element("engine", power, thruster))
 
 
@@ -398,7 +477,9 @@ def _controls(found: BuildUp | GaussianSum, properties: Sequence[str]) -> Elemen
     for name, (command, position) in SURFACES.items():
         if name in found.regressors:
             largest = float(np.abs(found.limits[:, found.regressors.index(name)]).max())
-            inputs = [element("input", place) for place in (command, TRIMS[name])]  # JSBSim trims by the second
+            inputs = [
+                element("input", place) for place in (command, TRIMS[name])
+            ]  # JSBSim trims by the second
             parts += [
                 element("summer", *inputs, name=f"fcs/{name}-sum"),
                 element(
@@ -410,7 +491,9 @@ def _controls(found: BuildUp | GaussianSum, properties: Sequence[str]) -> Elemen
                 ),
             ]
     settable = [element("property", name, value="0") for name in properties]
-    return element("flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces")
+    return element(
+        "flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces"
+    )
 
 
 def _rate(regressor: str) -> str | None:
@@ -419,14 +502,17 @@ def _rate(regressor: str) -> str | None:
     return name if regressor.endswith(HAT) and name in LENGTHS else None
 
 
-def _source(regressor: str, lengths: tuple[float, float], aircraft: Aircraft, controls: Sequence[str]) -> list:
+def _source(
+    regressor: str, lengths: tuple[float, float], aircraft: Aircraft, controls: Sequence[str]
+) -> list:
     """Return the factors whose product is a regressor: numbers and properties."""
     if regressor in controls:
         return [f"fcs/{regressor}"]
     rate = _rate(regressor)
     if (rate or regressor) in IMPLICIT:
         raise ValueError(
-            f"Got a model with the regressor {regressor!r}, an acceleration, which follows from the loads: fit one "
+            f"Got a model with the regressor {regressor!r}, an acceleration, which follows from "
+            f"the loads: fit one "
             "with regressors='quasi-steady'."
         )
     name, factor = SOURCES[rate or regressor]
@@ -455,18 +541,26 @@ def _tables(found: BuildUp, coefficient: str) -> Element:
     for table in found.tables[coefficient]:
         axes = zip(("row", "column"), table.regressors, strict=False)
         cells = table.values if table.values.ndim == 2 else table.values[:, None]
-        lines = [" ".join(map(number_text, row)) for row in np.column_stack([table.breakpoints[0], cells])]
+        lines = [
+            " ".join(map(number_text, row))
+            for row in np.column_stack([table.breakpoints[0], cells])
+        ]
         if len(table.breakpoints) == 2:
             lines.insert(0, " ".join(map(number_text, table.breakpoints[1])))
         terms.append(
             element(
                 "table",
-                *(element("independentVar", f"aero/regressor/{r}", lookup=axis) for axis, r in axes),
+                *(
+                    element("independentVar", f"aero/regressor/{r}", lookup=axis)
+                    for axis, r in axes
+                ),
                 element("tableData", "\n" + "\n".join(lines) + "\n"),
                 name=f"aero/table/{coefficient}/{'-'.join(table.regressors)}",
             )
         )
-    return _function(f"aero/coefficient/{coefficient}", ElementTree.Comment(text), _apply("sum", *terms))
+    return _function(
+        f"aero/coefficient/{coefficient}", ElementTree.Comment(text), _apply("sum", *terms)
+    )
 
 
 def _waves(found: GaussianSum, outputs: Sequence[int]) -> Iterator[Element]:
@@ -518,8 +612,15 @@ def _plane(constant: float, slopes: Vector, regressors: Sequence[str]) -> list[f
 
 def _apply(operator: str, *operands: Content) -> Element:
     """Return an operation of numbers, properties and others; JSBSim complains of sums and products of one."""
-    parts = [o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o) for o in operands]
-    return parts[0] if len(parts) == 1 and operator in ("sum", "product") else element(operator, *parts)
+    parts = [
+        o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o)
+        for o in operands
+    ]
+    return (
+        parts[0]
+        if len(parts) == 1 and operator in ("sum", "product")
+        else element(operator, *parts)
+    )
 
 
 def _function(name: str, *content: Content) -> Element:

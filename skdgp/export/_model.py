@@ -43,7 +43,9 @@ SHAPES = {
     "B d": "block_shift block_regressors",
     "s d": "envelope_samples",
 }
-"""Arrays by shape: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B blocks, s samples."""
+"""Arrays by shape: d regressors, e = d + 1, P outputs, K members, J = K P parts, m centres, B
+blocks, s samples.
+"""
 SHAPE_OF = {name: letters for letters, names in SHAPES.items() for name in names.split()}
 TYPES = {"block_place": "<i8", "readout_of": "<i8", "block_regressors": "|u1"}  # else "<f8"
 
@@ -63,7 +65,8 @@ class Regressor:
     length : float
         Reference length L [m] of a non-dimensional rate.
     power : {0, 1, 2}
-        n: 0 for a column itself, 1 for a rate, 2 for an angular acceleration. V is the column ``airspeed`` [m/s].
+        n: 0 for a column itself, 1 for a rate, 2 for an angular acceleration. V is the column
+        ``airspeed`` [m/s].
     """
 
     name: str
@@ -85,15 +88,19 @@ class Regressor:
         lacking = [name for name in self.columns if name not in table]
         if lacking:
             raise ValueError(
-                f"Got a table without {lacking}, but the regressor {self.name} is computed from {list(self.columns)}: "
+                f"Got a table without {lacking}, but the regressor {self.name} is computed from "
+                f"{list(self.columns)}: "
                 f"add them, or a column {self.name}."
             )
         mixed = sum(
-            factor * np.asarray(table[name], float) for factor, name in zip(self.factors, self.sources, strict=True)
+            factor * np.asarray(table[name], float)
+            for factor, name in zip(self.factors, self.sources, strict=True)
         )
         if not self.power:
             return np.asarray(mixed)
-        return mixed * (self.length / (2 * np.asarray(table["airspeed"], dtype=float))) ** self.power
+        return (
+            mixed * (self.length / (2 * np.asarray(table["airspeed"], dtype=float))) ** self.power
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +109,8 @@ class Block:
 
     .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |F^T (z - \mathrm{shift} - Z_k)|^2\right)
 
-    with the scaled regressors z and Z the rows ``first_centre`` to ``first_centre + size`` of the model's centres.
+    with the scaled regressors z and Z the rows ``first_centre`` to ``first_centre + size`` of the
+    model's centres.
 
     Parameters
     ----------
@@ -139,7 +147,9 @@ class Block:
         """Return its functions of any centres (k, d) at scaled regressors Z (n, d), (n, k)."""
         z = Z - self.shift
         full = self.root.ndim == 2
-        pair = (z @ self.root, centres @ self.root) if full else (z * self.root, centres * self.root)
+        pair = (
+            (z @ self.root, centres @ self.root) if full else (z * self.root, centres * self.root)
+        )
         return self.gain * np.exp(-0.5 * cdist(*pair, "sqeuclidean"))
 
 
@@ -152,7 +162,8 @@ class Readout:
     weights : ndarray (k,)
         w of the mean.
     packed_root : ndarray (k (k + 1) / 2,)
-        The upper triangle U (k, k) of the explained variance, column by column: 1, 2, ... k entries.
+        The upper triangle U (k, k) of the explained variance, column by column: 1, 2, ... k
+        entries.
     """
 
     weights: Vector
@@ -197,25 +208,26 @@ class LearnedRange:
 class PortableModel:
     r"""The posterior of the coefficients of an aircraft, as arrays.
 
-    An output is the mixture of K posteriors, the members of an average; K is 1 for a single one. Member k of output i
-    of P is the part j = k P + i. For regressors x (d,), with z = (x - ``shift``) / ``scale``,
-    p = (1, z - ``trend_center``) and the basis g(z) of a part (:class:`Block`), normalised mean and variance of the
-    part are
+    An output is the mixture of K posteriors, the members of an average; K is 1 for a single one.
+    Member k of output i of P is the part j = k P + i. For regressors x (d,), with z = (x -
+    ``shift``) / ``scale``, p = (1, z - ``trend_center``) and the basis g(z) of a part
+    (:class:`Block`), normalised mean and variance of the part are
 
     .. math:: \mu_j = v_j^T p + w^T g, \quad
               \nu_j = a_j + |\tau_j \circ p|^2 - |h|^2, \quad
               h = T_j^T p + (0, U^T g),
 
-    with a ``prior_variance``, v ``trend_weights``, tau ``trend_scale``, T ``trend_roots``, and w and U of the part's
-    :class:`Readout`, which acts on the last k entries of h. With the weights q (``mixture``), c ``center``, s
-    ``output_scale`` and t ``deviation_scale``, mean and variance of the coefficient are those of the mixture,
+    with a ``prior_variance``, v ``trend_weights``, tau ``trend_scale``, T ``trend_roots``, and w
+    and U of the part's :class:`Readout`, which acts on the last k entries of h. With the weights q
+    (``mixture``), c ``center``, s ``output_scale`` and t ``deviation_scale``, mean and variance of
+    the coefficient are those of the mixture,
 
     .. math:: \mu_i = \sum_k q_{ki} \mu_j, \quad m_i = c_i + s_i \mu_i, \quad
               \sigma_i^2 = t_i^2 \sum_k q_{ki} \left(\nu_j + (\mu_j - \mu_i)^2\right).
 
-    This is the posterior of the function at exact regressors. At measured ones, whose noise has the covariance S
-    (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the variance, with the slopes J of the
-    mean: on most flights the larger part of it.
+    This is the posterior of the function at exact regressors. At measured ones, whose noise has the
+    covariance S (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the
+    variance, with the slopes J of the mean: on most flights the larger part of it.
 
     Parameters
     ----------
@@ -284,20 +296,28 @@ class PortableModel:
     @property
     def columns(self) -> tuple[str, ...]:
         """Every column of a flight that the regressors are computed from, each once."""
-        return tuple(dict.fromkeys(name for regressor in self.regressors for name in regressor.columns))
+        return tuple(
+            dict.fromkeys(name for regressor in self.regressors for name in regressor.columns)
+        )
 
     @property
     def order(self) -> list[int]:
         """Places of CX CY CZ Cl Cm Cn among the outputs; raises ValueError if one is missing."""
         if lacking := [name for name in COEFFICIENTS if name not in self.outputs]:
-            raise ValueError(f"Got a model without {lacking}, but expected all six coefficients: learn them all.")
+            raise ValueError(
+                f"Got a model without {lacking}, but expected all six coefficients: learn them all."
+            )
         return [self.outputs.index(name) for name in COEFFICIENTS]
 
     def points(self) -> Matrix:
         """Return regressors (n, d) that were flown: samples, or inducing inputs of a compact model, among them."""
         if len(self.envelope.samples) > 1:
             return self.envelope.samples
-        Z = self.centres if len(self.centres) > 1 else np.random.default_rng(0).standard_normal((200, len(self.scale)))
+        Z = (
+            self.centres
+            if len(self.centres) > 1
+            else np.random.default_rng(0).standard_normal((200, len(self.scale)))
+        )
         return Z * self.scale + self.shift
 
     @cached_property
@@ -315,9 +335,12 @@ class PortableModel:
         """Return the model with identifiers for the names of its columns, regressors and outputs, and these by name."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
         regressors = tuple(
-            replace(r, name=names[r.name], sources=tuple(map(names.__getitem__, r.sources))) for r in self.regressors
+            replace(r, name=names[r.name], sources=tuple(map(names.__getitem__, r.sources)))
+            for r in self.regressors
         )
-        return replace(self, regressors=regressors, outputs=tuple(map(names.__getitem__, self.outputs))), names
+        return replace(
+            self, regressors=regressors, outputs=tuple(map(names.__getitem__, self.outputs))
+        ), names
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name; :func:`skdgp.export.save_portable` writes these."""
@@ -337,7 +360,10 @@ class PortableModel:
             **{f"trend_root_{i}": root for i, root in enumerate(self.trend_roots)},
             **{f"weights_{k}": readout.weights for k, readout in enumerate(self.readouts)},
             **{f"root_{k}": readout.packed_root for k, readout in enumerate(self.readouts)},
-            **{f"envelope_{name}": getattr(self.envelope, name) for name in LearnedRange.__dataclass_fields__},
+            **{
+                f"envelope_{name}": getattr(self.envelope, name)
+                for name in LearnedRange.__dataclass_fields__
+            },
         }
 
     def terms(self, j: int) -> Iterator[tuple[Block, Vector, Matrix]]:
@@ -346,7 +372,11 @@ class PortableModel:
         left = self.trend_roots[j].shape[1] - readout.size  # U stands under the last columns of T
         for block in self.blocks:
             if block.output == j:
-                yield block, readout.weights[block.columns], np.pad(readout.root[block.columns], ((0, 0), (left, 0)))
+                yield (
+                    block,
+                    readout.weights[block.columns],
+                    np.pad(readout.root[block.columns], ((0, 0), (left, 0))),
+                )
 
     @cached_property
     def content_hash(self) -> str:
@@ -372,21 +402,29 @@ class PortableModel:
                 f"{', '.join(self.regressor_names)}."
             )
         if not np.isfinite(X).all():
-            raise ValueError("Got regressors that are not finite, but expected finite ones: leave out these rows.")
+            raise ValueError(
+                "Got regressors that are not finite, but expected finite ones: leave out these "
+                "rows."
+            )
         return X
 
     def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
-        X is an array (n, d) of regressors in their units, or a flight table, also a dict of columns, with their
-        sources. The deviation is that of the coefficient, without the noise of its measurements.
-        ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True for regressors as noisy as those of the
-        fit, False for exact ones (a simulation), or a factor of their noise's variance, also (n,).
+        X is an array (n, d) of regressors in their units, or a flight table, also a dict of
+        columns, with their sources. The deviation is that of the coefficient, without the noise of
+        its measurements. ``include_input_noise`` is as of ``DependentGPRegressor.predict``: True
+        for regressors as noisy as those of the fit, False for exact ones (a simulation), or a
+        factor of their noise's variance, also (n,).
         """
         chunks = self._chunks(X)
         ends = np.cumsum([len(Z) for Z in chunks])
-        noise = np.split(np.broadcast_to(np.asarray(include_input_noise, dtype=float), ends[-1]), ends[:-1])
-        parts = [self._predict(Z, return_std, of_rows) for Z, of_rows in zip(chunks, noise, strict=True)]
+        noise = np.split(
+            np.broadcast_to(np.asarray(include_input_noise, dtype=float), ends[-1]), ends[:-1]
+        )
+        parts = [
+            self._predict(Z, return_std, of_rows) for Z, of_rows in zip(chunks, noise, strict=True)
+        ]
         mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
         return (mean, std) if return_std else mean
 
@@ -394,13 +432,15 @@ class PortableModel:
         r"""Return how far deviations (n, P) of two programs in double precision may differ, by rounding alone.
 
         The variance is a small difference of large sums. A sum of k terms t has an error of about
-        :math:`\epsilon \sqrt{k} |t|` (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 2.8). With
-        f = (p, g), F = (T, (0, U)) and the prior variance :math:`a' = a + |\tau \circ p|^2`, the variance has the error
+        :math:`\epsilon \sqrt{k} |t|` (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
+        section 2.8). With f = (p, g), F = (T, (0, U)) and the prior variance :math:`a' = a + |\tau
+        \circ p|^2`, the variance has the error
 
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
-        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means add to it through
-        the scatter of the members. The factor 2 is five times the largest found in C, ONNX and CasADi.
+        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means
+        add to it through the scatter of the members. The factor 2 is five times the largest found
+        in C, ONNX and CasADi.
         """
         return np.concatenate([self._rounding(Z) for Z in self._chunks(X)])
 
@@ -437,7 +477,9 @@ class PortableModel:
         mean, variance = self.mixed(mean, variance)
         if return_std and input_noise.any() and self.input_covariance.any():
             slopes = self._gradient(Z) / self.output_scale[:, None]
-            added = np.einsum("npd,de,npe->np", slopes, self.input_covariance, slopes, optimize=True)
+            added = np.einsum(
+                "npd,de,npe->np", slopes, self.input_covariance, slopes, optimize=True
+            )
             variance = variance + input_noise[:, None] * added
         return self.center + self.output_scale * mean, self.deviation_scale * np.sqrt(variance)
 
@@ -454,12 +496,23 @@ class PortableModel:
         mean, mean_error, variance, error = np.zeros((4, len(Z), len(self.readout_of)))
         trend = self._trend(Z)
         for j, k in enumerate(self.readout_of):
-            g, readout, v, T = self._basis(Z, j), self.readouts[k], self.trend_weights[j], self.trend_roots[j]
-            w, U, epsilon = readout.weights, readout.root, 2 * ROUNDING * np.sqrt(trend.shape[1] + g.shape[1])
+            g, readout, v, T = (
+                self._basis(Z, j),
+                self.readouts[k],
+                self.trend_weights[j],
+                self.trend_roots[j],
+            )
+            w, U, epsilon = (
+                readout.weights,
+                readout.root,
+                2 * ROUNDING * np.sqrt(trend.shape[1] + g.shape[1]),
+            )
             h, squares = _added(trend @ T, g @ U), _added(trend**2 @ T**2, g**2 @ U**2)
             mean[:, j], variance[:, j] = trend @ v + g @ w, self._variance(j, trend, g @ U)
             mean_error[:, j] = epsilon * np.sqrt(trend**2 @ v**2 + g**2 @ w**2)
-            error[:, j] = epsilon * np.hypot(self._prior(j, trend), 2 * np.sqrt((h**2 * squares).sum(axis=1)))
+            error[:, j] = epsilon * np.hypot(
+                self._prior(j, trend), 2 * np.sqrt((h**2 * squares).sum(axis=1))
+            )
         of_outputs, variance = self.mixed(mean, variance)
         away = mean - np.tile(of_outputs, len(self.mixture))
         of_variance = (error + 2 * np.abs(away) * mean_error) @ self.mixer
@@ -474,7 +527,9 @@ class PortableModel:
             pull = E @ centres - E.sum(axis=1)[:, None] * (Z - block.shift)
             root = block.root
             slopes[:, block.output] += pull @ (root @ root.T) if root.ndim == 2 else pull * root**2
-        return np.einsum("njd,jp->npd", slopes, self.mixer) * self.output_scale[:, None] / self.scale
+        return (
+            np.einsum("njd,jp->npd", slopes, self.mixer) * self.output_scale[:, None] / self.scale
+        )
 
 
 def _added(whole: Matrix, half: Matrix) -> Matrix:
@@ -490,8 +545,9 @@ class PortableFileError(ValueError):
 def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
     """Write a portable model into one file, which appears whole or not at all, and return its path.
 
-    The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one ``.npy`` for each array.
-    Its comment is the SHA-256 of all bytes before it. Raises TypeError if ``model`` is no `PortableModel`.
+    The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one
+    ``.npy`` for each array. Its comment is the SHA-256 of all bytes before it. Raises TypeError if
+    ``model`` is no `PortableModel`.
     """
     if not isinstance(model, PortableModel):
         raise TypeError(
@@ -504,21 +560,27 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     """Return a portable model that :func:`save_portable` or ``python -m skdgp export`` wrote, the same to the bit.
 
-    No code is run. Raises FileNotFoundError if there is no such file, PortableFileError if it is not a portable model,
-    differs from what was written in a single bit, or is of another format version.
+    No code is run. Raises FileNotFoundError if there is no such file, PortableFileError if it is
+    not a portable model, differs from what was written in a single bit, or is of another format
+    version.
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp export writes model.npz.")
+        raise FileNotFoundError(
+            f"Got {path}, but there is no such file: python -m skdgp export writes model.npz."
+        )
     with path.open("rb") as file:
         try:
             if sha256_of(file, max(0, file.seek(0, os.SEEK_END) - DIGITS)) != file.read():
-                raise ValueError("its checksum does not fit: it was cut off or changed, or is another file")
+                raise ValueError(
+                    "its checksum does not fit: it was cut off or changed, or is another file"
+                )
             return _read(file)
         except Exception as error:  # a hostile archive may raise anything
             words = " ".join(str(error).split()) or type(error).__name__
             raise PortableFileError(
-                f"Got {path}, which is not a portable model of this version ({words}): copy it again, or export the "
+                f"Got {path}, which is not a portable model of this version ({words}): copy it "
+                f"again, or export the "
                 "model again."
             ) from error
 
@@ -552,17 +614,30 @@ def _read(file: BinaryIO) -> PortableModel:
     size = file.seek(0, os.SEEK_END)
     with zipfile.ZipFile(file) as archive:
         members = {member.filename: member for member in archive.infolist()}
-        stored = all(m.compress_type == zipfile.ZIP_STORED and m.compress_size == m.file_size for m in members.values())
-        if not stored or len(members) < len(archive.infolist()) or sum(m.file_size for m in members.values()) > size:
+        stored = all(
+            m.compress_type == zipfile.ZIP_STORED and m.compress_size == m.file_size
+            for m in members.values()
+        )
+        if (
+            not stored
+            or len(members) < len(archive.infolist())
+            or sum(m.file_size for m in members.values()) > size
+        ):
             raise ValueError("its members are compressed, repeated or larger than the file")
         if HEAD not in members or members[HEAD].file_size > LARGEST:
             raise ValueError(f"it has no {HEAD} of at most 16 MB")
         head = parse_json(archive.read(HEAD).decode(), f"{HEAD} is not JSON")
-        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") != VERSION:
+        if (
+            not isinstance(head, dict)
+            or head.get("format") != FORMAT
+            or head.get("version") != VERSION
+        ):
             found = [head.get("format"), head.get("version")] if isinstance(head, dict) else head
             raise ValueError(f"its format is {found}, but expected {FORMAT} {VERSION}")
         arrays = {
-            name.removesuffix(".npy"): _array(archive, member) for name, member in members.items() if name != HEAD
+            name.removesuffix(".npy"): _array(archive, member)
+            for name, member in members.items()
+            if name != HEAD
         }
     return _assembled(head, arrays)
 
@@ -576,14 +651,20 @@ def _array(archive, member) -> np.ndarray:
     if dtype.str != TYPES.get(name, "<f8") or (fortran and len(shape) > 1):
         raise ValueError(f"{name} is of type {dtype.str}")
     values = np.frombuffer(data.getbuffer()[data.tell() :], dtype=dtype).reshape(shape)
-    if not (np.isfinite(values).all() or (name in ("envelope_low", "envelope_high") and not np.isnan(values).any())):
+    if not (
+        np.isfinite(values).all()
+        or (name in ("envelope_low", "envelope_high") and not np.isnan(values).any())
+    ):
         raise ValueError(f"{name} is not finite")
     return values
 
 
 def _assembled(head, arrays) -> PortableModel:
     """Return the model of checked names and arrays."""
-    regressors, outputs = tuple(_regressor(r) for r in head["regressors"]), tuple(map(str, head["outputs"]))
+    regressors, outputs = (
+        tuple(_regressor(r) for r in head["regressors"]),
+        tuple(map(str, head["outputs"])),
+    )
     d, P, n = len(regressors), len(outputs), int(head["n_readouts"])
     sizes = {"d": d, "e": d + 1, "P": P, "4": 4}
     _check_shape("mixture", arrays, SHAPE_OF["mixture"], sizes)
@@ -592,7 +673,9 @@ def _assembled(head, arrays) -> PortableModel:
         raise ValueError(f"it has {d} regressors, {P} outputs and {n} readouts")
     for name, letters in SHAPE_OF.items():
         _check_shape(name, arrays, letters, sizes)
-    _check_shape("block_root", arrays, "B d d" if np.ndim(arrays["block_root"]) == 3 else "B d", sizes)
+    _check_shape(
+        "block_root", arrays, "B d d" if np.ndim(arrays["block_root"]) == 3 else "B d", sizes
+    )
     for k in range(n):
         _check_shape(f"weights_{k}", arrays, f"k{k}", sizes)
         sizes[f"t{k}"] = sizes[f"k{k}"] * (sizes[f"k{k}"] + 1) // 2
@@ -612,7 +695,9 @@ def _assembled(head, arrays) -> PortableModel:
         blocks=_blocks(arrays, sizes),
         readouts=tuple(Readout(arrays[f"weights_{k}"], arrays[f"root_{k}"]) for k in range(n)),
         trend_roots=tuple(arrays[f"trend_root_{j}"] for j in range(J)),
-        envelope=LearnedRange(**{name: arrays[f"envelope_{name}"] for name in LearnedRange.__dataclass_fields__}),
+        envelope=LearnedRange(
+            **{name: arrays[f"envelope_{name}"] for name in LearnedRange.__dataclass_fields__}
+        ),
         provenance=dict(head["provenance"]),
     )
     if model.content_hash != head["content_hash"]:
@@ -624,7 +709,11 @@ def _regressor(values) -> Regressor:
     r = Regressor(**values)
     sources, factors = tuple(map(str, r.sources)), tuple(map(float, r.factors))
     regressor = Regressor(str(r.name), str(r.unit), sources, factors, float(r.length), int(r.power))
-    if regressor.power not in (0, 1, 2) or len(regressor.factors) != len(regressor.sources) or not regressor.sources:
+    if (
+        regressor.power not in (0, 1, 2)
+        or len(regressor.factors) != len(regressor.sources)
+        or not regressor.sources
+    ):
         raise ValueError(f"the regressor {regressor.name} has no formula")
     return regressor
 
@@ -637,10 +726,19 @@ def _blocks(arrays, sizes) -> tuple[Block, ...]:
     for first, most in ((first_centre, sizes["m"]), (first_column, width)):
         if (first < 0).any() or (counts < 0).any() or (first > most - counts).any():
             raise ValueError("block_place is outside of the centres or columns")
-    columns = (arrays["block_gain"], arrays["block_shift"], arrays["block_root"], arrays["block_regressors"])
+    columns = (
+        arrays["block_gain"],
+        arrays["block_shift"],
+        arrays["block_root"],
+        arrays["block_regressors"],
+    )
     return tuple(
-        Block(i, centre, column, size, float(gain), shift, root, tuple(np.flatnonzero(used).tolist()))
-        for (i, centre, column, size), gain, shift, root, used in zip(places.tolist(), *columns, strict=True)
+        Block(
+            i, centre, column, size, float(gain), shift, root, tuple(np.flatnonzero(used).tolist())
+        )
+        for (i, centre, column, size), gain, shift, root, used in zip(
+            places.tolist(), *columns, strict=True
+        )
     )
 
 
@@ -653,7 +751,9 @@ def _check_shape(name, arrays, letters, sizes) -> None:
         for letter, size in zip(expected, shape, strict=True):
             sizes.setdefault(letter, size)
     if shape != tuple(sizes.get(letter, -1) for letter in expected):
-        raise ValueError(f"{name} is of shape {shape}, but expected {tuple(sizes.get(x, x) for x in expected)}")
+        raise ValueError(
+            f"{name} is of shape {shape}, but expected {tuple(sizes.get(x, x) for x in expected)}"
+        )
 
 
 def _check_range(name, values, n) -> None:

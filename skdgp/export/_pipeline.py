@@ -31,10 +31,11 @@ REMEDY = "Export a pipeline of make_identification_pipeline that ends in Depende
 def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> PortableModel:
     """Return the portable model of a fitted identification pipeline.
 
-    The pipeline has a ``RegressorSelector``, perhaps scalers such as ``StandardScaler`` behind it, and a
-    ``DependentGPRegressor`` at the end, exact, sparse or compact, perhaps in a ``CalibratedRegressor``. The ``facts``
-    of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is
-    no pipeline or ``aircraft`` no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
+    The pipeline has a ``RegressorSelector``, perhaps scalers such as ``StandardScaler`` behind it,
+    and a ``DependentGPRegressor`` at the end, exact, sparse or compact, perhaps in a
+    ``CalibratedRegressor``. The ``facts`` of a model file become the provenance:
+    ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is no pipeline or
+    ``aircraft`` no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
 
     Examples
     --------
@@ -57,17 +58,26 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     """
     check_aircraft(aircraft)
     if not isinstance(pipeline, Pipeline):
-        raise TypeError(f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}")
+        raise TypeError(
+            f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}"
+        )
     check_is_fitted(pipeline)
     regressor, deviation = regressor_and_scale(pipeline)
     if not isinstance(regressor, DependentGPRegressor):
-        raise ValueError(f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}")
+        raise ValueError(
+            f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. "
+            f"{REMEDY}"
+        )
     regressors, shift, scale, limits = _inputs(pipeline)
     form = posterior_form(regressor.posterior_)
-    form["prior_variance"] += np.tile(regressor.misfit_variance_ / regressor.scale_**2, len(form["mixture"]))
+    form["prior_variance"] += np.tile(
+        regressor.misfit_variance_ / regressor.scale_**2, len(form["mixture"])
+    )
     drift = np.zeros((2, len(regressor.scale_)))
     if np.any(regressor.drift_variance_):
-        drift = np.stack([regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_])
+        drift = np.stack(
+            [regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_]
+        )
     return PortableModel(
         regressors=regressors,
         outputs=tuple(regressor.output_names_),
@@ -92,18 +102,26 @@ def _inputs(pipeline):
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
     roles = [getattr(step, "in_simulation", "measurements") for step in steps]
     if "regressors" not in roles:
-        raise ValueError(f"Got a pipeline without RegressorSelector, so its regressors have no names. {REMEDY}")
+        raise ValueError(
+            f"Got a pipeline without RegressorSelector, so its regressors have no names. {REMEDY}"
+        )
     place = len(roles) - 1 - roles[::-1].index("regressors")
     by_role, selector = dict(zip(roles[:place], steps, strict=False)), steps[place]
     scaled = [type(step).__name__ for step in steps[:place] if isinstance(step, SCALERS)]
     if scaled:
-        raise ValueError(f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}")
+        raise ValueError(
+            f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}"
+        )
     names = [str(name) for name in selector.regressors_]
     shift, scale, others = scaling_of(steps[place + 1 :], len(names))
     if others:
-        raise ValueError(f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}")
+        raise ValueError(
+            f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}"
+        )
     units = getattr(pipeline, "control_units_", {})
-    regressors = tuple(_regressor(name, by_role.get("rates"), by_role.get("controls"), units) for name in names)
+    regressors = tuple(
+        _regressor(name, by_role.get("rates"), by_role.get("controls"), units) for name in names
+    )
     low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
     return regressors, shift, scale, None if low is None or high is None else (low, high)
 
@@ -117,10 +135,14 @@ def _regressor(name, rates, controls, units) -> Regressor:
     unit = units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
     if controls is not None and name in controls.controls:
         row = controls.mixing_[list(controls.controls).index(name)]
-        used = [(str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c]
+        used = [
+            (str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c
+        ]
         seen = getattr(controls, "feature_names_in_", ())
         if used and set(controls.surfaces) <= set(seen):
-            return Regressor(name, unit, tuple(surface for surface, _ in used), tuple(c for _, c in used))
+            return Regressor(
+                name, unit, tuple(surface for surface, _ in used), tuple(c for _, c in used)
+            )
     return Regressor(name, unit, (name,))
 
 
@@ -137,18 +159,29 @@ def _envelope(posterior, shift, scale, limits) -> LearnedRange:
 def posterior_form(posterior: Any) -> dict[str, Any]:
     """Return the arrays of a posterior, those of the members of an average one after another."""
     forms, mixture = [_form(member) for member in posterior.members], posterior.mixture
-    centres, readouts = (np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts"))
+    centres, readouts = (
+        np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts")
+    )
     blocks = [
-        replace(block, output=block.output + k * mixture.shape[1], first_centre=block.first_centre + int(centre))
+        replace(
+            block,
+            output=block.output + k * mixture.shape[1],
+            first_centre=block.first_centre + int(centre),
+        )
         for k, (form, centre) in enumerate(zip(forms, centres, strict=False))
         for block in form["blocks"]
     ]
     joined = ("centres", "trend_scale", "trend_weights", "prior_variance")
     return {
         **{name: np.concatenate([form[name] for form in forms]) for name in joined},
-        **{name: tuple(each for form in forms for each in form[name]) for name in ("readouts", "trend_roots")},
+        **{
+            name: tuple(each for form in forms for each in form[name])
+            for name in ("readouts", "trend_roots")
+        },
         "blocks": tuple(blocks),
-        "readout_of": np.concatenate([form["readout_of"] + n for form, n in zip(forms, readouts, strict=False)]),
+        "readout_of": np.concatenate(
+            [form["readout_of"] + n for form, n in zip(forms, readouts, strict=False)]
+        ),
         "trend_center": forms[0]["trend_center"],
         "mixture": mixture,
     }
@@ -159,10 +192,15 @@ def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
     terms = posterior.kernel.summands()
     trends = [term for term in terms if isinstance(term, LinearTrend)]
     gaussians = [term for term in terms if isinstance(term, ConvolvedGaussian)]
-    others = [type(term).__name__ for term in terms if not isinstance(term, LinearTrend | ConvolvedGaussian)]
+    others = [
+        type(term).__name__
+        for term in terms
+        if not isinstance(term, LinearTrend | ConvolvedGaussian)
+    ]
     if others or len(trends) > 1:
         raise ValueError(
-            f"Got a model with the kernels {others or 'of several linear trends'}, but only ConvolvedGaussian and one "
+            f"Got a model with the kernels {others or 'of several linear trends'}, but only "
+            f"ConvolvedGaussian and one "
             f"LinearTrend have a portable form. {REMEDY}"
         )
     P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
@@ -176,14 +214,19 @@ def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
         "readout_of": np.arange(P) % len(form["readouts"]),
         "trend_center": center,
         "trend_scale": tau,
-        "prior_variance": np.zeros(P) + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians),
+        "prior_variance": np.zeros(P)
+        + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians),
     }
 
 
-def _exact(posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix) -> dict[str, Any]:
+def _exact(
+    posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix
+) -> dict[str, Any]:
     """Return the samples as centres, blocks, one readout with the inverse factor, weights and roots of the trends."""
     X, (P, e) = posterior.data.X, tau.shape
-    if not isinstance(posterior._rows, slice):  # rows were appended: factor again in the order of the outputs
+    if not isinstance(
+        posterior._rows, slice
+    ):  # rows were appended: factor again in the order of the outputs
         posterior = ExactPosterior(posterior.kernel, posterior.noise, posterior.data)
     places = np.cumsum([0, *map(len, X)])
     blocks = []
@@ -193,7 +236,9 @@ def _exact(posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, t
                 blocks += _blocks(kernel, i, j, first, first, len(X[j]), kernel)
     inverse, info = lapack.dtrtri(posterior.L, lower=1)
     if info:
-        raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri info {info}).")
+        raise np.linalg.LinAlgError(
+            f"The inverse of the Cholesky factor failed (trtri info {info})."
+        )
     inverse = np.tril(inverse)
     weights, roots = np.zeros((P, e)), []
     for i, (a, b) in enumerate(pairwise(places)):
@@ -207,7 +252,13 @@ def _exact(posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, t
         centres, readout = np.empty((0, e - 1)), Readout(np.empty(0), np.empty(0))
         roots = [np.array(rq(root, mode="r"))[:, -e:] for root in roots]
     readouts = [readout]
-    return {"centres": centres, "blocks": blocks, "readouts": readouts, "trend_weights": weights, "trend_roots": roots}
+    return {
+        "centres": centres,
+        "blocks": blocks,
+        "readouts": readouts,
+        "trend_weights": weights,
+        "trend_roots": roots,
+    }
 
 
 def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
@@ -232,7 +283,9 @@ def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
                 continue
             for f in features._blocks[i]:
                 size = len(features.Z[f])
-                blocks += _blocks(features.joint, i, P + f, places[f], len(of_gaussians), size, features.kernel)
+                blocks += _blocks(
+                    features.joint, i, P + f, places[f], len(of_gaussians), size, features.kernel
+                )
                 of_gaussians += index[:size]
                 index = index[size:]
         order, n = of_trend + of_gaussians, len(of_trend)
@@ -244,7 +297,13 @@ def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
         roots.append(root[:n] if n else np.zeros((e, len(order))))
         readouts.append(Readout(w[n:], root[n:, n:].T[np.tril_indices(len(of_gaussians))]))
     points = np.concatenate(centres)
-    return {"centres": points, "blocks": blocks, "readouts": readouts, "trend_weights": weights, "trend_roots": roots}
+    return {
+        "centres": points,
+        "blocks": blocks,
+        "readouts": readouts,
+        "trend_weights": weights,
+        "trend_roots": roots,
+    }
 
 
 def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:

@@ -15,11 +15,18 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import Block, PortableModel, Readout
 
-FIRST, GROWTH = 4, 1.15  # numbers of functions that are tried: the first, and the ratio of one to the next
+FIRST, GROWTH = (
+    4,
+    1.15,
+)  # numbers of functions that are tried: the first, and the ratio of one to the next
 MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of a part to choose from, and that may stay
 MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
 PATIENCE = 8  # sizes without a smaller loss after which a part grows no more
-MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points that functions are fitted at are moved
+MOVED = (
+    0.5,
+    1.0,
+    1.5,
+)  # standard deviations by which copies of the points that functions are fitted at are moved
 MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
 MAX_TERMS = 2**28  # bytes
 NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
@@ -50,11 +57,12 @@ class _Fit(NamedTuple):
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
 
-    The Gaussian functions of a part overlap, so that a few of them, g_S, and the trend p span the others nearly. A
-    pivoted QR factorisation at flown points chooses them, as in an interpolative decomposition (Cheng et al. 2005).
-    Least squares fit mean and explained root as functions of p and g_S. The part whose reduction changes its output
-    most gets the next functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output,
-    the sum over its parts. Raises ValueError if no model is small enough.
+    The Gaussian functions of a part overlap, so that a few of them, g_S, and the trend p span the
+    others nearly. A pivoted QR factorisation at flown points chooses them, as in an interpolative
+    decomposition (Cheng et al. 2005). Least squares fit mean and explained root as functions of p
+    and g_S. The part whose reduction changes its output most gets the next functions, until the
+    size is reached. ``provenance["reduction"]`` holds the loss of each output, the sum over its
+    parts. Raises ValueError if no model is small enough.
     """
     if size(model) <= most:
         return model
@@ -64,7 +72,8 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     best = _assembled(model, [part.best() for part in parts])
     if size(best) > most:
         raise ValueError(
-            f"Got a size of at most {most} bytes, but the smallest form of this model takes {size(best)}: allow more."
+            f"Got a size of at most {most} bytes, but the smallest form of this model takes "
+            f"{size(best)}: allow more."
         )
     while growing := [part for part in parts if part.can_grow()]:
         worst = max(growing, key=lambda part: max(part.best().loss))
@@ -76,7 +85,9 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     return best
 
 
-def reduced_to_kb(model: PortableModel, size: Callable[[PortableModel], int], max_kb: float | None) -> PortableModel:
+def reduced_to_kb(
+    model: PortableModel, size: Callable[[PortableModel], int], max_kb: float | None
+) -> PortableModel:
     """Return the model in at most ``max_kb`` kilobytes, or as it is for None; ``size`` returns bytes."""
     if max_kb is None:
         return model
@@ -92,10 +103,13 @@ def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
 
 def check_terms(model: PortableModel) -> None:
     """Raise ValueError if the terms of a model, each with its own rows of the root, are too large for a graph."""
-    sizes = [block.size * model.readouts[model.readout_of[block.output]].size for block in model.blocks]
+    sizes = [
+        block.size * model.readouts[model.readout_of[block.output]].size for block in model.blocks
+    ]
     if 8 * sum(sizes) > MAX_TERMS:
         raise ValueError(
-            f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most {MAX_TERMS / 1e6:.0f} MB: "
+            f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most "
+            f"{MAX_TERMS / 1e6:.0f} MB: "
             "give max_kb=256 (--max-kb 256), or another size."
         )
 
@@ -108,7 +122,9 @@ def _points(model) -> tuple[Matrix, Matrix]:
         samples = samples[np.linspace(0, len(samples) - 1, min(len(samples), FEWER)).astype(int)]
 
     def around(Z, moved):
-        return np.concatenate([Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)])
+        return np.concatenate(
+            [Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)]
+        )
 
     return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
 
@@ -116,10 +132,13 @@ def _points(model) -> tuple[Matrix, Matrix]:
 class _Part:
     """One part: its functions in the order of their use, and the fit of the first ones.
 
-    ``truth`` holds mean and variance of all parts at the points to check at, (2, n, K P); each part writes its own.
+    ``truth`` holds mean and variance of all parts at the points to check at, (2, n, K P); each part
+    writes its own.
     """
 
-    def __init__(self, model: PortableModel, j: int, Z: Matrix, check: Matrix, truth: np.ndarray) -> None:
+    def __init__(
+        self, model: PortableModel, j: int, Z: Matrix, check: Matrix, truth: np.ndarray
+    ) -> None:
         readout = model.readouts[model.readout_of[j]]
         self.model, self.j, self.truth = model, j, truth
         self.v, self.T = model.trend_weights[j], model.trend_roots[j]
@@ -128,7 +147,9 @@ class _Part:
         p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, j))
         weight = 1 / np.sqrt(model._variance(j, p, half))[:, None]
         self.blocks = [block for block in model.blocks if block.output == j]
-        step = max(1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES))  # evenly from each block
+        step = max(
+            1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES)
+        )  # evenly from each block
         places = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
         candidates = np.array(places, dtype=int).reshape(-1, 2)
         g = weight * self._functions(Z, candidates)
@@ -205,7 +226,9 @@ class _Part:
             rows = np.flatnonzero(kept[:, 0] == b)
             if len(rows):
                 first = int(rows[0])
-                blocks.append(replace(block, first_centre=first, first_column=first, size=len(rows)))
+                blocks.append(
+                    replace(block, first_centre=first, first_column=first, size=len(rows))
+                )
                 centres.append(self.model.centres[block.first_centre + kept[rows, 1]])
         return blocks, np.concatenate(centres)
 
@@ -219,7 +242,10 @@ def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
     """Return the model with the functions that stay."""
     places, P = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist(), len(model.outputs)
     of_outputs = [[fit.loss for fit in fits[i::P]] for i in range(P)]
-    losses = [{"mean": sum(loss.mean for loss in of), "std": sum(loss.std for loss in of)} for of in of_outputs]
+    losses = [
+        {"mean": sum(loss.mean for loss in of), "std": sum(loss.std for loss in of)}
+        for of in of_outputs
+    ]
     return replace(
         model,
         centres=np.concatenate([fit.centres for fit in fits]),

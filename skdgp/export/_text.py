@@ -24,18 +24,22 @@ RESERVED = {*CHANNELS, *COEFFICIENTS, *(f"{name}{HAT}" for name in LENGTHS)}
 def identifiers(names: Iterable[str]) -> dict[str, str]:
     """Return the identifier of each name: ASCII letters, digits and underscores, no digit first, all different.
 
-    An identifier stays as it is. Accents are left out, other characters become underscores, and names that would be
-    equal get numbers.
+    An identifier stays as it is. Accents are left out, other characters become underscores, and
+    names that would be equal get numbers.
     """
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)}
     taken = RESERVED | found.keys()
     for name in names:
         if name not in found:
-            letters = (c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
+            letters = (
+                c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c)
+            )
             short = re.sub(r"\W+", "_", "".join(letters), flags=re.ASCII)
             short = f"_{short}" if short[:1].isdigit() or not short else short
-            found[name] = next(each for k in count(1) if (each := f"{short}_{k}" if k > 1 else short) not in taken)
+            found[name] = next(
+                each for k in count(1) if (each := f"{short}_{k}" if k > 1 else short) not in taken
+            )
             taken.add(found[name])
     return found
 
@@ -45,14 +49,16 @@ def check_distinct(names: Iterable[str], what: str) -> None:
     twice = sorted(name for name, number in Counter(names).items() if number > 1)
     if twice:
         raise ValueError(
-            f"Got a model of {twice}, but {what} has other variables of these names: learn from columns of other names."
+            f"Got a model of {twice}, but {what} has other variables of these names: learn from "
+            f"columns of other names."
         )
 
 
 def changes_text(names: Mapping[str, str]) -> str:
     r"""Return which names are written in another way, such as '"flap left" is flap_left'; "" if none is.
 
-    The text is ASCII and ends no comment of C or XML: the names are strings of JSON, their signs as ``\u002a``.
+    The text is ASCII and ends no comment of C or XML: the names are strings of JSON, their signs as
+    ``\u002a``.
     """
     changed = {name: short for name, short in names.items() if name != short}
     return ", ".join(f"{_quoted(name)} is {short}" for name, short in changed.items())
@@ -101,9 +107,13 @@ def extra(package: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        raise ImportError(f'This needs {package}, which is not installed: pip install "skdgp[export]".') from error
+        raise ImportError(
+            f'This needs {package}, which is not installed: pip install "skdgp[export]".'
+        ) from error
 
 
 def units_of(names: Iterable[str], own: Mapping[str, str]) -> tuple[str, ...]:
     """Return the units of columns, of those in ``own`` by it, such as "full throw"; "-" where there is none."""
-    return tuple(own.get(name) or (CHANNELS[name].unit if name in CHANNELS else "") or "-" for name in names)
+    return tuple(
+        own.get(name) or (CHANNELS[name].unit if name in CHANNELS else "") or "-" for name in names
+    )

@@ -14,19 +14,28 @@ from sklearn.pipeline import Pipeline
 from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES, VANES
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
-from skdgp._mechanics.estimate import MOMENTS, PRESSURE, QUANTITIES, REMEDIES, ScaleFactor, relative_errors
+from skdgp._mechanics.estimate import (
+    MOMENTS,
+    PRESSURE,
+    QUANTITIES,
+    REMEDIES,
+    ScaleFactor,
+    relative_errors,
+)
 from skdgp._mechanics.loads import dynamic_pressure, propeller_speed_of
 from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 
 THRUST_IN_COEFFICIENTS = (
-    "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as regressors: CX is "
+    "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as "
+    "regressors: CX is "
     "thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
 FORCE_VANES = (
-    "No vanes: {} by specific force, from which CZ and CY follow, so that their errors on test flights say nothing."
+    "No vanes: {} by specific force, from which CZ and CY follow, so that their errors on test "
+    "flights say nothing."
 )
 THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
 THRUST = "thrust on a bench over the propeller's speed"
@@ -44,7 +53,8 @@ def servos_for(servos: Any, *flights: Any) -> Any:
         return servos
     if not all(logs):
         raise ValueError(
-            "Got logs of autopilots without servos beside tables, but expected surfaces in one unit: give servos, a "
+            "Got logs of autopilots without servos beside tables, but expected surfaces in one "
+            "unit: give servos, a "
             "file of the angles of the surfaces."
         )
     return FULL_THROW if any(map(names_servos, items)) else None
@@ -52,18 +62,26 @@ def servos_for(servos: Any, *flights: Any) -> Any:
 
 def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     """Return servos in parts of the full throw, and flights, with signs of surfaces that the first flights show."""
-    names = reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True)) if reversed_of(servos) == () else []
+    names = (
+        reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True))
+        if reversed_of(servos) == ()
+        else []
+    )
     if not names:
         return servos, *parts
     servos = f"{FULL_THROW}, reversed {' '.join(names)}"
     warnings.warn(
-        f"The flights show that {' and '.join(names)} move the other way than the autopilot's parameters say, so their "
+        f"The flights show that {' and '.join(names)} move the other way than the autopilot's "
+        f"parameters say, so their "
         f'signs are turned: servos = "{servos}".',
         FlightDataWarning,
         stacklevel=3,
     )
     return servos, *(
-        {key: table.assign(**{name: -table[name] for name in names if name in table}) for key, table in part.items()}
+        {
+            key: table.assign(**{name: -table[name] for name in names if name in table})
+            for key, table in part.items()
+        }
         for part in parts
     )
 
@@ -71,13 +89,23 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
     """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
     told = read_servos(servos) if reversed_of(servos) is None else {}
-    stds = {name: each.std / each.angle for name, each in told.items() if isinstance(each, Throw) and each.std}
-    factors = {f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in stds.items()}
+    stds = {
+        name: each.std / each.angle
+        for name, each in told.items()
+        if isinstance(each, Throw) and each.std
+    }
+    factors = {
+        f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in stds.items()
+    }
     return _with_deviations(aircraft, factors)
 
 
 def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors}) if factors else aircraft
+    return (
+        replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
+        if factors
+        else aircraft
+    )
 
 
 def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> Aircraft:
@@ -91,14 +119,18 @@ def with_vane_errors(aircraft: Aircraft, model: Pipeline) -> Aircraft:
     """Return the aircraft, with the deviations of the scales of alpha and beta that specific force shows."""
     found = getattr(model["flightpathreconstruction"], "vanes_", {})
     words = "specific force in manoeuvres"
-    return _with_deviations(aircraft, {name: ScaleFactor(vane.std, {name: 1.0}, words) for name, vane in found.items()})
+    return _with_deviations(
+        aircraft, {name: ScaleFactor(vane.std, {name: 1.0}, words) for name, vane in found.items()}
+    )
 
 
-def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str) -> Aircraft:
+def with_thrust_errors(
+    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str
+) -> Aircraft:
     """Return the aircraft, with what the deviation of its propeller's thrust makes of the coefficients of flights.
 
-    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as the nearest linear
-    function of its regressors.
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as
+    the nearest linear function of its regressors.
     """
     propeller = aircraft.propeller
     if propeller is None or not propeller.load_std:
@@ -108,10 +140,18 @@ def with_thrust_errors(aircraft: Aircraft, table: pd.DataFrame, regressors: pd.D
     shares = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
     known = np.isfinite(shares).all(axis=1) & np.isfinite(regressors.to_numpy()).all(axis=1)
     shares, values = shares[known], regressors.to_numpy()[known]
-    slopes = np.linalg.lstsq(values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None)[0]
+    slopes = np.linalg.lstsq(
+        values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None
+    )[0]
     names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
     effects = np.vstack([shares.mean(axis=0), slopes]).T.ravel().tolist()
-    added = dict(zip([coefficient + name for coefficient in COEFFICIENTS for name in names], effects, strict=True))
+    added = dict(
+        zip(
+            [coefficient + name for coefficient in COEFFICIENTS for name in names],
+            effects,
+            strict=True,
+        )
+    )
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return _with_deviations(aircraft, {"thrust": factor})
 
@@ -137,16 +177,22 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
     # The sizes that are uncertain, with what errors of all causes make of them.
     moments, sizes = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)), []
     for name, unit in (QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")).items():
-        if std := float(np.linalg.norm([each.std * each.powers.get(name, 0.0) for each in deviations.values()])):
+        if std := float(
+            np.linalg.norm([each.std * each.powers.get(name, 0.0) for each in deviations.values()])
+        ):
             value = moments[name] if name in moments else getattr(aircraft, name)
             sizes.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
     if sizes:
-        lines.append(f"Of the aircraft: {', '.join(sizes)}; what this makes of derivatives is std_aircraft.")
+        lines.append(
+            f"Of the aircraft: {', '.join(sizes)}; what this makes of derivatives is std_aircraft."
+        )
     # The rules that they were estimated by, each source with all that is from it.
     by_source: dict[str, list[str]] = {}
     for name, each in deviations.items():
         by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
-    if rules := [f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"]:
+    if rules := [
+        f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"
+    ]:
         lines.append(f"Estimated: {'; '.join(rules)}.")
     lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown
     by_force = [name for name in VANES if name in deviations]
@@ -160,4 +206,6 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
             gains[remedy] = gains.get(remedy, 0.0) + float(error)
     remedies = sorted(gains, key=lambda remedy: -gains[remedy])[:LISTED] + [THROWS] * full_throws
     remedies += [THRUST] * (thrust_unknown or "thrust" in deviations)
-    return [*lines, f"An hour each, most useful first: {'; '.join(remedies)}."] if remedies else lines
+    return (
+        [*lines, f"An hour each, most useful first: {'; '.join(remedies)}."] if remedies else lines
+    )

@@ -35,12 +35,18 @@ from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
-from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
+from skdgp.metrics import (
+    interval_coverage,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+)
 from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import FlightResult
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-STD_ROWS = 3000  # rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
+# rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
+STD_ROWS = 3000
 STATES = (*HORIZONTAL, *EARTH_VELOCITY, *EULER, *RATES)
 
 
@@ -107,7 +113,9 @@ def thrust_sources(thrust: str | None, tables: Iterable[Any]) -> list[str]:
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust != "auto":
         return [thrust or "none"]
-    return sorted({"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables})
+    return sorted(
+        {"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables}
+    )
 
 
 def _by_coefficient(values) -> dict[str, float]:
@@ -123,8 +131,8 @@ class Evaluation(FlightResult):
     rows : ndarray of int
         Where standard deviations were computed; between them they are interpolated.
     states : dict of str to DataFrame
-        Errors of the replay, as of ``skdgp.dynamics.replay_errors``, against "measured" and, where it is known,
-        "truth".
+        Errors of the replay, as of ``skdgp.dynamics.replay_errors``, against "measured" and, where
+        it is known, "truth".
     regressors : ndarray (n, d)
         What the last step of the pipeline predicted from.
     """
@@ -141,7 +149,9 @@ def evaluate_flights(
     evaluations = []
     for name, table in flights.items():
         notify(f"evaluating {name}")
-        evaluations.append(_evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares")))
+        evaluations.append(
+            _evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares"))
+        )
     return evaluations
 
 
@@ -153,7 +163,9 @@ def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evalu
     mean = regressor.predict(regressors)
     step = -(-len(table) // STD_ROWS)
     rows = np.arange(step // 2, len(table), step)
-    std = regressor.predict(regressors[rows], return_std=True, include_input_noise=noise_ratio[rows])[1]
+    std = regressor.predict(
+        regressors[rows], return_std=True, include_input_noise=noise_ratio[rows]
+    )[1]
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
     measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
     replayed = _replay(name, table, aircraft, mean, measured_std, settings["horizons"], loads)
@@ -182,7 +194,9 @@ def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evalu
         regressors=regressors,
         baseline=baseline,
     )
-    metrics: dict[str, Any] = {against: table.to_dict("list") for against, table in scores([evaluation]).items()}
+    metrics: dict[str, Any] = {
+        against: table.to_dict("list") for against, table in scores([evaluation]).items()
+    }
     return replace(evaluation, metrics=metrics)
 
 
@@ -191,8 +205,9 @@ def fit_least_squares(
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return "least_squares": intercept and slopes of each coefficient (n, 6), and "least_squares_std": their errors.
 
-    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler of the pipeline.
-    Standard deviations hold where errors are correlated within a block of consecutive rows (Liang & Zeger 1986).
+    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler
+    of the pipeline. Standard deviations hold where errors are correlated within a block of
+    consecutive rows (Liang & Zeger 1986).
     """
     table = named(pipeline, regressors)
     names, values = [str(name) for name in table], table.to_numpy()
@@ -202,8 +217,12 @@ def fit_least_squares(
         X, y = values[seen], y[seen]
         linear = LinearRegression().fit(X, y)
         residuals, z = y - linear.predict(X), X - X.mean(axis=0)
-        blocks = np.array_split(np.arange(len(y)), np.clip(len(y) // 10, 2, 60))  # as many as of `slope_errors`
-        scores = np.array([z[rows].T @ residuals[rows] for rows in blocks]) @ np.linalg.pinv(z.T @ z)
+        blocks = np.array_split(
+            np.arange(len(y)), np.clip(len(y) // 10, 2, 60)
+        )  # as many as of `slope_errors`
+        scores = np.array([z[rows].T @ residuals[rows] for rows in blocks]) @ np.linalg.pinv(
+            z.T @ z
+        )
         errors = np.sqrt(len(blocks) / (len(blocks) - 1) * (scores**2).sum(axis=0))
         found = {"intercept": linear.intercept_, **dict(zip(names, linear.coef_, strict=True))}
         slopes[coefficient] = {name: float(value) for name, value in found.items()}
@@ -228,7 +247,9 @@ def scores(evaluations: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
 def group_means(table: pd.DataFrame) -> pd.DataFrame:
     """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
     groups = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
-    return pd.DataFrame({group: table.loc[list(members)].mean() for group, members in groups.items()}).T
+    return pd.DataFrame(
+        {group: table.loc[list(members)].mean() for group, members in groups.items()}
+    ).T
 
 
 def _scores(evaluations, reference, std) -> pd.DataFrame:
@@ -238,8 +259,14 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
         return np.concatenate([getattr(one, name) for one in evaluations])
 
     means = all_rows(reference), all_rows("mean")
-    bands = [np.concatenate([getattr(one, name)[one.rows] for one in evaluations]) for name in (reference, "mean", std)]
-    columns = {of.__name__: of(*means, multioutput="raw_values") for of in (median_relative_error, normalized_rmse)}
+    bands = [
+        np.concatenate([getattr(one, name)[one.rows] for one in evaluations])
+        for name in (reference, "mean", std)
+    ]
+    columns = {
+        of.__name__: of(*means, multioutput="raw_values")
+        for of in (median_relative_error, normalized_rmse)
+    }
     if all(one.baseline is not None for one in evaluations):
         linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
         columns["least_squares_normalized_rmse"] = linear
@@ -253,12 +280,15 @@ def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame |
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
         warnings.warn(
-            f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration would start.",
+            f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration "
+            f"would start.",
             stacklevel=4,
         )
         return None
     warn_of_long_horizons(horizons, name, table)
-    return replay(table, aircraft, mean, std=std, horizon=horizons, initial_std=sensor_noise(table), **loads)
+    return replay(
+        table, aircraft, mean, std=std, horizon=horizons, initial_std=sensor_noise(table), **loads
+    )
 
 
 def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFrame) -> None:
@@ -268,8 +298,10 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
     long = [horizon for horizon in horizons if horizon > longest]
     if long:
         warnings.warn(
-            f"Flight {name!r} lasts {longest:.3g} s without a gap, so the replay never reaches horizons of "
-            f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each gap-free segment.",
+            f"Flight {name!r} lasts {longest:.3g} s without a gap, so the replay never reaches "
+            f"horizons of "
+            f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each "
+            f"gap-free segment.",
             stacklevel=5,
         )
 
@@ -277,22 +309,28 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
 def sensor_noise(table: pd.DataFrame, states: Sequence[str] = STATES) -> dict[str, float]:
     """Return the white noise of the measured states, by name: how uncertain a restart from them is.
 
-    Where the spectrum of a short flight does not show it, second differences do, of which white noise has
-    1 + 4 + 1 = 6 times its variance; with motion in them the noise is rather over- than understated.
+    Where the spectrum of a short flight does not show it, second differences do, of which white
+    noise has 1 + 4 + 1 = 6 times its variance; with motion in them the noise is rather over- than
+    understated.
     """
     names = [name for name in states if name in table]
     values, time = unwrapped(table, names), table["time"].to_numpy(float)
     found = noise_level(values, time).measured
-    squares = np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
+    squares = (
+        np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
+    )
     known = np.isfinite(squares)
-    bound = np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0)
+    bound = np.sqrt(
+        np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0
+    )
     return dict(zip(names, np.where(np.isfinite(found), found, bound).tolist(), strict=True))
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training flights had.
+    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its
+    training flights had.
     """
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
@@ -305,8 +343,11 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
 def check_identified(pipeline: Pipeline) -> None:
     """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
     steps = getattr(pipeline, "named_steps", {})
-    if not set(steps) >= STEPS or not isinstance(regressor_and_scale(pipeline)[0], DependentGPRegressor):
+    if not set(steps) >= STEPS or not isinstance(
+        regressor_and_scale(pipeline)[0], DependentGPRegressor
+    ):
         raise ValueError(
-            f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what make_identification_pipeline "
+            f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what "
+            f"make_identification_pipeline "
             "makes, with a DependentGPRegressor: learn it with identify."
         )

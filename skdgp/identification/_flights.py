@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES, REGRESSOR_SETS, SPECIFIC_FORCE, THRUST_FORCES
+from skdgp._flight.channels import (
+    EARTH_VELOCITY,
+    ELEVONS,
+    MIXED,
+    RATES,
+    REGRESSOR_SETS,
+    SPECIFIC_FORCE,
+    THRUST_FORCES,
+)
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
@@ -23,18 +31,28 @@ from skdgp.preprocessing import FlightCheck
 
 Flights = dict[str, pd.DataFrame]
 
-MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)  # columns that the coefficients follow from
+MEASURED = (
+    "airspeed",
+    "density",
+    *SPECIFIC_FORCE,
+    *RATES,
+)  # columns that the coefficients follow from
 FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
-INTERCHANGEABLE = (*MIXED, *ELEVONS)  # elevons may stand for elevator and aileron, and the other way round
+INTERCHANGEABLE = (
+    *MIXED,
+    *ELEVONS,
+)  # elevons may stand for elevator and aileron, and the other way round
 AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables whose airspeed is that of turns
 
 
-def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any) -> Flights:
+def named_flights(
+    flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any
+) -> Flights:
     """Return one table for each flight by name; a column ``flight`` separates several flights in a table.
 
-    Raises the errors of the readers, and ValueError if two flights have the same name, or a flight lacks a column that
-    is needed.
+    Raises the errors of the readers, and ValueError if two flights have the same name, or a flight
+    lacks a column that is needed.
 
     Parameters
     ----------
@@ -55,7 +73,10 @@ def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str
         for name, table in flights.items():
             parts = flights_of(check_table(table))
             if len(parts) != 1:
-                raise ValueError(f"Got {len(parts)} flights in the table {name!r}, but expected one for each name.")
+                raise ValueError(
+                    f"Got {len(parts)} flights in the table {name!r}, but expected one for each "
+                    f"name."
+                )
             found[name] = _checked_columns(next(iter(parts.values())).assign(flight=name), needed)
         return found
     items = items_of(flights)
@@ -64,7 +85,11 @@ def named_flights(flights: Any, *, default: str = "flight", needed: Sequence[str
     origin: dict[str, str | os.PathLike | None] = {}
     for number, item in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
-        table = check_table(item) if path is None else read_flight(path, **(reading if is_log(path) else {}))
+        table = (
+            check_table(item)
+            if path is None
+            else read_flight(path, **(reading if is_log(path) else {}))
+        )
         for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
                 raise FlightReadError(_same_name(name, origin[name], path))
@@ -83,7 +108,10 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
     if "flight" not in table:
         return {default: table.reset_index(drop=True).assign(flight=default)}
     rows = flight_rows(table["flight"])
-    return {name: table.iloc[here].reset_index(drop=True).assign(flight=name) for name, here in rows.items()}
+    return {
+        name: table.iloc[here].reset_index(drop=True).assign(flight=name)
+        for name, here in rows.items()
+    }
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
@@ -93,7 +121,9 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
     except ValueError as error:
         if not is_log(path):
             raise
-        raise ValueError(f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}") from None
+        raise ValueError(
+            f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}"
+        ) from None
     return table
 
 
@@ -108,9 +138,13 @@ def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
         if "airspeed" in needed:
             raise
         return flight
-    error, wind = (found[["airspeed_std"]] ** 2).mean().iloc[0] ** 0.5, found[["wind_north", "wind_east"]].mean()
+    error, wind = (
+        (found[["airspeed_std"]] ** 2).mean().iloc[0] ** 0.5,
+        found[["wind_north", "wind_east"]].mean(),
+    )
     warnings.warn(
-        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: that of its turns is used, ± {error:.2g} m/s, in a wind "
+        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: that of its turns is used, ± "
+        f"{error:.2g} m/s, in a wind "
         f"of {np.hypot(*wind):.2g} m/s.",
         FlightDataWarning,
         stacklevel=5,
@@ -123,14 +157,18 @@ def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
 def _same_name(name, first, second) -> str:
     """Return the message for two flights of one name, with the remedy."""
     if first is None or second is None:
-        return f"Got flight {name!r} twice, but expected each once: give a dict of names and tables."
+        return (
+            f"Got flight {name!r} twice, but expected each once: give a dict of names and tables."
+        )
     columns = [str(path) for path in (second, first) if Path(path).stem != name]
     if Path(first).resolve() == Path(second).resolve():
         remedy = "name the file once"
     elif columns:
         remedy = f"the name stands in column 'flight' of {columns[0]}; change it there"
     else:
-        remedy = "rename one of the files, or where a file has a column 'flight', change the name there"
+        remedy = (
+            "rename one of the files, or where a file has a column 'flight', change the name there"
+        )
     return f"Got flight {name!r} in {first} and in {second}, but expected each once: {remedy}."
 
 
@@ -141,18 +179,35 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
     """
     if test:
         for name in train.keys() & test.keys():
-            _warn(f"Flight {name!r} is both learned from and tested on: its errors say nothing about other flights.", 4)
+            _warn(
+                f"Flight {name!r} is both learned from and tested on: its errors say nothing "
+                f"about other flights.",
+                4,
+            )
         return train, test, None
     *others, last = train
     if others:
         held_out, found = f"the last flight, {last}", train
     else:
-        held_out, split = f"the last quarter of the only flight, {last}", round(0.75 * len(train[last]))
-        rows = {f"{last}, first three quarters": slice(0, split), f"{last}, last quarter": slice(split, None)}
-        found = {name: train[last].iloc[part].assign(flight=name).reset_index(drop=True) for name, part in rows.items()}
+        held_out, split = (
+            f"the last quarter of the only flight, {last}",
+            round(0.75 * len(train[last])),
+        )
+        rows = {
+            f"{last}, first three quarters": slice(0, split),
+            f"{last}, last quarter": slice(split, None),
+        }
+        found = {
+            name: train[last].iloc[part].assign(flight=name).reset_index(drop=True)
+            for name, part in rows.items()
+        }
     _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
     *_, last = found
-    return {name: table for name, table in found.items() if name != last}, {last: found[last]}, held_out
+    return (
+        {name: table for name, table in found.items() if name != last},
+        {last: found[last]},
+        held_out,
+    )
 
 
 def _names(regressors) -> Sequence[str]:
@@ -175,14 +230,17 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
 def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
     """Return flights without faults, and only rows that a model can learn from or predict.
 
-    Warns of faults, of contradictions of physics, and of the rows that are left out. Raises ValueError if a flight
-    lacks one of the columns, which the model's flights have, or no row of it is left.
+    Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
+    ValueError if a flight lacks one of the columns, which the model's flights have, or no row of it
+    is left.
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     check = FlightCheck(bridge=0)
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
-    for each in find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ():
+    for each in (
+        find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ()
+    ):
         warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
@@ -191,28 +249,38 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     columns = regressor_columns([table], regressors)
     missing = ~np.isfinite(table[columns].to_numpy(dtype=float))
-    counts = {name: int(count) for name, count in zip(columns, missing.sum(axis=0), strict=True) if count}
+    counts = {
+        name: int(count) for name, count in zip(columns, missing.sum(axis=0), strict=True) if count
+    }
     complete = table[~missing.any(axis=1)]
     if complete.empty:
         raise ValueError(
-            f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by rows: {counts}): bring "
-            "slow sensors to the clock of the others, drop columns that are empty, or name other regressors."
+            f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
+            f"rows: {counts}): bring "
+            "slow sensors to the clock of the others, drop columns that are empty, or name other "
+            "regressors."
         )
     if counts:
         _warn(
-            f"Flight {flight!r}: {len(table) - len(complete)} of {len(table)} rows are left out, because regressors "
-            f"are missing there (by rows: {counts}). Bring slow sensors to the clock of the others if these are many."
+            f"Flight {flight!r}: {len(table) - len(complete)} of {len(table)} rows are left out, "
+            f"because regressors "
+            f"are missing there (by rows: {counts}). Bring slow sensors to the clock of the "
+            f"others if these are many."
         )
     segments = flight_segments(complete["time"].to_numpy(float))
     rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
     if not rows:
         raise ValueError(
-            f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected thousands: rates "
+            f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but "
+            f"expected thousands: rates "
             "of change need neighbours. Is the log whole, and time in seconds?"
         )
     kept = np.concatenate(rows)
     if len(kept) < len(complete):
-        _warn(f"Flight {flight!r}: {len(complete) - len(kept)} rows that stand alone between gaps are left out.")
+        _warn(
+            f"Flight {flight!r}: {len(complete) - len(kept)} rows that stand alone between gaps "
+            f"are left out."
+        )
     return complete.iloc[kept].reset_index(drop=True)
 
 
@@ -224,28 +292,40 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
     """Raise ValueError if the coefficients are known at fewer than two rows, with what is missing."""
     known = int(Y.notna().all(axis=1).sum())
     if known < 2:
-        missing = {name: n for name in FORCES if name in table and (n := int(table[name].isna().sum()))}
+        missing = {
+            name: n for name in FORCES if name in table and (n := int(table[name].isna().sum()))
+        }
         raise ValueError(
-            f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected at least two, better "
-            f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of the others, or drop "
+            f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected "
+            f"at least two, better "
+            f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of "
+            f"the others, or drop "
             "columns that are empty."
         )
 
 
 def warn_of_short_flights(flights: Flights, regressors) -> None:
     """Warn if regressors pass their means less often than there are regressors."""
-    columns = [name for name in regressor_columns(list(flights.values())[:1], regressors) if name != "airspeed"]
+    columns = [
+        name
+        for name in regressor_columns(list(flights.values())[:1], regressors)
+        if name != "airspeed"
+    ]
     crossings = np.zeros(len(columns))
     for table in flights.values():
         time, values = table["time"].to_numpy(float), table[columns].to_numpy(float)
-        size = max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1  # noise does not count
+        size = (
+            max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1
+        )  # noise does not count
         blocks = block_means(values, size) - values.mean(axis=0)
         crossings += np.sum(blocks[1:] * blocks[:-1] < 0, axis=0)
     if np.median(crossings) < len(columns):
         seconds = sum(np.ptp(table["time"]) for table in flights.values())
         warnings.warn(
-            f"The training flights last {seconds:.3g} s, in which {columns} pass their means {np.median(crossings):g} "
-            f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly longer, or name fewer "
+            f"The training flights last {seconds:.3g} s, in which {columns} pass their means "
+            f"{np.median(crossings):g} "
+            f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly "
+            f"longer, or name fewer "
             "regressors.",
             FlightDataWarning,
             stacklevel=3,
@@ -258,7 +338,9 @@ def warn_of_engine(flights: Flights, regressors) -> None:
     varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
     if varied and not set(varied) & set(_names(regressors)):
         _warn(
-            f"Got thrust=None for flights with {' and '.join(varied)}: the coefficients include the thrust, and no "
-            f"regressor explains it. Name regressors with {varied[0]!r} and 'airspeed', or give the thrust.",
+            f"Got thrust=None for flights with {' and '.join(varied)}: the coefficients include "
+            f"the thrust, and no "
+            f"regressor explains it. Name regressors with {varied[0]!r} and 'airspeed', or give "
+            f"the thrust.",
             3,
         )

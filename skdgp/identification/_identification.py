@@ -28,7 +28,14 @@ from skdgp.identification._flights import named_flights
 from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.report import FlightMechanics, ModelSummary, ReportContent, Verdict, render_report, write_report
+from skdgp.report import (
+    FlightMechanics,
+    ModelSummary,
+    ReportContent,
+    Verdict,
+    render_report,
+    write_report,
+)
 
 FORMAT = 1  # of the metrics
 WIDTHS = {
@@ -64,10 +71,11 @@ class Identification:
     messages, held_out : list of str, str or None
         Warnings that arose, and what was held out because no test flight was named.
     supplements : sequence
-        Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics, ``summary()``, a
-        list of lines, and ``section()``, HTML for the report.
+        Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics,
+        ``summary()``, a list of lines, and ``section()``, HTML for the report.
     assumed : list of str
-        What was assumed where flights and aircraft do not say, and what to measure; empty where all was told.
+        What was assumed where flights and aircraft do not say, and what to measure; empty where all
+        was told.
     title, command, created : str
         Heading of the report, the command line, date and time.
     """
@@ -84,12 +92,17 @@ class Identification:
     assumed: list[str] = field(default_factory=list)
     title: str = ""
     command: str | None = None
-    created: str = field(default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds"))
+    created: str = field(
+        default_factory=lambda: datetime.now().astimezone().isoformat(timespec="seconds")
+    )
 
     @cached_property
     def mechanics(self) -> FlightMechanics:
         """Trim, derivatives and modes in the middle of what was flown, and how long a simulation follows flights."""
-        train, test = list(self.train.values()), [one.table for one in self.evaluations if one.table is not None]
+        train, test = (
+            list(self.train.values()),
+            [one.table for one in self.evaluations if one.table is not None],
+        )
         return flight_mechanics(self.pipeline, self.aircraft, train, test, self.settings, self.fit)
 
     @cached_property
@@ -116,7 +129,10 @@ class Identification:
                         **_extent(one.table),
                         "samples_with_std": len(one.rows),
                         **_score_metrics([one]),
-                        "states": {against: table.to_dict("records") for against, table in one.states.items()},
+                        "states": {
+                            against: table.to_dict("records")
+                            for against, table in one.states.items()
+                        },
                     }
                     for one in self.evaluations
                 },
@@ -134,23 +150,40 @@ class Identification:
         fit, tested, verdict = self.fit, self.evaluations, self.verdict
         first = f"{self.aircraft.name}: "
         if "seconds" in fit:
-            first += f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
+            first += (
+                f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
+            )
             first += f"{fit['samples']} of {fit['samples_available']} samples, "
         lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
         if not fit.get("converged", True):
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
         if len(tested) == 1:
-            lines += ["", f"flight {tested[0].name}", *_score_table(tested), "", *_state_lines(tested[0])]
+            lines += [
+                "",
+                f"flight {tested[0].name}",
+                *_score_table(tested),
+                "",
+                *_state_lines(tested[0]),
+            ]
         else:
             lines += ["", f"{len(tested)} test flights together", *_score_table(tested), ""]
             for one in tested:
                 lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
-        lines += ["", *(f"flight paths {paths}" for paths in [reconstruction_of(self.pipeline)] if paths)]
+        lines += [
+            "",
+            *(f"flight paths {paths}" for paths in [reconstruction_of(self.pipeline)] if paths),
+        ]
         lines += [line for each in self.supplements for line in each.summary()]
-        lines += ["", f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands"]
+        lines += [
+            "",
+            f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands",
+        ]
         lines += [words] if (words := verdict.compared()) else []
         lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
-        lines += [f"warning {k}: {warning}" for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)]
+        lines += [
+            f"warning {k}: {warning}"
+            for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)
+        ]
         lines += ["", "assumed, as nothing was told:"] if self.assumed else []
         for each in self.assumed:
             lines += wrap(each, 110, initial_indent="  - ", subsequent_indent="    ")
@@ -161,8 +194,12 @@ class Identification:
         with warnings.catch_warnings():
             flights = _evaluation.usable_flights_of_model(self.pipeline, named_flights(flight))
             if len(flights) != 1:
-                raise ValueError(f"Got {len(flights)} flights, but expected one: evaluate each by itself.")
-            return _evaluation.evaluate_flights(flights, self.pipeline, self.aircraft, self.settings, self.fit)[0]
+                raise ValueError(
+                    f"Got {len(flights)} flights, but expected one: evaluate each by itself."
+                )
+            return _evaluation.evaluate_flights(
+                flights, self.pipeline, self.aircraft, self.settings, self.fit
+            )[0]
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the report, one HTML file, and return its path."""
@@ -181,7 +218,9 @@ class Identification:
         """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
         notify("report")
         if find_spec("matplotlib") is None:
-            warnings.warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
+            warnings.warn(
+                'No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2
+            )
         found = {
             "report.html": text_writer(render_report(self._report_content())),
             "metrics.json": text_writer(json_text(self.metrics)),
@@ -207,9 +246,12 @@ class Identification:
                 regressors=fit["regressors"],
                 n_latent=sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands()),
                 n_private=len(COEFFICIENTS) if coupled else 0,
-                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "none",
+                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}"
+                if coupled
+                else "none",
                 trend=regressor.trend or "none",
-                inference=regressor.inference_ + " (chosen by auto)" * (regressor.inference == "auto"),
+                inference=regressor.inference_
+                + " (chosen by auto)" * (regressor.inference == "auto"),
                 log_marginal_likelihood=fit["log_marginal_likelihood"],
                 n_iter=fit["iterations"],
                 max_iter=regressor.max_iter_,
@@ -223,7 +265,8 @@ class Identification:
             aircraft={
                 "Aircraft": aircraft.name,
                 "Mass": f"{aircraft.mass:g} kg",
-                "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, {aircraft.chord:.4g} m",
+                "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, "
+                f"{aircraft.chord:.4g} m",
             },
             verdict=self.verdict,
             mechanics=self.mechanics,
@@ -242,14 +285,18 @@ class Identification:
             return None
         tested = [_evaluation.named(self.pipeline, one.regressors) for one in self.evaluations]
         path = pd.concat(tested) if tested else None
-        return EnvelopeDisplay.compute(self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12)
+        return EnvelopeDisplay.compute(
+            self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12
+        )
 
     def _effects(self) -> EffectsDisplay | None:
         """Return the effect of each regressor; None of a compact model without its training flights."""
         compact = regressor_and_scale(self.pipeline)[0].inference_ == "compact"
         if compact and not self.train:
             return None
-        return EffectsDisplay.compute(self.pipeline[-2:], self._training_regressors() if compact else None)
+        return EffectsDisplay.compute(
+            self.pipeline[-2:], self._training_regressors() if compact else None
+        )
 
     def _training_regressors(self) -> pd.DataFrame:
         return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
@@ -261,24 +308,40 @@ class Identification:
         if paths := reconstruction_of(self.pipeline):
             remarks["Flight paths"] = paths
         if "lags" in fit:
-            lags = [f"{name} {row['applied']:.3g} s" for name, row in fit["lags"].items() if row["applied"]]
+            lags = [
+                f"{name} {row['applied']:.3g} s"
+                for name, row in fit["lags"].items()
+                if row["applied"]
+            ]
             remarks["Lags"] = ", ".join(lags) or "none to correct"
         if len(fit["weights"]) > 1:
-            shares = {name: np.mean(list(by_output.values())) for name, by_output in fit["weights"].items()}
+            shares = {
+                name: np.mean(list(by_output.values()))
+                for name, by_output in fit["weights"].items()
+            }
             words = ", ".join(f"{share:.0%} {MEMBERS[name]}" for name, share in shares.items())
-            remarks["Average"] = f"{words}; weights by blocks of the training flights, predicted from the others"
-        if noisy := [f"{name} {value:.2g}" for name, value in fit["input_noise_std"].items() if value > 0]:
+            remarks["Average"] = (
+                f"{words}; weights by blocks of the training flights, predicted from the others"
+            )
+        if noisy := [
+            f"{name} {value:.2g}" for name, value in fit["input_noise_std"].items() if value > 0
+        ]:
             remarks["Noise of the regressors"] = ", ".join(noisy)
         if self.settings["external_forces"]:
             remarks["Other loads"] = ", ".join(self.settings["external_forces"])
         if "std_scale" in fit:
             factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
-            remarks["Calibration"] = f"standard deviations scaled to flights held out in turn: {factors} times"
+            remarks["Calibration"] = (
+                f"standard deviations scaled to flights held out in turn: {factors} times"
+            )
         step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
         if step > 1:
             remarks["Bands"] = f"computed at one row in {step}, interpolated between"
         if any(one.truth is not None for one in self.evaluations):
-            remarks["Truth"] = "contains gusts that no sensor felt: coverage and NLPD against it are in metrics.json"
+            remarks["Truth"] = (
+                "contains gusts that no sensor felt: coverage and NLPD against it are in "
+                "metrics.json"
+            )
         if fit.get("interrupted"):
             remarks["Fit"] = "interrupted; this is the best model until then"
         return remarks
@@ -295,7 +358,9 @@ def _score_metrics(evaluations) -> dict:
     tables = scores(evaluations)
     return {
         "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
-        "means": {against: group_means(table).to_dict("index") for against, table in tables.items()},
+        "means": {
+            against: group_means(table).to_dict("index") for against, table in tables.items()
+        },
     }
 
 
@@ -307,7 +372,11 @@ def _score_table(evaluations) -> list[str]:
         cells = [f"{word:>{WIDTH}}" for word in (*words, *words[:2] * (len(tables) - 1))]
         lines.append(" " * MARGIN + "".join(cells).rstrip())
     lines += [_row(name, [table.loc[name] for table in tables.values()]) for name in COEFFICIENTS]
-    return [*lines, "", *(_mean_row(evaluations, group) for group in ("longitudinal", "lateral", "all"))]
+    return [
+        *lines,
+        "",
+        *(_mean_row(evaluations, group) for group in ("longitudinal", "lateral", "all")),
+    ]
 
 
 def _mean_row(evaluations, group) -> str:
@@ -316,7 +385,11 @@ def _mean_row(evaluations, group) -> str:
 
 def _row(name, rows) -> str:
     """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    cells = [cell for row in rows for cell in (_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}")]
+    cells = [
+        cell
+        for row in rows
+        for cell in (_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}")
+    ]
     cells.insert(2, _percent(rows[0].interval_coverage))
     return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
 
@@ -327,9 +400,14 @@ def _percent(fraction) -> str:
 
 def _state_lines(evaluation: Evaluation) -> list[str]:
     lines = []
-    for horizon, part in evaluation.states["measured"].groupby("horizon") if evaluation.states else ():
+    for horizon, part in (
+        evaluation.states["measured"].groupby("horizon") if evaluation.states else ()
+    ):
         median = part.set_index("state")["median"]
         units = {state: display_unit(state) for state in ("v_east", "p", "r") if state in median}
-        cells = [f"{state} {factor * median[state]:.3g} {unit}" for state, (factor, unit) in units.items()]
+        cells = [
+            f"{state} {factor * median[state]:.3g} {unit}"
+            for state, (factor, unit) in units.items()
+        ]
         lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
     return lines

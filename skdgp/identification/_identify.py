@@ -46,20 +46,23 @@ def identify(
 ) -> Identification:
     """Learn a model of the six coefficients from flights, and judge it on others.
 
-    Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`) learns them from
-    the training flights, and predicts the test flights; predictions are scored and replayed. Listeners of
-    `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``: "reading", "coefficients", "transforming",
-    "evaluating NAME". Ctrl-C during the fit keeps the best model so far.
+    Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`)
+    learns them from the training flights, and predicts the test flights; predictions are scored and
+    replayed. Listeners of `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``:
+    "reading", "coefficients", "transforming", "evaluating NAME". Ctrl-C during the fit keeps the
+    best model so far.
 
     Parameters
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
-        Training flights at their full rate. A column ``flight`` separates several flights in one table. Those without
-        an airspeed get that of their turns (:func:`skdgp.preprocessing.airspeed_from_turns`).
+        Training flights at their full rate. A column ``flight`` separates several flights in one
+        table. Those without an airspeed get that of their turns
+        (:func:`skdgp.preprocessing.airspeed_from_turns`).
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
-        Test flights. By default the last training flight is held out, or the last quarter of a single one.
+        Test flights. By default the last training flight is held out, or the last quarter of a
+        single one.
     regressors : str or sequence of str
         As of :func:`make_identification_pipeline`.
     regressor : DependentGPRegressor, optional
@@ -69,16 +72,19 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     thrust, external_forces
-        As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the speed of the
-        propeller among the regressors, best with the airspeed, unless the aircraft glides; so does "auto" by itself
-        where the flights have a throttle and nothing gives the thrust.
+        As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or
+        the speed of the propeller among the regressors, best with the airspeed, unless the aircraft
+        glides; so does "auto" by itself where the flights have a throttle and nothing gives the
+        thrust.
     calibrate : bool
-        Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what training flights
-        show that are held out in turn: up to 5 more fits. Not with a symmetric pipeline.
+        Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what
+        training flights show that are held out in turn: up to 5 more fits. Not with a symmetric
+        pipeline.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
-        Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos": "full throw"}``.
+        Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos":
+        "full throw"}``.
 
     Returns
     -------
@@ -87,8 +93,8 @@ def identify(
     Raises
     ------
     ValueError
-        If a flight lacks columns or usable rows, a name occurs twice, the thrust is not known, or there is a single
-        training flight to calibrate on.
+        If a flight lacks columns or usable rows, a name occurs twice, the thrust is not known, or
+        there is a single training flight to calibrate on.
     TypeError
         If ``regressor`` is not a DependentGPRegressor.
     OSError
@@ -118,19 +124,24 @@ def identify(
         regressor = DependentGPRegressor(random_state=0)
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
-            f"Got {type(regressor).__name__} as the regressor, but expected a DependentGPRegressor: fit other "
+            f"Got {type(regressor).__name__} as the regressor, but expected a "
+            f"DependentGPRegressor: fit other "
             "regressors with make_identification_pipeline."
         )
     steps, reading = dict(pipeline or {}), dict(reading or {})
     with recorded_warnings() as messages:
-        notify("reading")  # 1: flights to learn from and to test on, and what of the aircraft they leave uncertain
+        notify(
+            "reading"
+        )  # 1: flights to learn from and to test on, and what of the aircraft they leave uncertain
         aircraft = _aircraft(aircraft)
         servos = _assumed.servos_for(reading.get("servos"), flights, test)
         aircraft = _assumed.with_throw_errors(aircraft, servos)
         reading |= {"servos": servos, "needed": _flights.MEASURED}
         train = _flights.named_flights(flights, **reading)
         aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
-        test = {} if test is None else _flights.named_flights(test, default="test flight", **reading)
+        test = (
+            {} if test is None else _flights.named_flights(test, default="test flight", **reading)
+        )
         train, test, held_out = _flights.train_and_test(train, test)
         servos, train, test = _assumed.with_signs_of_flights(servos, train, test)
         if calibrate:
@@ -141,7 +152,10 @@ def identify(
         thrust_unknown = _assumed.lacks_thrust(thrust, train.values(), aircraft)
         if thrust_unknown:
             _warn(_assumed.THRUST_IN_COEFFICIENTS)
-        loads: dict[str, Any] = {"thrust": None if thrust_unknown else thrust, "external_forces": list(external_forces)}
+        loads: dict[str, Any] = {
+            "thrust": None if thrust_unknown else thrust,
+            "external_forces": list(external_forces),
+        }
         if loads["thrust"] is None:
             _flights.warn_of_engine(train, regressors)
         if reversed_of(servos) is not None:
@@ -154,15 +168,21 @@ def identify(
         table = pd.concat(train.values(), ignore_index=True)
         Y = aerodynamic_coefficients(table, aircraft, **loads)
         _flights.check_known(Y, table)
-        n_samples: Any = EXACT_SAMPLES if samples is None and regressor.inference == "exact" else samples
+        n_samples: Any = (
+            EXACT_SAMPLES if samples is None and regressor.inference == "exact" else samples
+        )
         targets = thin_targets(Y, len(Y) if n_samples in (None, "all") else n_samples)
 
         notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
         last = CalibratedRegressor(clone(regressor)) if calibrate else regressor
         has_controls = {*ELEVONS} & {*table} or {*MIXED} <= {*table}
         steps = {"mixer": None if has_controls else "passthrough"} | steps
-        model = make_identification_pipeline(aircraft, regressors=regressors, regressor=last, **steps)
-        if thrust_unknown and isinstance(regressors, str):  # a named set, which has the throttle already
+        model = make_identification_pipeline(
+            aircraft, regressors=regressors, regressor=last, **steps
+        )
+        if thrust_unknown and isinstance(
+            regressors, str
+        ):  # a named set, which has the throttle already
             model.set_params(regressorselector__extra=["airspeed"])
         model.control_units_ = _assumed.control_units(servos)
         began = time.monotonic()
@@ -173,7 +193,9 @@ def identify(
         aircraft = _assumed.with_vane_errors(aircraft, model)
         sources = _evaluation.thrust_sources(loads["thrust"], train.values())
         if "propeller" in sources:
-            aircraft = _assumed.with_thrust_errors(aircraft, table, _evaluation.named(model, X), loads["thrust"])
+            aircraft = _assumed.with_thrust_errors(
+                aircraft, table, _evaluation.named(model, X), loads["thrust"]
+            )
 
         fit = {  # 4: the record of the fit, and the test flights, by paper eqs 17 and 18
             "samples": int(targets.notna().any(axis=1).sum()),
@@ -186,7 +208,11 @@ def identify(
             "flights": {name: len(part) for name, part in train.items()},
         }
         reconstruction = steps.get("reconstruction", "auto")
-        settings = {"samples": fit["samples"], **loads, **_evaluation.settings_of(model, reconstruction, horizons)}
+        settings = {
+            "samples": fit["samples"],
+            **loads,
+            **_evaluation.settings_of(model, reconstruction, horizons),
+        }
         settings |= {} if reversed_of(servos) is None else {"servos": servos}
         evaluations = _evaluation.evaluate_flights(test, model, aircraft, settings, fit)
     return Identification(
@@ -242,7 +268,10 @@ def validate(
         named = _flights.named_flights(flights, **reading | {"servos": servos})
         flights = _evaluation.usable_flights_of_model(model.pipeline, named)
         for name in flights.keys() & set(model.get("flights", [])):
-            _warn(f"The model learned from a flight {name!r}: if it is this one, its errors say nothing about others.")
+            _warn(
+                f"The model learned from a flight {name!r}: if it is this one, its errors say "
+                f"nothing about others."
+            )
         aircraft = _aircraft(model.aircraft if aircraft is None else aircraft)
         fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = _evaluation.evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
@@ -277,7 +306,11 @@ def recorded_warnings() -> Iterator[list[str]]:
 
 def _aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
-    return Aircraft.from_file(aircraft) if isinstance(aircraft, str | os.PathLike) else check_aircraft(aircraft)
+    return (
+        Aircraft.from_file(aircraft)
+        if isinstance(aircraft, str | os.PathLike)
+        else check_aircraft(aircraft)
+    )
 
 
 def _warn(message):
@@ -287,11 +320,13 @@ def _warn(message):
 def _check_calibration(train, symmetric) -> None:
     if len(train) < 2:
         raise ValueError(
-            f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at least two, to hold "
+            f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at "
+            f"least two, to hold "
             "each out in turn: give more flights, or do not calibrate."
         )
     if symmetric:
         raise ValueError(
-            "Got calibrate with symmetric=True, but expected one or the other: calibration is by flights held out, "
+            "Got calibrate with symmetric=True, but expected one or the other: calibration is by "
+            "flights held out, "
             "which a symmetric model would learn from twice."
         )

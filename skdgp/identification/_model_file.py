@@ -30,7 +30,9 @@ class ModelFileError(ValueError):
     """A file could not be read as a model."""
 
 
-def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Path:
+def save_model(
+    path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, **facts: Any
+) -> Path:
     """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
     Raises TypeError if ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
@@ -51,7 +53,8 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
     model = model_bunch(pipeline, aircraft, **facts)
     if not _is_model(model):
         raise TypeError(
-            f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a fitted pipeline and "
+            f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a "
+            f"fitted pipeline and "
             "its Aircraft: call fit first."
         )
     return write_atomically(path, lambda temporary: dump_model(temporary, model))
@@ -59,7 +62,10 @@ def save_model(path: str | os.PathLike, pipeline: Pipeline, aircraft: Aircraft, 
 
 def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
     """Return what a model file holds, with the time and the versions of now."""
-    now = {"created": datetime.now().astimezone().isoformat(timespec="seconds"), "versions": software_versions()}
+    now = {
+        "created": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "versions": software_versions(),
+    }
     return Bunch(pipeline=pipeline, aircraft=aircraft, **facts | now)
 
 
@@ -69,7 +75,12 @@ def dump_model(path: Path, model: Bunch) -> None:
     Unpickling stops before that line. It ends in the SHA-256 of all that stands before the digest.
     """
     joblib.dump(model, path)
-    closing = {"format": FORMAT, "bytes": path.stat().st_size, "created": model.created, "versions": model.versions}
+    closing = {
+        "format": FORMAT,
+        "bytes": path.stat().st_size,
+        "created": model.created,
+        "versions": model.versions,
+    }
     with path.open("a+b") as file:
         file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
         file.write(sha256_of(file, file.tell()) + END)
@@ -78,40 +89,49 @@ def dump_model(path: Path, model: Bunch) -> None:
 def load_model(path: str | os.PathLike) -> Bunch:
     """Return a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
 
-    The file is a pickle, and loading may run any code in it: open only files whose origin you trust.
+    The file is a pickle, and loading may run any code in it: open only files whose origin you
+    trust.
 
-    The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``, ``created``,
-    ``versions`` and the facts saved with it: of :func:`identify` ``options`` (thrust, external forces, ...), ``fit``
-    (samples, seconds, log likelihood, ...) and ``flights`` learned from.
+    The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``,
+    ``created``, ``versions`` and the facts saved with it: of :func:`identify` ``options`` (thrust,
+    external forces, ...), ``fit`` (samples, seconds, log likelihood, ...) and ``flights`` learned
+    from.
 
-    Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut off or differs from
-    what was written in a single bit, or cannot be read by the versions installed here. Warns if it was made by other
-    versions of skdgp, scikit-learn or NumPy.
+    Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut
+    off or differs from what was written in a single bit, or cannot be read by the versions
+    installed here. Warns if it was made by other versions of skdgp, scikit-learn or NumPy.
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib.")
+        raise FileNotFoundError(
+            f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib."
+        )
     with path.open("rb") as file:
         made_by, here = _closing(file, path)["versions"], software_versions()
         if any(made_by.get(name) != here.get(name) for name in MATTERS):
             warnings.warn(
-                f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its predictions may differ. "
+                f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its "
+                f"predictions may differ. "
                 "Compare a few, fit it again, or install those versions.",
                 stacklevel=2,
             )
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", InconsistentVersionWarning)  # warned of above, once for all
+                warnings.simplefilter(
+                    "ignore", InconsistentVersionWarning
+                )  # warned of above, once for all
                 file.seek(0)
                 model = joblib.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written by {_in_words(made_by)}, which cannot be read here, with {_in_words(here)} "
+                f"Got {path}, written by {_in_words(made_by)}, which cannot be read here, with "
+                f"{_in_words(here)} "
                 f"({type(error).__name__}: {error}): fit it again, or install those versions."
             ) from error
     if not _is_model(model):
         raise ModelFileError(
-            f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and its aircraft: fit it "
+            f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and "
+            f"its aircraft: fit it "
             "again, and write it with skdgp.identification.save_model."
         )
     return model
@@ -129,17 +149,26 @@ def _closing(file: BinaryIO, path) -> dict:
         form, made_by = closing["format"], _in_words(closing["versions"])
         whole = closing["bytes"] == size - (len(end) - start)
         whole &= sha256_of(file, before) + END == end[before - size :]
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):  # not what dump_model writes
+    except (
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ):  # not what dump_model writes
         whole = False
     if not whole:
         raise ModelFileError(
-            f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is missing or does not "
-            "fit. Expected a file that python -m skdgp identify or skdgp.identification.save_model wrote; if it is "
+            f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
+            f"missing or does not "
+            "fit. Expected a file that python -m skdgp identify or "
+            "skdgp.identification.save_model wrote; if it is "
             "one, it was cut off or changed: copy it again."
         )
     if form != FORMAT:
         raise ModelFileError(
-            f"Got {path} of format {form}, written by {made_by}, but this skdgp reads format {FORMAT}: fit it again, "
+            f"Got {path} of format {form}, written by {made_by}, but this skdgp reads format "
+            f"{FORMAT}: fit it again, "
             "or install that version."
         )
     return closing

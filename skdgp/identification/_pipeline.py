@@ -33,7 +33,10 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
-LEAST_ROWS, MOST_ROWS = 5, 20000  # fewest rows for each term of the polynomial that is fitted, and most rows in all
+LEAST_ROWS, MOST_ROWS = (
+    5,
+    20000,
+)  # fewest rows for each term of the polynomial that is fitted, and most rows in all
 
 
 def make_identification_pipeline(
@@ -53,7 +56,8 @@ def make_identification_pipeline(
     ============================ ======================================================================================
     ``flightcheck``              faults of the log named and removed, short gaps bridged
     ``lagcorrector``             lags of channels removed; only with ``lags``
-    ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and all sensors
+    ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and
+    all sensors
     ``flightsmoother``           the rest of the sensor noise removed, rates of change added, without delay
     ``elevonsplitter``           elevons into elevator and aileron; tables that hold these already pass
     ``ratenondimensionalizer``   p b / 2V, q c / 2V, ... with the aircraft's span and chord
@@ -62,10 +66,10 @@ def make_identification_pipeline(
     ``dependentgpregressor``     all six coefficients at once
     ============================ ======================================================================================
 
-    The names are those of the steps, so ``dependentgpregressor__n_latent`` is a parameter for ``GridSearchCV``. Fit it
-    on whole flights at their full rate, and choose the rows to learn from in the targets
-    (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out flights: ``groups=table["flight"]``.
-    Raises TypeError if ``aircraft`` is not an Aircraft.
+    The names are those of the steps, so ``dependentgpregressor__n_latent`` is a parameter for
+    ``GridSearchCV``. Fit it on whole flights at their full rate, and choose the rows to learn from
+    in the targets (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out
+    flights: ``groups=table["flight"]``. Raises TypeError if ``aircraft`` is not an Aircraft.
 
     Parameters
     ----------
@@ -74,16 +78,20 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass", vanes="forces")``, which reconstructs
-        the flights where their air data become more accurate than by smoothing alone.
+        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass",
+        vanes="forces")``, which reconstructs the flights where their air data become more accurate
+        than by smoothing alone.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
-        By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an aileron.
+        By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an
+        aileron.
     regressor : estimator, optional
-        By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will do.
+        By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will
+        do.
     memory : str or joblib.Memory, optional
-        Where fitted transformers are cached: a grid search over the regressor alone then smooths each flight once.
+        Where fitted transformers are cached: a grid search over the regressor alone then smooths
+        each flight once.
     lags : "auto", dict or None, default=None
         As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
     symmetric : bool, default=False
@@ -112,8 +120,12 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(incomplete="pass", inconsistent="pass", vanes="forces")
-    derivatives = list(DIFFERENTIATED)  # all for a named set, so that a search may choose; of a list its own
+        reconstruction = FlightPathReconstruction(
+            incomplete="pass", inconsistent="pass", vanes="forces"
+        )
+    derivatives = list(
+        DIFFERENTIATED
+    )  # all for a named set, so that a search may choose; of a list its own
     if not isinstance(regressors, str):
         named = {str(name).removesuffix(HAT) for name in regressors}
         derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
@@ -149,14 +161,16 @@ def default_regressor(**parameters: Any) -> DependentGPRegressor:
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
     r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than those of the fit.
 
-    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is proportional to that
-    of the gusts. Where `FlightPathReconstruction` finds no contradiction of sensors, it estimates :math:`\sigma_g` [m/s
-    in one second] of the flight, and the ratio of variances (n,) is
+    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
+    proportional to that of the gusts. Where `FlightPathReconstruction` finds no contradiction of
+    sensors, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio of
+    variances (n,) is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1, also where the pipeline
-    ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at the noise of the fit.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1, also
+    where the pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at
+    the noise of the fit.
     """
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
@@ -164,7 +178,9 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
             continue
         flight = step.transform(flight)
         if isinstance(step, FlightPathReconstruction) and step.tells_gusts_ and "gust" in flight:
-            ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (step.gust_std_**2 + SENSOR_GUST**2)
+            ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (
+                step.gust_std_**2 + SENSOR_GUST**2
+            )
     if isinstance(pipeline[-1], CalibratedRegressor):
         ratio = np.ones(len(flight))
     return np.asarray(flight), ratio
@@ -173,35 +189,43 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
 def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array | float]:
     """Return the fitted regressor of a pipeline, and the factor of its standard deviations: 1 unless calibrated."""
     last = pipeline[-1]
-    return (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
+    return (
+        (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
+    )
 
 
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
-    The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)`` includes the noise of the
-    regressors, which is larger in rougher air, see :func:`flight_regressors`.
+    The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)``
+    includes the noise of the regressors, which is larger in rougher air, see
+    :func:`flight_regressors`.
 
-    ``symmetric`` adds samples for the last step in ``fit``, and changes nothing in ``predict``. It needs a
-    :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six coefficients.
+    ``symmetric`` adds samples for the last step in ``fit``, and changes nothing in ``predict``. It
+    needs a :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six
+    coefficients.
 
     Parameters
     ----------
     steps, transform_input, memory, verbose
         As of scikit-learn's ``Pipeline``.
     symmetric : bool, default=False
-        Whether the aircraft is symmetric about its x-z plane: it also learns from the flights as seen in a mirror, and
-        the standard deviations count each sample once. It takes half as long again.
+        Whether the aircraft is symmetric about its x-z plane: it also learns from the flights as
+        seen in a mirror, and the standard deviations count each sample once. It takes half as long
+        again.
 
     Attributes
     ----------
     turbulence_ : Turbulence or None
-        Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their table, which says why.
+        Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
+        table, which says why.
     control_units_ : dict of str to str
-        Set by :func:`identify`: units of controls that are not those of docs/notation.md, such as "full throw".
+        Set by :func:`identify`: units of controls that are not those of docs/notation.md, such as
+        "full throw".
     noise_ : DataFrame or None
-        Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the mass and the loads
-        that ``fit`` does not get. Set it yourself: ``pipeline.noise_ = flight_noise(pipeline, flights, aircraft)``.
+        Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the
+        mass and the loads that ``fit`` does not get. Set it yourself: ``pipeline.noise_ =
+        flight_noise(pipeline, flights, aircraft)``.
     """
 
     steps: list[tuple[str, Any]]
@@ -221,8 +245,9 @@ class FlightPipeline(Pipeline):
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
-        A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each row, unless metadata
-        routing is enabled: request them there. ``params`` are as of scikit-learn's ``Pipeline``.
+        A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each
+        row, unless metadata routing is enabled: request them there. ``params`` are as of
+        scikit-learn's ``Pipeline``.
         """
         if self.symmetric:
             self.fit_regressors(X, y, **params)
@@ -234,7 +259,9 @@ class FlightPipeline(Pipeline):
     def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights."""
         name, last = self.steps[-1]
-        words = {key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()}
+        words = {
+            key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()
+        }
         if self.symmetric:
             own = self._fit_symmetric(X, y, words)
         else:
@@ -246,7 +273,10 @@ class FlightPipeline(Pipeline):
         return own
 
     def _learn_turbulence(self, X):
-        rates = next((step for _, step in self.steps if getattr(step, "in_simulation", None) == "rates"), None)
+        rates = next(
+            (step for _, step in self.steps if getattr(step, "in_simulation", None) == "rates"),
+            None,
+        )
         try:
             self.turbulence_ = None if rates is None else Turbulence.from_flight(X, rates.span)
         except (TypeError, ValueError):  # short flights, or columns that are missing
@@ -256,17 +286,24 @@ class FlightPipeline(Pipeline):
         """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
         name, last = self.steps[-1]
         inner = last.estimator if isinstance(last, CalibratedRegressor) else last
-        if get_config()["enable_metadata_routing"] or not isinstance(inner, DependentGPRegressor) or "time" not in X:
+        if (
+            get_config()["enable_metadata_routing"]
+            or not isinstance(inner, DependentGPRegressor)
+            or "time" not in X
+        ):
             return {}
         flight = {f"{name}__flight": np.asarray(X["flight"])} if "flight" in X else {}
         return {f"{name}__time": X["time"].to_numpy(float), **flight}
 
     def _fit_symmetric(self, X, y, words):
         """Fit the steps up to the regressors, and the last one to the samples and their mirror images."""
-        chosen = [k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)]
+        chosen = [
+            k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)
+        ]
         if not chosen or "time" not in X:
             raise ValueError(
-                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for symmetric, but expected a "
+                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for "
+                f"symmetric, but expected a "
                 "RegressorSelector and the column time: add them."
             )
         first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
@@ -276,7 +313,11 @@ class FlightPipeline(Pipeline):
         mirror, image = mirrored(table.reset_index(drop=True), targets)
         Z = np.concatenate([own, np.asarray(rest.transform(mirror) if rest.steps else mirror)])
         numbers = pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
-        flights = {"flight": np.concatenate([numbers, numbers + numbers.max() + 1])} if "flight" in words else {}
+        flights = (
+            {"flight": np.concatenate([numbers, numbers + numbers.max() + 1])}
+            if "flight" in words
+            else {}
+        )
         copies = {"copies": 2} if isinstance(last, DependentGPRegressor) else {}
         words = {key: np.tile(value, 2) for key, value in words.items()}
         last.fit(Z, pd.concat([targets, image], ignore_index=True), **words | flights | copies)
@@ -285,9 +326,9 @@ class FlightPipeline(Pipeline):
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 
-        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the standard deviation, too,
-        with ``include_noise=True`` of new measurements. ``include_input_noise`` replaces the ratio of this flight,
-        unless it is True.
+        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the
+        standard deviation, too, with ``include_noise=True`` of new measurements.
+        ``include_input_noise`` replaces the ratio of this flight, unless it is True.
         """
         uncertain = params.get("return_std") or params.get("return_cov")
         if not uncertain or params.get("include_input_noise", True) is not True:
@@ -299,13 +340,14 @@ class FlightPipeline(Pipeline):
 def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return regressors (n, d) and coefficients (n, P) of the flights as seen in a mirror.
 
-    A symmetric aircraft flies the mirrored flight with the mirrored controls. Lateral coefficients change their sign
-    about their value without sideslip, rates and lateral controls, by least squares: an asymmetry stays. Raises
-    ValueError for single elevons.
+    A symmetric aircraft flies the mirrored flight with the mirrored controls. Lateral coefficients
+    change their sign about their value without sideslip, rates and lateral controls, by least
+    squares: an asymmetry stays. Raises ValueError for single elevons.
     """
     if set(ELEVONS) & set(regressors):
         raise ValueError(
-            f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator and aileron in place of "
+            f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator "
+            f"and aileron in place of "
             "single elevons: put ElevonSplitter() before RegressorSelector."
         )
     lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in MIRRORED]
@@ -325,21 +367,27 @@ def _named_targets(y: Any) -> pd.DataFrame:
         return y
     if np.ndim(y) != 2 or np.shape(y)[1] != len(COEFFICIENTS):
         raise ValueError(
-            f"Got targets of shape {np.shape(y)} without names, but expected a table with columns such as CY, Cl, Cn, "
+            f"Got targets of shape {np.shape(y)} without names, but expected a table with columns "
+            f"such as CY, Cl, Cn, "
             "or the six coefficients: give a DataFrame."
         )
     return pd.DataFrame(np.asarray(y, dtype=float), columns=COEFFICIENTS)
 
 
 def flight_noise(
-    pipeline: Pipeline, flights: pd.DataFrame, aircraft: Aircraft, *, step: float = 0.04, **loads: Any
+    pipeline: Pipeline,
+    flights: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    step: float = 0.04,
+    **loads: Any,
 ) -> pd.DataFrame | None:
     r"""Return the noise of measured coefficients at the frequencies of the motion: what decides errors of derivatives.
 
-    A smoother leaves noise at the frequencies of the motion, where it has its full effect on the derivatives, and where
-    the fit takes up a part of it. With an orthonormal basis Q of a polynomial of second order, :math:`Q_1` of its
-    linear part, the residuals :math:`r = (I - Q Q^T) y` of a coefficient, and Fourier transforms over n rows, the
-    variance of one row is
+    A smoother leaves noise at the frequencies of the motion, where it has its full effect on the
+    derivatives, and where the fit takes up a part of it. With an orthonormal basis Q of a
+    polynomial of second order, :math:`Q_1` of its linear part, the residuals :math:`r = (I - Q Q^T)
+    y` of a coefficient, and Fourier transforms over n rows, the variance of one row is
 
     .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
 
@@ -353,16 +401,17 @@ def flight_noise(
         One or more flights at their full rate; the first 20,000 rows are used.
     aircraft : Aircraft
     step : float, default=0.04
-        Interval between the rows that the noise is for [s]. White noise of the same power per frequency is larger in
-        rows that are closer together.
+        Interval between the rows that the noise is for [s]. White noise of the same power per
+        frequency is larger in rows that are closer together.
     **loads
         As for :func:`skdgp.dynamics.aerodynamic_coefficients`: ``thrust``, for example.
 
     Returns
     -------
     DataFrame or None
-        Of each coefficient the standard deviation ``white``, a ``drift`` of zero and its ``memory`` [s], for
-        :func:`skdgp.design.expected_information`; None if there are less than five rows for each term.
+        Of each coefficient the standard deviation ``white``, a ``drift`` of zero and its ``memory``
+        [s], for :func:`skdgp.design.expected_information`; None if there are less than five rows
+        for each term.
 
     Examples
     --------
@@ -380,24 +429,39 @@ def flight_noise(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the fit has told them
-        X, Y = pipeline[:-1].transform(flights), aerodynamic_coefficients(flights, aircraft, **loads)
+        X, Y = (
+            pipeline[:-1].transform(flights),
+            aerodynamic_coefficients(flights, aircraft, **loads),
+        )
     return noise_of_motion(np.asarray(X, dtype=float), Y, flights, step)
 
 
-def noise_of_motion(X: Matrix, targets: pd.DataFrame, flights: pd.DataFrame, step: float = 0.04) -> pd.DataFrame | None:
+def noise_of_motion(
+    X: Matrix, targets: pd.DataFrame, flights: pd.DataFrame, step: float = 0.04
+) -> pd.DataFrame | None:
     """Return `flight_noise` of regressors (n, d) and coefficients of flights."""
     Y, terms = targets.to_numpy(), PolynomialFeatures(2)
     known = np.flatnonzero(np.isfinite(np.column_stack([X, Y])).all(axis=1))[:MOST_ROWS]
     if len(known) < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
         return None
-    X, Y, time = StandardScaler().fit_transform(X[known]), Y[known], flights["time"].to_numpy(float)[known]
-    whole, linear = orth(terms.transform(X)), orth(np.column_stack([np.ones(len(X)), X]))  # Q and Q_1
+    X, Y, time = (
+        StandardScaler().fit_transform(X[known]),
+        Y[known],
+        flights["time"].to_numpy(float)[known],
+    )
+    whole, linear = (
+        orth(terms.transform(X)),
+        orth(np.column_stack([np.ones(len(X)), X])),
+    )  # Q and Q_1
     residuals = Y - whole @ (whole.T @ Y)
     total, share = np.zeros(Y.shape[1]), 0.0
     segments = flight_segments(time, flights["flight"].iloc[known] if "flight" in flights else None)
     for rows in segments:
         moved, taken = (_power(basis[rows]).sum(axis=1) for basis in (linear, whole))
-        total, share = total + moved @ _power(residuals[rows]), share + moved @ (len(time[rows]) - taken)
+        total, share = (
+            total + moved @ _power(residuals[rows]),
+            share + moved @ (len(time[rows]) - taken),
+        )
     steps = np.concatenate([np.diff(time[rows]) for rows in segments])
     white = np.sqrt(total / share * np.median(steps) / step)
     return pd.DataFrame({"white": white, "drift": 0.0, "memory": 1.0}, index=list(targets))
@@ -417,7 +481,9 @@ def _predict(last, regressors, ratio, params):
     return last.predict(regressors, **params)
 
 
-def predict_flight(pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False) -> tuple[Matrix, Matrix]:
+def predict_flight(
+    pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False
+) -> tuple[Matrix, Matrix]:
     """Return mean and standard deviation (n, P), as `FlightPipeline.predict`, also of a ``Pipeline`` of these steps."""
     words = {"return_std": True, "include_noise": include_noise}
     return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)

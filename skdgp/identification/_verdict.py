@@ -31,11 +31,27 @@ from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
-N_PATHS = 200  # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n), 5 %
-STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # depend neither on wind nor on heading
-FLIGHT_STEP = 0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
-START = 0.25  # time over which measured states are averaged to start from [s], so that a sample's noise is not flown
-MOST_STARTS, PARTS = 60, 20  # starts that are simulated, and parts of their time over which errors are averaged
+# functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
+# 5 %
+N_PATHS = 200
+STATES = (
+    "airspeed",
+    "alpha",
+    "beta",
+    "phi",
+    "theta",
+    *RATES,
+)  # depend neither on wind nor on heading
+FLIGHT_STEP = (
+    0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
+)
+# time over which measured states are averaged to start from [s], so that a sample's noise is not
+# flown
+START = 0.25
+MOST_STARTS, PARTS = (
+    60,
+    20,
+)  # starts that are simulated, and parts of their time over which errors are averaged
 
 
 def judge(
@@ -47,14 +63,22 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table, known = scores(evaluations)["measured"], list(train)
-    means = [{"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()} for one in evaluations]
+    means = [
+        {"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()}
+        for one in evaluations
+    ]
     flights = pd.DataFrame(means, index=[one.name for one in evaluations])
     linear = table.get("least_squares_normalized_rmse")
     ratio = pd.Series(dtype=float) if linear is None else table["normalized_rmse"] / linear
-    source = f"{_amount(known)}, {fit['samples']:,} samples" if known else "flights that are not part of this report"
+    source = (
+        f"{_amount(known)}, {fit['samples']:,} samples"
+        if known
+        else "flights that are not part of this report"
+    )
     tested = _amount([one.table for one in evaluations if one.table is not None])
     return Verdict(
-        learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of {', '.join(fit['regressors'])}, "
+        learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
+        f"{', '.join(fit['regressors'])}, "
         f"learned from {source}; tested on {tested}.",
         error=float(table["normalized_rmse"].mean()),
         coverage=float(table["interval_coverage"].mean()),
@@ -78,29 +102,42 @@ def _prediction(table: pd.DataFrame) -> Use:
     for name, row in table.iterrows():
         error, held = row["normalized_rmse"], row["interval_coverage"]
         far, sure = not error <= THRESHOLDS.error, not held >= THRESHOLDS.coverage
-        words = [f"error {error:.2f} of its spread"] * far + [f"its 95 % band holds {100 * held:.0f} %"] * sure
+        words = [f"error {error:.2f} of its spread"] * far + [
+            f"its 95 % band holds {100 * held:.0f} %"
+        ] * sure
         if words:
             lacks[str(name)] = f"{name}: {', '.join(words)}"
     good, errors = [name for name in table.index if name not in lacks], table["normalized_rmse"]
     reason = f"only {' '.join(good)}. " * bool(good and lacks) + "; ".join(lacks.values())
-    reason = reason or f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
+    reason = (
+        reason
+        or f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
+    )
     return Use("predict coefficients", "yes" if not lacks else "partly" if good else "no", reason)
 
 
 def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     purpose, table = "simulate", mechanics.simulation
     if found := sorted(ACCELERATIONS & set(regressors)):
-        return Use(purpose, "no", f"the regressors {', '.join(found)} are known only after a flight")
+        return Use(
+            purpose, "no", f"the regressors {', '.join(found)} are known only after a flight"
+        )
     if table is None:
         return Use(purpose, "unknown", mechanics.simulation_note)
     ends = table["lasts"].sort_values()
     seconds, horizon = float(ends.iloc[0]), float(table["horizon"].iloc[0])
     if seconds >= horizon:
-        return Use(purpose, "yes", f"it follows the test flights for the {horizon:.2g} s that were simulated")
+        return Use(
+            purpose,
+            "yes",
+            f"it follows the test flights for the {horizon:.2g} s that were simulated",
+        )
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
     rest = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
     fit = "partly" if seconds >= THRESHOLDS.seconds else "no"
-    return Use(purpose, fit, f"it follows the test flights for {seconds:.2g} s: {_some(late)}{rest}")
+    return Use(
+        purpose, fit, f"it follows the test flights for {seconds:.2g} s: {_some(late)}{rest}"
+    )
 
 
 def _some(names: Sequence[str]) -> str:
@@ -121,18 +158,29 @@ def _control(mechanics: FlightMechanics) -> Use:
     if (modes := mechanics.modes) is not None:
         fast = [name for name in FAST_MODES if name in modes.index]
         bands |= {name: tuple(modes.loc[name, ["frequency", "frequency_std"]]) for name in fast}
-    widths = {name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()}
+    widths = {
+        name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()
+    }
     if wide := {name: width for name, width in widths.items() if not width <= THRESHOLDS.band}:
-        words = (f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown" for name, width in wide.items())
+        words = (
+            f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
+            for name, width in wide.items()
+        )
         return Use(purpose, "no", f"not known well enough: {', '.join(words)}")
     worst = max(widths, key=lambda name: widths[name])
     reason = f"controls and fast modes are known to {100 * widths[worst]:.0f} % or better ({worst})"
     if mechanics.trim.beyond:
-        return Use(purpose, "no", f"the trim is beyond what was flown in {', '.join(mechanics.trim.beyond)}; {reason}")
+        return Use(
+            purpose,
+            "no",
+            f"the trim is beyond what was flown in {', '.join(mechanics.trim.beyond)}; {reason}",
+        )
     return Use(purpose, "yes", reason)
 
 
-def _warnings(table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: Sequence[str]) -> tuple[str, ...]:
+def _warnings(
+    table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: Sequence[str]
+) -> tuple[str, ...]:
     """Return warnings, that which costs most first: what the scores show before what the log or the fit said."""
     found, bad = [], flights.index[flights["normalized_rmse"] > 1]
     if len(bad):
@@ -142,11 +190,20 @@ def _warnings(table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: S
         linear, error = table["least_squares_normalized_rmse"], table["normalized_rmse"]
         worse = table.index[error > (1 + THRESHOLDS.tie) * linear]
         if len(worse) >= len(table) / 2 or error.mean() > (1 + THRESHOLDS.tie) * linear.mean():
-            found.append(f"Least squares is better in {len(worse)} of {len(table)} coefficients: {' '.join(worse)}.")
+            found.append(
+                f"Least squares is better in {len(worse)} of {len(table)} coefficients: "
+                f"{' '.join(worse)}."
+            )
     held = table["interval_coverage"]
-    narrow = [f"{name} {100 * held[name]:.0f} %" for name in table.index if held[name] < THRESHOLDS.coverage]
+    narrow = [
+        f"{name} {100 * held[name]:.0f} %"
+        for name in table.index
+        if held[name] < THRESHOLDS.coverage
+    ]
     if narrow:
-        found.append(f"95 % bands are too narrow: they hold {', '.join(narrow)} of the measured values.")
+        found.append(
+            f"95 % bands are too narrow: they hold {', '.join(narrow)} of the measured values."
+        )
     if not fit.get("converged", True):
         found.append("The fit has not converged: raise max_iter.")
     return tuple(found) + grouped(messages)
@@ -163,7 +220,10 @@ def grouped(messages: Sequence[str]) -> tuple[str, ...]:
     kinds: dict[str, list[str]] = {}
     for message in messages:
         kinds.setdefault(re.sub(r"'[^']*'|[-+]?\d[\d.]*", "", message), []).append(message)
-    return tuple(of[0] if len(of) == 1 else f"{of[0]} ({len(of) - 1} more of this kind)" for of in kinds.values())
+    return tuple(
+        of[0] if len(of) == 1 else f"{of[0]} ({len(of) - 1} more of this kind)"
+        for of in kinds.values()
+    )
 
 
 def flight_mechanics(
@@ -176,7 +236,8 @@ def flight_mechanics(
 ) -> FlightMechanics:
     """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
 
-    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of what was flown.
+    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
+    what was flown.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust = _thrust(settings)
@@ -184,11 +245,16 @@ def flight_mechanics(
     found: dict[str, Any] = {}
     try:
         climb = None if thrust is None else 0.0
-        found["trim"] = trim(pipeline, aircraft, float(flown["airspeed"]), climb=climb, **conditions)
+        found["trim"] = trim(
+            pipeline, aircraft, float(flown["airspeed"]), climb=climb, **conditions
+        )
         at: tuple = (found["trim"],)
     except ValueError:
         where = f"{flown['airspeed']:.3g} m/s"
-        found["note"] = f"No steady flight was found at {where}: derivatives are at the median state, without modes."
+        found["note"] = (
+            f"No steady flight was found at {where}: derivatives are at the median state, without "
+            f"modes."
+        )
         state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))  # wings level
         state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
         at = state, {str(name): float(value) for name, value in flown.items()}
@@ -200,7 +266,9 @@ def flight_mechanics(
             found["least_squares"] = linear[["value", "std"]]
         if "trim" in found:
             n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
-            found["modes"] = linearize(pipeline, aircraft, *at, n_paths=n_paths, **conditions).modes()
+            found["modes"] = linearize(
+                pipeline, aircraft, *at, n_paths=n_paths, **conditions
+            ).modes()
     except ValueError as error:
         found["note"] = f"No derivatives: {error}"
     try:
@@ -218,7 +286,9 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
     """Return the linear model of the same rows; its paths have slopes with the standard deviations of least squares."""
     known = as_aerodynamics(pipeline)
     weights, std = (
-        np.array([[fit[table][name][column] for column in known.regressors] for name in COEFFICIENTS])
+        np.array(
+            [[fit[table][name][column] for column in known.regressors] for name in COEFFICIENTS]
+        )
         for table in ("least_squares", "least_squares_std")
     )
     intercept = np.array([fit["least_squares"][name]["intercept"] for name in COEFFICIENTS])
@@ -227,7 +297,9 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
         return intercept + X @ weights.T
 
     def sampler(n_paths, random_state):
-        drawn = weights + std * np.random.default_rng(random_state).standard_normal((n_paths, *weights.shape))
+        drawn = weights + std * np.random.default_rng(random_state).standard_normal(
+            (n_paths, *weights.shape)
+        )
         return values, lambda X: np.broadcast_to(drawn[:, None], (*X.shape[:-1], *weights.shape))
 
     return Aerodynamics(
@@ -246,13 +318,16 @@ def simulation_errors(
 ) -> pd.DataFrame:
     """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
 
-    It is in still air, and started again every longest horizon. Columns: ``spread``, the standard deviation in the
-    flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that is
-    more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error passes the limit, at most
-    ``horizon``. Raises ValueError if it cannot be simulated.
+    It is in still air, and started again every longest horizon. Columns: ``spread``, the standard
+    deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times
+    the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
+    time [s] at which the error passes the limit, at most ``horizon``. Raises ValueError if it
+    cannot be simulated.
     """
     if settings["external_forces"]:
-        raise ValueError(f"a simulation lacks the loads {', '.join(settings['external_forces'])} of the flights")
+        raise ValueError(
+            f"a simulation lacks the loads {', '.join(settings['external_forces'])} of the flights"
+        )
     lacking = [name for name in STATES if not all(name in table for table in tables)]
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
@@ -269,10 +344,19 @@ def simulation_errors(
             thrust=_thrust(settings),
             air=Air(density=float(np.median(np.concatenate([part["density"] for part in parts])))),
         )
-    each = [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
+    each = (
+        [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
+    )
     elapsed = each[0]["time"].to_numpy()
-    measured = np.array([[np.interp(elapsed, part["time"], part[name]) for name in STATES] for part in parts])
-    squares = np.nan_to_num(np.array([one[list(STATES)].to_numpy().T for one in each]) - measured, nan=np.inf) ** 2
+    measured = np.array(
+        [[np.interp(elapsed, part["time"], part[name]) for name in STATES] for part in parts]
+    )
+    squares = (
+        np.nan_to_num(
+            np.array([one[list(STATES)].to_numpy().T for one in each]) - measured, nan=np.inf
+        )
+        ** 2
+    )
     edges = np.unique(np.arange(PARTS) * len(elapsed) // PARTS)
     counts = np.diff([*edges, len(elapsed)])
     error = np.sqrt(np.add.reduceat(squares.mean(axis=0), edges, axis=1) / counts)
@@ -281,11 +365,19 @@ def simulation_errors(
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     late = np.column_stack([error > limit[:, None], np.ones(len(STATES), bool)])
     lasts = np.append(elapsed[edges], elapsed[-1])[late.argmax(axis=1)]
-    columns = {"spread": spread, "limit": limit, "error": error[:, -1], "lasts": lasts, "horizon": elapsed[-1]}
+    columns = {
+        "spread": spread,
+        "limit": limit,
+        "error": error[:, -1],
+        "lasts": lasts,
+        "horizon": elapsed[-1],
+    }
     return pd.DataFrame(columns, index=list(STATES))
 
 
-def _windows(tables: Sequence[pd.DataFrame], horizon: float) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
+def _windows(
+    tables: Sequence[pd.DataFrame], horizon: float
+) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
     """Return starts, and parts of flights without gaps, of nearly equal length; their time begins at zero.
 
     Starts are means over `START`. Angles do not jump.
@@ -293,8 +385,14 @@ def _windows(tables: Sequence[pd.DataFrame], horizon: float) -> tuple[pd.DataFra
     runs = []
     for table in tables:
         smooth = table.assign(**dict(zip(STATES, unwrapped(table, STATES).T, strict=True)))
-        runs += [smooth.iloc[run] for run in flight_segments(table["time"].to_numpy(float)) if run.stop - run.start > 2]
-    horizon = min(horizon, float(np.median([np.ptp(run["time"]) for run in runs] or [0.0])) - START / 2)
+        runs += [
+            smooth.iloc[run]
+            for run in flight_segments(table["time"].to_numpy(float))
+            if run.stop - run.start > 2
+        ]
+    horizon = min(
+        horizon, float(np.median([np.ptp(run["time"]) for run in runs] or [0.0])) - START / 2
+    )
     found = []
     for run in runs:
         time = run["time"].to_numpy(float)
@@ -305,7 +403,11 @@ def _windows(tables: Sequence[pd.DataFrame], horizon: float) -> tuple[pd.DataFra
                 start = run.loc[np.abs(time - first) <= START / 2, list(STATES)].mean()
                 found.append((start, part.assign(time=part["time"] - first).reset_index(drop=True)))
     if not found or not horizon > 2 * FLIGHT_STEP:
-        raise ValueError(f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known")
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(MOST_STARTS, len(found))).round().astype(int))
+        raise ValueError(
+            f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
+        )
+    chosen = np.unique(
+        np.linspace(0, len(found) - 1, min(MOST_STARTS, len(found))).round().astype(int)
+    )
     starts, parts = zip(*(found[k] for k in chosen), strict=True)
     return pd.DataFrame(starts).reset_index(drop=True), list(parts)

@@ -22,7 +22,13 @@ from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
 from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched
-from skdgp.inference._slopes import FunctionErrors, SlopeErrors, function_errors, output_correlation, slope_errors
+from skdgp.inference._slopes import (
+    FunctionErrors,
+    SlopeErrors,
+    function_errors,
+    output_correlation,
+    slope_errors,
+)
 from skdgp.inference._sparse import SparsePosterior, shares_of
 
 __all__ = [

@@ -1,11 +1,13 @@
 r"""The average of posteriors of parts of one kernel, weighted by what they predict of held-out blocks.
 
-The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found, has the weights
+The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found,
+has the weights
 
 .. math:: w_i = \arg\max_w \frac{n}{\tau} \, \overline{\log \sum_k w_k\, p_k(y_i \mid \text{other blocks})}
           + c \sum_k \pi_k \log w_k,
 
-for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018). docs/theory.md has n, tau and the opinion pi.
+for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018). docs/theory.md has n, tau and the
+opinion pi.
 """
 
 from __future__ import annotations
@@ -27,19 +29,24 @@ from skdgp.inference._paths import Paths
 PRIOR_ROWS = 3.0
 """c. An output of ten values, which has another for a guide, needs few.
 
-Real flights, each aircraft left out in turn, prefer 10 rows by half a percent (tests/benchmarks/pairs.py)."""
-TEMPER = 10.0  # nats of evidence over the log of the opinion; 30 and no evidence are as good on these flights
-LEAST_ROWS = 10  # rows for each regressor below which evidence is discounted, and the trend is believed first
+Real flights, each aircraft left out in turn, prefer 10 rows by half a percent
+(tests/benchmarks/pairs.py)."""
+# nats of evidence over the log of the opinion; 30 and no evidence are as good on these flights
+TEMPER = 10.0
+# rows for each regressor below which evidence is discounted, and the trend is believed first
+LEAST_ROWS = 10
 BLOCKS, FOLDS = 8, 4
 """Blocks of the log, which are held out in turn, a fourth of them at a time.
 
-Errors of real logs are correlated over up to a tenth of the log, so of short blocks the rest knows too much. On twelve
-pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the error of least squares
-(tests/benchmarks/pairs.py); records of the Sport Cub, on which nothing was chosen, have errors of .165, .143, .134 and
-.104 (sportcub.py).
+Errors of real logs are correlated over up to a tenth of the log, so of short blocks the rest knows
+too much. On twelve pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the
+error of least squares (tests/benchmarks/pairs.py); records of the Sport Cub, on which nothing was
+chosen, have errors of .165, .143, .134 and .104 (sportcub.py).
 """
 MOST_ROWS, MOST_VALUES = 4000, 4000
-"""Largest numbers of rows that weights are learned from, and of values of an exact posterior, for the sake of time."""
+"""Largest numbers of rows that weights are learned from, and of values of an exact posterior, for
+the sake of time.
+"""
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
 STEPS = 200  # of expectation maximisation for the weights
 
@@ -74,8 +81,9 @@ class Single:
 def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
     r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
-    ``found`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs of these and the
-    variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
+    ``found`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs
+    of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k
+    (v_k + (m_k - m)^2)`.
     """
     means, variances = zip(*found, strict=True) if return_variance else (found, None)
     means = np.asarray(means)
@@ -89,11 +97,14 @@ def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
 def parts_of(kernel: Any) -> list[tuple[int, ...]]:
     """Return which terms of a kernel each member of its average has, by their numbers: all terms first, the trend last.
 
-    Between them stands the sum without the processes of several regressors. A kernel without a trend has one member.
+    Between them stands the sum without the processes of several regressors. A kernel without a
+    trend has one member.
     """
     terms = kernel.summands()
     trend = [k for k, term in enumerate(terms) if term.n_processes == 0]
-    single = [k for k, term in enumerate(terms) if k not in trend and len(term.term_regressors()[0]) == 1]
+    single = [
+        k for k, term in enumerate(terms) if k not in trend and len(term.term_regressors()[0]) == 1
+    ]
     members = [tuple(range(len(terms)))]
     if trend:
         members += [tuple(sorted(trend + single)), tuple(trend)]
@@ -111,16 +122,17 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 class AveragePosterior:
     """The mixture of posteriors, the members, with weights for each output (``moments``).
 
-    Behind a posterior of all terms stand those of its parts, which have the same hyperparameters. Another posterior of
-    all terms is that of another search.
+    Behind a posterior of all terms stand those of its parts, which have the same hyperparameters.
+    Another posterior of all terms is that of another search.
 
-    Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for all, picks it by the
-    cumulated weights.
+    Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for
+    all, picks it by the cumulated weights.
 
     Parameters
     ----------
     members : list of ExactPosterior or SparsePosterior
-        Of the same samples. The first has all terms; hyperparameters and likelihood of the average are its own.
+        Of the same samples. The first has all terms; hyperparameters and likelihood of the average
+        are its own.
     parts : list of tuple of int
         The terms of the first member's kernel that each member has.
     mixture : ndarray (K, P)
@@ -135,7 +147,11 @@ class AveragePosterior:
     @property
     def wholes(self) -> list[Any]:
         """The members with all terms, one of each search."""
-        return [member for member, part in zip(self.members, self.parts, strict=True) if part == self.parts[0]]
+        return [
+            member
+            for member, part in zip(self.members, self.parts, strict=True)
+            if part == self.parts[0]
+        ]
 
     @property
     def kernel(self) -> Any:
@@ -162,7 +178,9 @@ class AveragePosterior:
 
     def map(self, function: Any) -> AveragePosterior:
         """Return the average of other posteriors, ``function`` of each member."""
-        new = AveragePosterior([function(member) for member in self.members], self.parts, self.mixture)
+        new = AveragePosterior(
+            [function(member) for member in self.members], self.parts, self.mixture
+        )
         new.measured = self.measured
         return new
 
@@ -189,11 +207,15 @@ class AveragePosterior:
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        return moments(self.mixture, [m.predict(Xs, return_variance) for m in self.members], return_variance)
+        return moments(
+            self.mixture, [m.predict(Xs, return_variance) for m in self.members], return_variance
+        )
 
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        return moments(self.mixture, [m.gradient(Xs, return_variance) for m in self.members], return_variance)
+        return moments(
+            self.mixture, [m.gradient(Xs, return_variance) for m in self.members], return_variance
+        )
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""
@@ -217,17 +239,25 @@ class AveragePosterior:
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
 
-        The numbers that pick members are spread evenly, so that few paths have them in proportion to the weights.
+        The numbers that pick members are spread evenly, so that few paths have them in proportion
+        to the weights.
         """
         rng = check_random_state(random_state)
         pick = rng.permutation(n_paths) + rng.uniform(size=n_paths)
-        member = np.sum(pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1)
+        member = np.sum(
+            pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1
+        )
         seeds = rng.randint(2**31 - 1, size=len(self.members))
-        bundles = [each.paths(n_paths, int(seed)).bundle for each, seed in zip(self.members, seeds, strict=True)]
+        bundles = [
+            each.paths(n_paths, int(seed)).bundle
+            for each, seed in zip(self.members, seeds, strict=True)
+        ]
         return Paths(bundles[0].mixed(bundles[1:], member), n_paths, self.kernel.n_features)
 
 
-def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any) -> Matrix:
+def held_out_weights(
+    members: Sequence[Any], noises: Sequence[Vector], X: Matrix, Y: Matrix, loading: Any
+) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from what they predict of held-out blocks."""
     rows = np.arange(0, len(X), max(-(-len(X) // MOST_ROWS), -(-members[0].size // MOST_VALUES)))
     found = [held_out(*pair, X, Y, rows, loading) for pair in zip(members, noises, strict=True)]
@@ -238,7 +268,9 @@ def held_out_weights(members: Sequence[Any], noises: Sequence[Vector], X: Matrix
         error = np.array([y - mean[:, i] for mean, _ in found])
         variance = np.array([v[:, i] for _, v in found])
         known = np.isfinite(error).all(axis=0)
-        scores = -0.5 * (np.log(2 * np.pi * variance[:, known]) + error[:, known] ** 2 / variance[:, known])
+        scores = -0.5 * (
+            np.log(2 * np.pi * variance[:, known]) + error[:, known] ** 2 / variance[:, known]
+        )
         weights[:, i] = stacked(scores, *_evidence(scores, error[:, known], X.shape[1]))
     return weights
 
@@ -273,9 +305,10 @@ def held_out(
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
-    Hyperparameters are those of the posterior; ``loading`` is what noise of the regressors adds at X, if they have any.
-    Where outputs are observed together, whole rows are left out. A value that is missing while others are there is
-    learned from these, so where an output has gaps, blocks are left out of one output at a time.
+    Hyperparameters are those of the posterior; ``loading`` is what noise of the regressors adds at
+    X, if they have any. Where outputs are observed together, whole rows are left out. A value that
+    is missing while others are there is learned from these, so where an output has gaps, blocks are
+    left out of one output at a time.
     """
     loading = None if loading is None else loading[rows]
     X, Y, step = X[rows], Y[rows], len(X) // len(rows)
@@ -283,7 +316,9 @@ def held_out(
     mean, variance = np.full((2, *Y.shape), np.nan)
     for left_out in _folds(Y):
         rest = np.where(left_out, np.nan, Y)
-        data = Data.from_table(X, rest, None if loading is None else loading * np.sqrt(inflation)[:, None])
+        data = Data.from_table(
+            X, rest, None if loading is None else loading * np.sqrt(inflation)[:, None]
+        )
         inside = np.flatnonzero(left_out.any(axis=1))
         found = posterior.of(data, noise * inflation).predict(X[inside], return_variance=True)
         for values, all_values in zip(found, (mean, variance), strict=True):
@@ -305,15 +340,16 @@ def _folds(Y):
         yield (turn % FOLDS == fold) & observed
 
 
-# -- one term of a sum of kernels -------------------------------------------------------------------------------------
+# -- one term of a sum of kernels
+# -------------------------------------------------------------------------------------
 
 
 class CentredTerm:
     r"""The posterior of g(x) = f(x) - mean_n f(x_n) for one term f of a sum of kernels.
 
-    The data determine g much better than f, as a constant can move from one term to another. With the covariances A(x)
-    of f and the data, or the inducing features, mean and variance of g are those of f with A(x) - mean_n A(x_n) in
-    place of A(x), and with the prior variance
+    The data determine g much better than f, as a constant can move from one term to another. With
+    the covariances A(x) of f and the data, or the inducing features, mean and variance of g are
+    those of f with A(x) - mean_n A(x_n) in place of A(x), and with the prior variance
 
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
@@ -336,11 +372,15 @@ class CentredTerm:
     def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
         self.mixture = posterior.mixture
         self.terms = [
-            _MemberTerm(member, regressors, X) if regressors in member.kernel.term_regressors() else None
+            _MemberTerm(member, regressors, X)
+            if regressors in member.kernel.term_regressors()
+            else None
             for member in posterior.members
         ]
         zero = np.zeros((len(X), self.mixture.shape[1]))
-        self.values = moments(self.mixture, [zero if term is None else term.values for term in self.terms])
+        self.values = moments(
+            self.mixture, [zero if term is None else term.values for term in self.terms]
+        )
 
     def predict(self, X: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""

@@ -17,20 +17,26 @@ from skdgp.inference._sparse import SparsePosterior
 
 MAX_POINTS = 1000  # largest number of training inputs at which the change is measured
 PERTURBATION = 0.5  # of the same number of further points, in standard deviations of the regressors
-FIRST_SIZE, SIZE_GROWTH, SIZE_TOLERANCE = 50, 1.6, 1.1  # search for the smallest number of variables
+FIRST_SIZE, SIZE_GROWTH, SIZE_TOLERANCE = (
+    50,
+    1.6,
+    1.1,
+)  # search for the smallest number of variables
 
 
 class Compaction(NamedTuple):
     """The change of predictions by compaction.
 
-    It is measured for every output at up to 1000 training inputs and as many points around them, which are randomly
-    perturbed by half a standard deviation of each regressor. The change of the mean is in standard deviations of the
-    original posterior at the same point. The change of the standard deviation is the ratio new over original.
+    It is measured for every output at up to 1000 training inputs and as many points around them,
+    which are randomly perturbed by half a standard deviation of each regressor. The change of the
+    mean is in standard deviations of the original posterior at the same point. The change of the
+    standard deviation is the ratio new over original.
 
-    A bound for all inputs follows from the divergence KL(new || original) of the two processes. For an exact original
-    it is the log marginal likelihood minus the collapsed bound (Matthews et al. 2016). No marginal divergence exceeds
-    it (Burt et al. 2019): if the mean changes by c original standard deviations and the standard deviation by the ratio
-    r, then (r^2 - 1 - log r^2 + c^2) / 2 <= KL.
+    A bound for all inputs follows from the divergence KL(new || original) of the two processes. For
+    an exact original it is the log marginal likelihood minus the collapsed bound (Matthews et al.
+    2016). No marginal divergence exceeds it (Burt et al. 2019): if the mean changes by c original
+    standard deviations and the standard deviation by the ratio r, then (r^2 - 1 - log r^2 + c^2) /
+    2 <= KL.
 
     Attributes
     ----------
@@ -47,7 +53,8 @@ class Compaction(NamedTuple):
     divergence : float
         KL(new || original) in nats; NaN if the original is not exact.
     mean_bound : float
-        Bound on the change of the mean at any input, in the original's standard deviations; NaN if divergence is NaN.
+        Bound on the change of the mean at any input, in the original's standard deviations; NaN if
+        divergence is NaN.
     std_bounds : tuple (low, high)
         Bounds on the ratio of standard deviations at any input.
     """
@@ -70,7 +77,12 @@ class Compaction(NamedTuple):
 
 
 def compact(
-    posterior: Any, n_inducing: int, tolerance: float | None, max_iter: int, random_state: Seed, allow: Callable
+    posterior: Any,
+    n_inducing: int,
+    tolerance: float | None,
+    max_iter: int,
+    random_state: Seed,
+    allow: Callable,
 ) -> tuple[SparsePosterior, Compaction]:
     """Return a posterior with at most ``n_inducing`` inducing variables and no samples, and the change.
 
@@ -78,15 +90,16 @@ def compact(
     ----------
     posterior : AveragePosterior, ExactPosterior or SparsePosterior
     n_inducing : int
-        Largest number of variables, besides the weights of a trend. A sparse posterior with no more variables keeps
-        them.
+        Largest number of variables, besides the weights of a trend. A sparse posterior with no more
+        variables keeps them.
     tolerance : float or None
         Use the fewest variables for which ``Compaction.change`` stays below.
     max_iter : int
         Final iterations that move the variables to raise the bound.
     random_state : int, RandomState or None
     allow : callable
-        Called with the number of variables before matrices of that size are allocated; raises if they are too large.
+        Called with the number of variables before matrices of that size are allocated; raises if
+        they are too large.
 
     Returns
     -------
@@ -94,12 +107,19 @@ def compact(
     """
     data = posterior.samples()
     if data is None:
-        raise ValueError("A compact model holds no samples to be compacted again. Compact the model it was made from.")
+        raise ValueError(
+            "A compact model holds no samples to be compacted again. Compact the model it was "
+            "made from."
+        )
     random_state = check_random_state(random_state)
     X = np.unique(np.concatenate(data.X), axis=0)
     check = _Check(posterior, X, random_state)
-    best = [whole.kernel.feature_ranking(X, check.scale, random_state) for whole in posterior.wholes]
-    sizes = [whole.features.size for whole in posterior.wholes if isinstance(whole, SparsePosterior)]
+    best = [
+        whole.kernel.feature_ranking(X, check.scale, random_state) for whole in posterior.wholes
+    ]
+    sizes = [
+        whole.features.size for whole in posterior.wholes if isinstance(whole, SparsePosterior)
+    ]
 
     def compact_to(n):
         if sizes and n >= max(sizes):
@@ -109,9 +129,13 @@ def compact(
         new = posterior.sparse(*features)
         return new, check.compare(new)
 
-    new, change = compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
+    new, change = (
+        compact_to(n_inducing) if tolerance is None else _fewest(compact_to, n_inducing, tolerance)
+    )
     if max_iter > 0 and new is not posterior and len(new.wholes[0].features.theta):
-        improved = posterior.sparse(*(moved_features(whole, column_scale(X), max_iter) for whole in new.wholes))
+        improved = posterior.sparse(
+            *(moved_features(whole, column_scale(X), max_iter) for whole in new.wholes)
+        )
         improved_change = check.compare(improved)
         if tolerance is None or improved_change.change <= max(tolerance, change.change):
             new, change = improved, improved_change
@@ -152,7 +176,9 @@ class _Check:
         prior = np.stack([posterior.kernel.block_diag(i, self.points) for i in range(P)], axis=1)
         self.least = 1e-6 * np.sqrt(prior)  # a smaller standard deviation is rounding error
         self.std = np.maximum(np.sqrt(variance), self.least)
-        self.scale = np.sqrt((self.std[: len(inputs)] ** 2).mean(axis=0))  # of each output at the training inputs
+        self.scale = np.sqrt(
+            (self.std[: len(inputs)] ** 2).mean(axis=0)
+        )  # of each output at the training inputs
 
     def compare(self, new) -> Compaction:
         """Return the change of predictions from the original to the new posterior."""
@@ -161,7 +187,9 @@ class _Check:
         ratio = np.maximum(np.sqrt(variance), self.least) / self.std
         divergence = np.nan
         if isinstance(self.posterior, ExactPosterior):
-            divergence = max(float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0)
+            divergence = max(
+                float(self.posterior.log_marginal_likelihood - new.log_marginal_likelihood), 0.0
+            )
         return Compaction(
             n_inducing=new.wholes[0].features.size,
             n_checked=len(self.points),
@@ -192,15 +220,18 @@ def _ratio_bounds(divergence):
 def moved_features(start: SparsePosterior, scale: Vector, max_iter: int) -> Any:
     """Return the features with the inducing inputs that maximise the bound, from those of ``start``.
 
-    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to powers of two. The
-    search then does not depend on the units of the regressors, and the scaling causes no rounding.
+    Steps are in units of ``scale`` (d,), the standard deviations of the regressors, rounded to
+    powers of two. The search then does not depend on the units of the regressors, and the scaling
+    causes no rounding.
     """
     kernel, features = start.kernel, start.features
     unit = np.tile(np.exp2(np.round(np.log2(scale))), len(features.theta) // len(scale))
     bounds = np.tile([-np.inf, np.inf], (len(unit), 1))
 
     def bound(theta):
-        posterior = SparsePosterior(kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares)
+        posterior = SparsePosterior(
+            kernel, features.rebuild(kernel, unit * theta), start.noise, start.shares
+        )
         return posterior.log_marginal_likelihood, unit * posterior.bound_gradient()[-len(theta) :]
 
     best = maximize(bound, features.theta / unit, bounds, max_iter=max_iter, stage="compact")

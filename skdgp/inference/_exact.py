@@ -10,7 +10,12 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import jittered_cholesky, log_determinant, triangular_solve, unexplained_variance
+from skdgp._compute.linalg import (
+    jittered_cholesky,
+    log_determinant,
+    triangular_solve,
+    unexplained_variance,
+)
 from skdgp._compute.parallel import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
@@ -52,13 +57,18 @@ class ExactPosterior(Single):
 
     def _solve(self):
         square, determinant = self._white @ self._white, self.factor.log_determinant()
-        self.log_marginal_likelihood = -0.5 * (square + determinant + self.data.n_values * np.log(2 * np.pi))
+        self.log_marginal_likelihood = -0.5 * (
+            square + determinant + self.data.n_values * np.log(2 * np.pi)
+        )
 
     @cached_property
     def factor(self) -> Factor:
-        """Cholesky factor of Kff + noise, with rows in the order ``_rows``. A loaded posterior computes it again.
+        """Cholesky factor of Kff + noise, with rows in the order ``_rows``.
 
-        The result has the same bits for the same number of BLAS threads, unless rows were appended before.
+        A loaded posterior computes it again.
+
+        The result has the same bits for the same number of BLAS threads, unless rows were appended
+        before.
         """
         with threads_for(self.size):
             return Factor(jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data)))
@@ -91,7 +101,8 @@ class ExactPosterior(Single):
         return self.factor.matrix()
 
     def __getstate__(self):
-        # A saved model holds the samples, not the N x N factor: the file is about a hundred times smaller.
+        # A saved model holds the samples, not the N x N factor: the file is about a hundred times
+        # smaller.
         not_saved = {"factor", "_rows", "_white", "_mean_function"}
         self.alpha  # noqa: B018 - computed now, so that a loaded model predicts means without the factor
         return {name: value for name, value in self.__dict__.items() if name not in not_saved}
@@ -112,8 +123,12 @@ class ExactPosterior(Single):
         new.data = self.data.joined(data)
         new._rows = self._appended_rows([len(y) for y in data.y])
         with threads_for(self.size):
-            half = self._solve_lower(np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)]))
-            new.factor, corner = self.factor.extended(half, covariance(self.kernel, self.noise, data))
+            half = self._solve_lower(
+                np.concatenate([self.cross(i, x) for i, x in enumerate(data.X)])
+            )
+            new.factor, corner = self.factor.extended(
+                half, covariance(self.kernel, self.noise, data)
+            )
             last = triangular_solve(corner, np.concatenate(data.y) - half.T @ self._white)
             new._white = np.concatenate([self._white, last])
         new._solve()
@@ -151,11 +166,14 @@ class ExactPosterior(Single):
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
         With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
-        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``, ``covariance`` and
-        ``gradient`` are those of the term, given by ``self.kernel.term(regressors)``.
+        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``,
+        ``covariance`` and ``gradient`` are those of the term, given by
+        ``self.kernel.term(regressors)``.
         """
         new = object.__new__(ExactPosterior)
-        vars(new).update(vars(self) | {"kernel": kernel, "factor": self.factor, "alpha": self.alpha})
+        vars(new).update(
+            vars(self) | {"kernel": kernel, "factor": self.factor, "alpha": self.alpha}
+        )
         vars(new).pop("_mean_function", None)
         return new
 
@@ -168,7 +186,8 @@ class ExactPosterior(Single):
         half = self._solve_lower(A)
         return np.einsum("ab,ab->b", half, half)
 
-    # -- prediction ------------------------------------------------------------------------------------
+    # -- prediction
+    # ------------------------------------------------------------------------------------
 
     def cross(self, i: int, Xs: Matrix) -> np.ndarray:
         """Return cov(y_i(Xs), all observed values), (n, N)."""
@@ -176,7 +195,10 @@ class ExactPosterior(Single):
 
     def _cross(self, outputs, Xs):
         """Return cov(y_i(Xs), all observed values) for several outputs, stacked, (len(outputs) n, N)."""
-        tiles, rows = make_tiles([len(x) for x in self.data.X]), make_tiles([len(Xs)] * len(outputs))
+        tiles, rows = (
+            make_tiles([len(x) for x in self.data.X]),
+            make_tiles([len(Xs)] * len(outputs)),
+        )
         K = np.empty((len(outputs) * len(Xs), self.data.n_values))
 
         def fill(pair):
@@ -193,7 +215,9 @@ class ExactPosterior(Single):
 
     def _solve_lower(self, K):
         """Return L^-1 K^T, (N, n), for covariances K (n, N) with the stacked values; K is overwritten."""
-        return self.factor.solve_lower((K if isinstance(self._rows, slice) else np.take(K, self._rows, axis=1)).T)
+        return self.factor.solve_lower(
+            (K if isinstance(self._rows, slice) else np.take(K, self._rows, axis=1)).T
+        )
 
     def _chunks(self, n, per_row):
         """Return slices of n rows such that ``per_row`` doubles for each row fit the working memory."""
@@ -232,7 +256,9 @@ class ExactPosterior(Single):
             i = row.output
             for b in tiles:
                 if self.kernel.couples(i, b.output):
-                    block = self.kernel.block(i, b.output, Xs[row.rows], self.data.X[b.output][b.rows])
+                    block = self.kernel.block(
+                        i, b.output, Xs[row.rows], self.data.X[b.output][b.rows]
+                    )
                     mean[row.rows, i] += block @ self.alpha[b.stacked]
 
         thread_map(add, make_tiles([len(Xs)] * self.kernel.n_outputs, max(1, side)))
@@ -258,10 +284,14 @@ class ExactPosterior(Single):
             return mean
         variance = np.empty((len(Xs), P, d))
         for rows, i in product(self._chunks(len(Xs), d * self.data.n_values), range(P)):
-            blocks = [self.kernel.block_derivative(i, j, Xs[rows], Xj) for j, Xj in enumerate(self.data.X)]
+            blocks = [
+                self.kernel.block_derivative(i, j, Xs[rows], Xj) for j, Xj in enumerate(self.data.X)
+            ]
             half = self._solve_lower(np.concatenate(blocks, axis=2).reshape(-1, self.data.n_values))
             explained = np.einsum("ab,ab->b", half, half).reshape(d, -1).T
-            variance[rows, i] = unexplained_variance(self.kernel.derivative_diag(i, Xs[rows]), explained)
+            variance[rows, i] = unexplained_variance(
+                self.kernel.derivative_diag(i, Xs[rows]), explained
+            )
         return mean, variance
 
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
@@ -276,14 +306,16 @@ class ExactPosterior(Single):
             residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
             coefficients = self.solve(residual.T).T
             by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
-            return Paths(prior + self.kernel.paths(data.X, by_output), n_paths, self.kernel.n_features)
+            return Paths(
+                prior + self.kernel.paths(data.X, by_output), n_paths, self.kernel.n_features
+            )
 
 
 class Factor:
     """L of K = L L^T, (N, N): a large head (n, n), and a small tail of appended rows [below (m, n), tail (m, m)].
 
-    All are in Fortran order; what stands above the diagonals is not read. Appending copies the tail only. When the tail
-    is large, both are merged.
+    All are in Fortran order; what stands above the diagonals is not read. Appending copies the tail
+    only. When the tail is large, both are merged.
     """
 
     def __init__(self, head, below=None, tail=None) -> None:
@@ -300,7 +332,9 @@ class Factor:
 
     def log_determinant(self) -> float:
         """Return log |K|."""
-        return log_determinant(self.head) + (0.0 if self.tail is None else log_determinant(self.tail))
+        return log_determinant(self.head) + (
+            0.0 if self.tail is None else log_determinant(self.tail)
+        )
 
     def solve_lower(self, B: Matrix):
         """Return L^-1 B; a matrix ``B`` in Fortran order may be overwritten."""
@@ -323,11 +357,13 @@ class Factor:
     def extended(self, half, K) -> tuple[Factor, np.ndarray]:
         """Return the factor of the matrix with further rows and columns, and its last diagonal block, (m, m).
 
-        ``half`` (N, m) is ``solve_lower`` of the covariance of the old rows with the new rows. The lower triangle of K
-        (m, m), in Fortran order, is the covariance of the new rows; it is overwritten. Raises LinAlgError as
-        ``jittered_cholesky``.
+        ``half`` (N, m) is ``solve_lower`` of the covariance of the old rows with the new rows. The
+        lower triangle of K (m, m), in Fortran order, is the covariance of the new rows; it is
+        overwritten. Raises LinAlgError as ``jittered_cholesky``.
         """
-        K = dsyrk(-1.0, half, beta=1.0, c=K, trans=1, lower=1, overwrite_c=1)  # what is above the diagonal may be NaN
+        K = dsyrk(
+            -1.0, half, beta=1.0, c=K, trans=1, lower=1, overwrite_c=1
+        )  # what is above the diagonal may be NaN
         corner = jittered_cholesky(lambda: K.copy(order="F"))
         n = len(self.head)
         if self.tail is None:

@@ -8,7 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, covariance_root, output_scale
+from skdgp._compute.linalg import (
+    check_memory,
+    cluster_centres,
+    column_scale,
+    covariance_root,
+    output_scale,
+)
 from skdgp._compute.parallel import fit_map
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed
@@ -35,7 +41,8 @@ class Fit(NamedTuple):
     """An ExactPosterior, SparsePosterior or AveragePosterior, its hyperparameters, and how well it explains its data.
 
     ``value`` is the log likelihood, or its bound: it compares fits of the same data.
-    A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are correlated.
+    A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples
+    are correlated.
     """
 
     posterior: Any
@@ -78,9 +85,11 @@ def fit_exact(
         Iterations on the joint likelihood.
     random_state : int, RandomState or None
     input_noise : ndarray (d, r), "learned" or None
-        R of the covariance R R^T of the regressors' noise. "learned": one variance for each regressor is learned.
+        R of the covariance R R^T of the regressors' noise. "learned": one variance for each
+        regressor is learned.
     stop_early : bool
-        Whether hyperparameters are learned only until the error of held-out blocks of rows no longer falls.
+        Whether hyperparameters are learned only until the error of held-out blocks of rows no
+        longer falls.
 
     Returns
     -------
@@ -88,9 +97,13 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     random_state = check_random_state(random_state)
-    rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
+    rows, held = (
+        held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
+    )
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(kernel.prepared(X), X, Y, rows, held=held, random_state=random_state, exact=True, **options)
+    learned = search(
+        kernel.prepared(X), X, Y, rows, held=held, random_state=random_state, exact=True, **options
+    )
     posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
     return Fit(posterior, learned, posterior.log_marginal_likelihood)
 
@@ -133,7 +146,9 @@ def fit_sparse(
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = start.features(Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    rows, held = held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
+    rows, held = (
+        held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
+    )
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     learned = search(kernel, X, Y, rows, held=held, random_state=random_state, **options)
     return _sparse_fit(learned, learned.kernel.features(Z), X, Y, converge=optimizer is not None)
@@ -142,16 +157,21 @@ def fit_sparse(
 def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
     """Return the sparse fit with these features and, unless ``converge`` is false, the noise that is best for them.
 
-    Errors of neighbours are correlated: a sample carries less information, so the posterior's noise is larger by the
-    inflation (P,). With noisy regressors, part of each output's noise becomes noise of the regressors, whose errors are
-    correlated, too. ``loading`` is G of this noise, by default by the slopes of the posterior.
+    Errors of neighbours are correlated: a sample carries less information, so the posterior's noise
+    is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
+    noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
+    default by the slopes of the posterior.
     """
-    posterior = SparsePosterior(learned.kernel, features, learned.noise, shares_of(Data.from_table(X, Y)))
+    posterior = SparsePosterior(
+        learned.kernel, features, learned.noise, shares_of(Data.from_table(X, Y))
+    )
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
     value = float(posterior.log_marginal_likelihood)
     if converge:
-        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T])
+        inflation = np.array(
+            [autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T]
+        )
         posterior = _converge_noise(posterior, inflation, least)
     noise = posterior.noise / inflation
     if learned.root is not None:
@@ -178,7 +198,8 @@ def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matri
     Returns
     -------
     ndarray (3, P)
-        The variances sigma^2 and tau^2 and the memory T of each output, see ``fit_drift_to_integrals``.
+        The variances sigma^2 and tau^2 and the memory T of each output, see
+        ``fit_drift_to_integrals``.
     """
     residual, least = Y - posterior.predict(X), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     found = np.stack([least, least, np.ones(len(least))])
@@ -211,7 +232,8 @@ def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any)
     return cluster_centres(subset, column_scale(X), n_inducing, random_state)
 
 
-# -- the average ------------------------------------------------------------------------------------------------------
+# -- the average
+# ------------------------------------------------------------------------------------------------------
 
 
 def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
@@ -243,7 +265,11 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
         fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
         members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
-        weights = None if any(each.interrupted for each in fits) else held_out_weights(members, noises, X, Y, loading)
+        weights = (
+            None
+            if any(each.interrupted for each in fits)
+            else held_out_weights(members, noises, X, Y, loading)
+        )
     except KeyboardInterrupt:
         weights = None
     if weights is None:
@@ -251,14 +277,17 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     posterior = AveragePosterior(members, parts, weights)
     noise = np.sum(weights * noises, axis=0)
     n_evaluations = sum(each.learned.n_evaluations for each in fits)
-    return fit._replace(posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations))
+    return fit._replace(
+        posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
+    )
 
 
 def joined(fits: list[Fit]) -> Fit:
     """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
 
-    Searches hold out other blocks and start at other values. What they find explains the log equally well, but predicts
-    other flights differently, so their mean predicts better than each (Breiman 1996).
+    Searches hold out other blocks and start at other values. What they find explains the log
+    equally well, but predicts other flights differently, so their mean predicts better than each
+    (Breiman 1996).
     """
     if len(fits) == 1:
         return fits[0]
@@ -282,7 +311,8 @@ def joined(fits: list[Fit]) -> Fit:
 def _of_part(whole, X, Y, loading, part) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
-    Noise of the regressors propagates by ``loading``, that of the whole. Evaluations are those for the noise.
+    Noise of the regressors propagates by ``loading``, that of the whole. Evaluations are those for
+    the noise.
     """
     kernel = of_terms(whole.posterior.kernel, part)
     learned = whole.learned._replace(kernel=kernel, n_evaluations=0)

@@ -1,6 +1,7 @@
 """The exact likelihood and its gradient by one Cholesky factorisation.
 
-Only this file knows the layout of the N x N matrix. A kernel computes one tile of one pair of outputs at a time.
+Only this file knows the layout of the N x N matrix. A kernel computes one tile of one pair of
+outputs at a time.
 """
 
 from __future__ import annotations
@@ -12,12 +13,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
 
-from skdgp._compute.linalg import RowPairs, cholesky_inverse, jittered_cholesky, log_determinant, triangular_solve
+from skdgp._compute.linalg import (
+    RowPairs,
+    cholesky_inverse,
+    jittered_cholesky,
+    log_determinant,
+    triangular_solve,
+)
 from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
 
-TILE = 768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
+TILE = (
+    768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
+)
 PAIRED = 1000  # largest number of rows of which all pairs are kept
 HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
@@ -25,7 +34,8 @@ HALF = 384  # largest side of a tile on the diagonal, where both triangles are c
 class Data(NamedTuple):
     """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
 
-    ``pairs`` are the pairs of rows of the only output with values, for repeated evaluations of few rows.
+    ``pairs`` are the pairs of rows of the only output with values, for repeated evaluations of few
+    rows.
     """
 
     X: list[np.ndarray]
@@ -63,12 +73,15 @@ class Data(NamedTuple):
     def every(self, step: int) -> Data:
         """Return every ``step``-th value of each output."""
         X, y, noise = [x[::step] for x in self.X], [y[::step] for y in self.y], self.sample_noise
-        return Data(X, y, noise and SampleNoise(*([part[::step] for part in parts] for parts in noise)))
+        return Data(
+            X, y, noise and SampleNoise(*([part[::step] for part in parts] for parts in noise))
+        )
 
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
 
-        What noise of regressors has in common between outputs is lost. Outputs of the same rows share their pairs.
+        What noise of regressors has in common between outputs is lost. Outputs of the same rows
+        share their pairs.
         """
 
         def only(i, parts):
@@ -118,7 +131,10 @@ def _cut(tile, side):
     row, place = tile.rows.start, tile.stacked.start
     size = tile.rows.stop - row
     edges = np.linspace(0, size, -(-size // side) + 1).astype(int)
-    return [Tile(tile.output, slice(row + a, row + b), slice(place + a, place + b)) for a, b in pairwise(edges)]
+    return [
+        Tile(tile.output, slice(row + a, row + b), slice(place + a, place + b))
+        for a, b in pairwise(edges)
+    ]
 
 
 def _pairs(kernel, sizes):
@@ -130,10 +146,13 @@ def _pairs(kernel, sizes):
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
-def covariance(kernel: Any, noise: Vector, data: Data, workspace: Matrix | None = None) -> np.ndarray:
+def covariance(
+    kernel: Any, noise: Vector, data: Data, workspace: Matrix | None = None
+) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if it is given.
+    ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if
+    it is given.
     """
     X = data.X
     sizes = [len(x) for x in X]
@@ -142,7 +161,9 @@ def covariance(kernel: Any, noise: Vector, data: Data, workspace: Matrix | None 
 
     def fill(pair):
         a, b = pair
-        upper[a.stacked, b.stacked] = kernel.block(a.output, b.output, X[a.output][a.rows], X[b.output][b.rows])
+        upper[a.stacked, b.stacked] = kernel.block(
+            a.output, b.output, X[a.output][a.rows], X[b.output][b.rows]
+        )
 
     if data.pairs is not None:
         data.pairs.begin()
@@ -186,7 +207,8 @@ def log_likelihood(
     eval_gradient : bool
         Whether to return the gradient too.
     workspace : ndarray (N, N), C order, or None
-        Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its allocation.
+        Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its
+        allocation.
     weights : ndarray (N,) or None
         With ``eval_gradient``, alpha = K^-1 y is written to it.
 
@@ -220,10 +242,14 @@ def _gradient(kernel, noise, data, y, L, weights):
             W = np.triu(W)
             np.einsum("ii->i", W)[:] *= 0.5
         # The tile and its mirror image: twice one half.
-        return kernel.block_gradient(a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W)
+        return kernel.block_gradient(
+            a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W
+        )
 
     if data.pairs is not None:
-        w = np.take(minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip")  # in place only so
+        w = np.take(
+            minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip"
+        )  # in place only so
         w[data.pairs.own] *= 0.5
         d_theta = -kernel.pair_gradient(data.only_output, data.pairs, w)
     else:

@@ -1,8 +1,8 @@
 """Sample paths of the posterior by Matheron's rule.
 
-A path is a sample of the prior plus a correction by the data. With f and u drawn jointly from the prior,
-f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior at all inputs (Wilson et al. 2020, "Efficiently
-sampling functions from Gaussian process posteriors").
+A path is a sample of the prior plus a correction by the data. With f and u drawn jointly from the
+prior, f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior at all inputs
+(Wilson et al. 2020, "Efficiently sampling functions from Gaussian process posteriors").
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ class Path:
 class Paths(Sequence):
     """Sample paths of the posterior: a sequence of ``Path`` that are evaluated together.
 
-    ``paths[k]`` is one path and ``paths[a:b]`` several. ``paths(X)`` evaluates all paths at the same points,
-    ``paths.each(X)`` each path at its own points, and ``paths.gradient(X)`` their slopes. Paths can be pickled. A path
-    is a function: its value at a point does not depend on the other points or paths of a call, up to rounding.
+    ``paths[k]`` is one path and ``paths[a:b]`` several. ``paths(X)`` evaluates all paths at the
+    same points, ``paths.each(X)`` each path at its own points, and ``paths.gradient(X)`` their
+    slopes. Paths can be pickled. A path is a function: its value at a point does not depend on the
+    other points or paths of a call, up to rounding.
 
     Parameters
     ----------
@@ -63,11 +64,18 @@ class Paths(Sequence):
         feature_names: Any = None,
     ) -> None:
         self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
-        self.center, self.scale, self.single, self.feature_names = center, scale, single, feature_names
+        self.center, self.scale, self.single, self.feature_names = (
+            center,
+            scale,
+            single,
+            feature_names,
+        )
 
     def in_units(self, center: Any, scale: Vector, single: bool, feature_names: Any) -> Paths:
         """Return the paths of the outputs ``center`` + ``scale`` times these outputs."""
-        return Paths(self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names)
+        return Paths(
+            self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names
+        )
 
     def __len__(self):
         return self.n_paths
@@ -106,16 +114,30 @@ class Paths(Sequence):
 
     def _check_points(self, X, ndim):
         columns = getattr(X, "columns", None)
-        if columns is not None and self.feature_names is not None and list(columns) != list(self.feature_names):
+        if (
+            columns is not None
+            and self.feature_names is not None
+            and list(columns) != list(self.feature_names)
+        ):
             raise ValueError(
-                f"Got X with the columns {list(columns)}, but expected those of the fit, in their order: "
+                f"Got X with the columns {list(columns)}, but expected those of the fit, in their "
+                f"order: "
                 f"{list(self.feature_names)}."
             )
         X = np.asarray(X, dtype=float)
-        if X.ndim != ndim or X.shape[-1] != self.n_features or (ndim == 3 and len(X) != self.n_paths):
-            expected = f"(n, {self.n_features})" if ndim == 2 else f"({self.n_paths}, n, {self.n_features})"
+        if (
+            X.ndim != ndim
+            or X.shape[-1] != self.n_features
+            or (ndim == 3 and len(X) != self.n_paths)
+        ):
+            expected = (
+                f"(n, {self.n_features})"
+                if ndim == 2
+                else f"({self.n_paths}, n, {self.n_features})"
+            )
             raise ValueError(
-                f"Got X of shape {X.shape}, but expected {expected}: a column for each regressor of the fit."
+                f"Got X of shape {X.shape}, but expected {expected}: a column for each regressor "
+                f"of the fit."
             )
         return X
 

@@ -28,14 +28,17 @@ from skdgp.inference._likelihood import Data, couplings, log_likelihood
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
-IRRELEVANT_RISE = 0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
+IRRELEVANT_RISE = (
+    0.05  # expected rise of the likelihood for each value [nats] up to which a search has converged
+)
 
 
 class Hyperparameters(NamedTuple):
     """Hyperparameters and the history of the search that found them.
 
-    ``noise`` (P,) is white. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None for exact regressors.
-    ``remaining`` is the expected rise of the likelihood by further iterations.
+    ``noise`` (P,) is white. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None
+    for exact regressors. ``remaining`` is the expected rise of the likelihood by further
+    iterations.
     """
 
     kernel: Any
@@ -50,13 +53,16 @@ class Hyperparameters(NamedTuple):
     def data(self, X: Matrix, Y: Matrix, passes: int = 2) -> Data:
         """Return the observed values with the noise of the regressors.
 
-        The first pass takes slopes of a fit to exact regressors, the second of one to noisy regressors.
+        The first pass takes slopes of a fit to exact regressors, the second of one to noisy
+        regressors.
         """
         data = Data.from_table(X, Y)
         if self.root is None:
             return data
         for _ in range(passes):
-            loading = input_noise_loading(ExactPosterior(self.kernel, self.noise, data), X, self.root)
+            loading = input_noise_loading(
+                ExactPosterior(self.kernel, self.noise, data), X, self.root
+            )
             data = Data.from_table(X, Y, loading)
         return data
 
@@ -69,8 +75,8 @@ def input_noise_loading(posterior: Any, X: Matrix, root: Matrix) -> np.ndarray:
 class _Stages:
     """What the stages of a search of P outputs have in common.
 
-    A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)]. ``common`` is that of
-    `Objective`.
+    A noise vector is [sigma^2 (P)], with learned noise of the regressors [sigma^2, s (d)].
+    ``common`` is that of `Objective`.
     """
 
     def __init__(self, P, held_out, optimizer, common, stop):
@@ -95,7 +101,13 @@ class _Stages:
 
     def _maximize(self, objective, noise, bounds, max_iter, error=None, stage="fit"):
         theta = np.concatenate([objective.kernel.theta, np.log(noise)])
-        options = {"optimizer": self.optimizer, "max_iter": max_iter, "stop": self.stop, "grid": GRID, "stage": stage}
+        options = {
+            "optimizer": self.optimizer,
+            "max_iter": max_iter,
+            "stop": self.stop,
+            "grid": GRID,
+            "stage": stage,
+        }
         with threads_for(objective.data.n_values):
             best = maximize(objective, theta, bounds, **options, held_out_error=error)
         self.n_evaluations += best.n_evaluations
@@ -118,9 +130,10 @@ def search(
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
-    The joint search stops when the error at the rows ``held`` no longer falls. This error says nothing about the noise,
-    and without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so noise is
-    learned again at the end. The other arguments are those of ``fit_exact``.
+    The joint search stops when the error at the rows ``held`` no longer falls. This error says
+    nothing about the noise, and without ``exact`` the search neglects the correlation of outputs by
+    errors of the regressors, so noise is learned again at the end. The other arguments are those of
+    ``fit_exact``.
     """
     P, held_out, whole = Y.shape[1], None, (X, Y)
     if held is not None:
@@ -140,8 +153,9 @@ def search(
     if optimizer is None:
         return stages.hyperparameters(kernel, noise, None if learned_root else root)
     data, bounds, n_iter = Data.from_table(X, Y), noise_bounds, 0
-    # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that predict better than
-    # those reached from arbitrary widths. With noisy regressors, slopes of the coarse model propagate their noise.
+    # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that
+    # predict better than those reached from arbitrary widths. With noisy regressors, slopes of the
+    # coarse model propagate their noise.
     kernel = open_kernel.initialize(X, Y, random_state, singles)
     coarse = open_kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < kernel.n_dims or root is not None:
@@ -158,7 +172,8 @@ def search(
     n_values = data.n_values
     noise_is_left = held_out is not None if exact else learned_root
     if noise_is_left and not (callable(optimizer) or stop.is_set()):
-        # Stage 4: the noise of all blocks; in sparse inference the white noise is learned again from all samples.
+        # Stage 4: the noise of all blocks; in sparse inference the white noise is learned again
+        # from all samples.
         some = some_rows(whole[1], random_state)
         noise_X, noise_Y = (whole[0][some], whole[1][some]) if exact else (X[::2], Y[::2])
         data = stages.hyperparameters(kernel, noise, root).data(noise_X, noise_Y, 1)
@@ -199,26 +214,35 @@ def _initial_input_noise(noise, data, d):
 
     At the start, half of each output's noise comes from the regressors, with equal factors s.
     """
-    propagated = [np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading]
+    propagated = [
+        np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading
+    ]
     part = 0.5 * float(np.nanmedian(noise / np.maximum(propagated, 1e-12)))
     least, most = INPUT_BOUNDS
     start = np.full(d, np.clip(part, 10 * least, most / 10))
     return np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (d, 1))
 
 
-# -- the rows that a search learns from -------------------------------------------------------------------------------
+# -- the rows that a search learns from
+# -------------------------------------------------------------------------------
 
-SEARCH_VALUES, OUTPUT_VALUES = (1000, 1800), 300  # least and most values that a search learns from; of each output
+SEARCH_VALUES, OUTPUT_VALUES = (
+    (1000, 1800),
+    300,
+)  # least and most values that a search learns from; of each output
 BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
 GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
 HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
-FEWEST_VALUES = 40  # values of each output below which nothing is held out: their error would be chance
+FEWEST_VALUES = (
+    40  # values of each output below which nothing is held out: their error would be chance
+)
 
 
 def stratified(rows: Any, n, random_state: Any):
     """Return a stratified sample of at most n rows: a random one of each of n equal parts, as neighbours are redundant.
 
-    A row that two parts share may be drawn for both. It counts once: values that are there twice look free of noise.
+    A row that two parts share may be drawn for both. It counts once: values that are there twice
+    look free of noise.
     """
     if n >= len(rows):
         return rows
@@ -234,7 +258,8 @@ def n_searched(Y: Matrix) -> int:
 def some_rows(Y: Matrix, random_state: Seed):
     """Return rows that a search learns from: each output has about half of an equal share of the values, more, or all.
 
-    A row that is added for one output brings values of all, so outputs with gaps do not get a whole share.
+    A row that is added for one output brings values of all, so outputs with gaps do not get a whole
+    share.
     """
     observed, P = np.isfinite(Y), Y.shape[1]
     share = -(-int(np.clip(P * OUTPUT_VALUES, *SEARCH_VALUES)) // P)
@@ -249,36 +274,46 @@ def some_rows(Y: Matrix, random_state: Seed):
 def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
     """Return rows to learn from and rows to hold out, for early stopping.
 
-    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap on either side. None
-    is held out where an output would have too few values.
+    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap
+    on either side. None is held out where an output would have too few values.
     """
     observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
     edges = np.linspace(0, len(observed), BLOCKS + 1)
     length = HELD_OUT * len(observed) / BLOCKS
     gap = GAP * length
-    starts = edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
+    starts = (
+        edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
+    )
     place = np.arange(len(observed))
     inside = (place >= starts[:, None]) & (place < starts[:, None] + length)
     near = (place >= starts[:, None] - gap) & (place < starts[:, None] + length + gap)
     held, rest = observed[inside.any(axis=0)], observed[~near.any(axis=0)]
-    if min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min()) < FEWEST_VALUES:
+    if (
+        min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min())
+        < FEWEST_VALUES
+    ):
         return some_rows(Y, random_state), None
     return rest[some_rows(Y[rest], random_state)], held
 
 
-# -- each output alone ------------------------------------------------------------------------------------------------
+# -- each output alone
+# ------------------------------------------------------------------------------------------------
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
 TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
-TOLERANCE = 1e-5  # rise of the likelihood by one iteration, as a fraction for each process, below which it is the last
+# rise of the likelihood by one iteration, as a fraction for each process, below which it is the
+# last
+TOLERANCE = 1e-5
 
 
 class _SingleFit:
     """The values of one output and the maximisation of its likelihood."""
 
     def __init__(self, i, X, Y, noise, noise_bounds, seed, search):
-        rows = stratified(np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed))
+        rows = stratified(
+            np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed)
+        )
         self.x, self.y, self.seed = X[rows], Y[rows, i : i + 1], seed
         self.noise, self.noise_bounds = noise[i : i + 1], noise_bounds[i : i + 1]
         self.search = partial(search, stage=f"output {i + 1}")
@@ -310,13 +345,16 @@ def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_
 
     Each has at most twice ``max_iter`` iterations.
 
-    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths that are much too
-    long, the nearest optimum explains everything as noise. Short trials from several widths avoid it.
+    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one. From widths
+    that are much too long, the nearest optimum explains everything as noise. Short trials from
+    several widths avoid it.
     """
     tolerance = TOLERANCE * max(1, kernel.n_processes)
     search = partial(maximize, optimizer=optimizer, stop=stop, tolerance=tolerance, grid=GRID)
     seeds = random_state.randint(2**31 - 1, size=Y.shape[1])
-    outputs = [_SingleFit(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)]
+    outputs = [
+        _SingleFit(i, X, Y, noise, noise_bounds, seed, search) for i, seed in enumerate(seeds)
+    ]
     trials = [output.try_widths(kernel, max_iter) for output in outputs]
     most = min(SINGLE_ITERATIONS, 2 * max_iter)
     refined = [
@@ -325,10 +363,15 @@ def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_
     ]
     kernels = [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined]
     noise = np.concatenate([np.exp(optimum.theta[-1:]) for _, optimum in refined])
-    return kernels, noise, sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined)
+    return (
+        kernels,
+        noise,
+        sum(trial[2] for trial in trials) + sum(optimum.n_evaluations for _, optimum in refined),
+    )
 
 
-# -- what is maximised, and the optimiser -----------------------------------------------------------------------------
+# -- what is maximised, and the optimiser
+# -----------------------------------------------------------------------------
 
 RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
 PATIENCE = 5  # iterations over which the held-out error must fall
@@ -336,11 +379,12 @@ LEAST_GAIN = 0.01  # by this fraction
 GRID = 2.0**-14
 """Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
 
-Far from an optimum, each iteration of L-BFGS multiplies a difference between two searches by about 1.6. So data that
-differ by rounding alone, on another processor or of a mirrored flight, would lead to different optima within 60
-iterations. On the grid the difference is mostly gone before it grows: regressors moved by 1e-12 move predictions of six
-tables by at most 0.02 deviations, of five by less than 1e-7. A grid of 2^-12 stops some searches early: the error of
-electrodes (docs/results.md) is then .49 instead of .26.
+Far from an optimum, each iteration of L-BFGS multiplies a difference between two searches by about
+1.6. So data that differ by rounding alone, on another processor or of a mirrored flight, would lead
+to different optima within 60 iterations. On the grid the difference is mostly gone before it grows:
+regressors moved by 1e-12 move predictions of six tables by at most 0.02 deviations, of five by less
+than 1e-7. A grid of 2^-12 stops some searches early: the error of electrodes (docs/results.md) is
+then .49 instead of .26.
 """
 WIDEST = 16.0  # width of bounds that counts
 GRADIENT = 1e-4  # [nats] below which a search has converged
@@ -350,13 +394,16 @@ STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 class Objective:
     """The function [theta, log noise] -> log likelihood, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not know. Where
-    nothing couples outputs, this is the sum of their likelihoods: P^2 times faster. With ``common`` false it neglects
-    the correlation of outputs by errors of the regressors: widths and amplitudes hardly change, but the variances of
-    the regressors' noise must then be learned again.
+    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not
+    know. Where nothing couples outputs, this is the sum of their likelihoods: P^2 times faster.
+    With ``common`` false it neglects the correlation of outputs by errors of the regressors: widths
+    and amplitudes hardly change, but the variances of the regressors' noise must then be learned
+    again.
     """
 
-    def __init__(self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True) -> None:
+    def __init__(
+        self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True
+    ) -> None:
         self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
         coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
         self.parts = [data] if coupled else data.by_output()
@@ -379,7 +426,9 @@ class Objective:
         if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
             self(theta)
         kernel, held_out = self._split(theta)[0], self.held_out
-        weights = np.split(np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1])
+        weights = np.split(
+            np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1]
+        )
         errors = []
         for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
             pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]
@@ -405,7 +454,9 @@ class Optimum(NamedTuple):
     n_evaluations: int
     interrupted: bool
     remaining: float  # expected rise of the likelihood in as many iterations again [nats]
-    converged: bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
+    converged: (
+        bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
+    )
 
 
 class _Watched:
@@ -413,7 +464,12 @@ class _Watched:
 
     def __init__(self, log_likelihood, theta, stage, stop):
         self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
-        self.theta, self.value, self.latest, self.n_evaluations = np.array(theta), -np.inf, -np.inf, 0
+        self.theta, self.value, self.latest, self.n_evaluations = (
+            np.array(theta),
+            -np.inf,
+            -np.inf,
+            0,
+        )
         self.values: list[float] = []
 
     def __call__(self, theta, eval_gradient=True):
@@ -426,7 +482,10 @@ class _Watched:
         self.n_evaluations += 1
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
             # A large finite value, so that the line search turns back.
-            value, gradient = -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0), np.zeros_like(theta)
+            value, gradient = (
+                -1e6 - 2 * abs(self.value if np.isfinite(self.value) else 0.0),
+                np.zeros_like(theta),
+            )
         elif value > self.value:
             self.theta, self.value = np.array(theta), value
         self.latest = value
@@ -463,7 +522,8 @@ def maximize(
         Starting point.
     bounds : ndarray (n, 2)
     optimizer : "fmin_l_bfgs_b" or callable
-        A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta, minimum.
+        A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta,
+        minimum.
     max_iter : int
     tolerance : float
         Stop when one iteration raises the likelihood by less than this fraction.
@@ -472,10 +532,11 @@ def maximize(
     stop : threading.Event or None
         Stops the search before the next evaluation when it is set. Ctrl-C sets it.
     held_out_error : callable or None
-        theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it has not fallen by
-        1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
+        theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it
+        has not fallen by 1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
     grid : float
-        Spacing of the points that are evaluated, over the width of the bounds, see ``GRID``. Zero: any points.
+        Spacing of the points that are evaluated, over the width of the bounds, see ``GRID``. Zero:
+        any points.
 
     Returns
     -------
@@ -505,7 +566,9 @@ def maximize(
         if held_out_error is None:
             return
         errors.append(held_out_error(rounded(theta)))
-        if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(errors[:-PATIENCE]):
+        if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(
+            errors[:-PATIENCE]
+        ):
             raise StopIteration
 
     try:
@@ -522,26 +585,53 @@ def maximize(
                 value, gradient = first if np.array_equal(other, theta) else objective(other)
                 return value / unit, gradient / unit
 
-            options: Any = {"maxiter": max_iter, "maxfun": 2 * max_iter + 10, "maxcor": 20, "ftol": 0.0}
+            options: Any = {
+                "maxiter": max_iter,
+                "maxfun": 2 * max_iter + 10,
+                "maxcor": 20,
+                "ftol": 0.0,
+            }
             options["gtol"] = GRADIENT / unit
-            end = minimize(loss, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options, callback=watch)
+            end = minimize(
+                loss,
+                theta,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options=options,
+                callback=watch,
+            )
             n_iter, converged = end.nit, bool(end.success) or end.status == STOPPED
             remaining = 0.0
             if not converged:
-                remaining = min(_newton_rise(end, unit, bounds), max(max_iter, 1) * objective.rise_per_evaluation())
+                remaining = min(
+                    _newton_rise(end, unit, bounds),
+                    max(max_iter, 1) * objective.rise_per_evaluation(),
+                )
     except KeyboardInterrupt:
         interrupted = True
         if stop is not None:
             stop.set()
-    return Optimum(objective.theta, objective.value, n_iter, objective.n_evaluations, interrupted, remaining, converged)
+    return Optimum(
+        objective.theta,
+        objective.value,
+        n_iter,
+        objective.n_evaluations,
+        interrupted,
+        remaining,
+        converged,
+    )
 
 
 def _newton_rise(end: Any, unit: float, bounds: Any) -> float:
     """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement.
 
-    ``end`` is of a loss in units of ``unit`` nats. Where L-BFGS has seen no curvature, H is one nat.
+    ``end`` is of a loss in units of ``unit`` nats. Where L-BFGS has seen no curvature, H is one
+    nat.
     """
     downhill = -unit * end.jac
-    blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | ((end.x >= bounds[:, 1]) & (downhill > 0))
+    blocked = ((end.x <= bounds[:, 0]) & (downhill < 0)) | (
+        (end.x >= bounds[:, 1]) & (downhill > 0)
+    )
     free = np.where(blocked, 0.0, downhill)
     return float(0.5 * free @ LbfgsInvHessProduct(end.hess_inv.sk, unit * end.hess_inv.yk)(free))

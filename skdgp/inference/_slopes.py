@@ -1,10 +1,11 @@
 """Errors of slopes and values that the deviations of a posterior do not contain, estimated from polynomials.
 
-Errors of neighbouring samples and of different outputs are correlated, widths may be wrong, gusts flatten slopes and
-correlate errors with rates. Polynomials show how large such errors are: with past regressors as instruments, which
-correlate less with the present error; with third powers, since a smooth prior and polynomials of second order find too
-small a slope at the trim of a function that saturates on both sides; and with the residuals of the outputs, which bound
-the noise of each regressor.
+Errors of neighbouring samples and of different outputs are correlated, widths may be wrong, gusts
+flatten slopes and correlate errors with rates. Polynomials show how large such errors are: with
+past regressors as instruments, which correlate less with the present error; with third powers,
+since a smooth prior and polynomials of second order find too small a slope at the trim of a
+function that saturates on both sides; and with the residuals of the outputs, which bound the noise
+of each regressor.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
-FEWEST, FEWEST_INSTRUMENTED = 10, 50  # smallest number of samples for each weight of a polynomial, with instruments
+FEWEST, FEWEST_INSTRUMENTED = (
+    10,
+    50,
+)  # smallest number of samples for each weight of a polynomial, with instruments
 DELAYS = (2, 4, 6)  # of the regressors that are instruments, in autocorrelation times of the errors
 SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments count as equal
 
@@ -33,12 +37,15 @@ class SlopeErrors(NamedTuple):
     """Errors of slopes at points (n, d): sums of the last axis times independent standard normal numbers."""
 
     random: Array
-    """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks)."""
+    """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks).
+    """
     method: Array
     """Difference to a polynomial with instruments, less where these scatter; by third powers; and what noise of each
     regressor may flatten, (n, P, d, 2 + d)."""
     white: Array
-    """Standard deviation that ``random`` would have if errors of samples were independent, (n, P, d)."""
+    """Standard deviation that ``random`` would have if errors of samples were independent, (n, P,
+    d).
+    """
     n_samples: int
 
     def scaled(self, factor: Array) -> SlopeErrors:
@@ -49,14 +56,16 @@ class SlopeErrors(NamedTuple):
 
     def take(self, outputs: Any) -> SlopeErrors:
         """Return the errors of some outputs."""
-        return SlopeErrors(self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples)
+        return SlopeErrors(
+            self.random[:, outputs], self.method[:, outputs], self.white[:, outputs], self.n_samples
+        )
 
 
 class FunctionErrors(NamedTuple):
     """Errors of a function by noise that is correlated between samples and between outputs.
 
-    They are polynomials of second order, one for each block of the log. An error of the function is their sum, times
-    independent standard normal numbers.
+    They are polynomials of second order, one for each block of the log. An error of the function is
+    their sum, times independent standard normal numbers.
     """
 
     weights: Array
@@ -76,16 +85,21 @@ class FunctionErrors(NamedTuple):
 
     def draw(self, n_paths: int, random_state: Seed) -> FunctionErrors:
         """Return draws of the error, as polynomials (n_paths, n_terms, P)."""
-        seed = check_random_state(random_state).randint(2**31 - 1, size=7)  # other numbers than those of the paths
+        seed = check_random_state(random_state).randint(
+            2**31 - 1, size=7
+        )  # other numbers than those of the paths
         normal = np.random.default_rng(seed).standard_normal((n_paths, len(self.weights)))
         return self._replace(weights=np.tensordot(normal, self.weights, axes=1))
 
     def in_units(self, shift: Vector, scale: Vector, outputs: Any) -> FunctionErrors:
         """Return the errors of some outputs as a function of ``shift + scale`` times the regressors."""
-        return FunctionErrors(self.weights[..., outputs], shift + scale * self.centre, scale * self.scale)
+        return FunctionErrors(
+            self.weights[..., outputs], shift + scale * self.centre, scale * self.scale
+        )
 
 
-@one_blas_thread()  # equations of a hundred terms: on two threads they take several times as long on a busy machine
+# equations of a hundred terms: on two threads they take several times as long on a busy machine
+@one_blas_thread()
 def function_errors(posterior: Any) -> FunctionErrors | None:
     """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
     data = _measured(posterior)
@@ -97,7 +111,9 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
         basis = _basis_for(len(x), x.shape[1])
         if basis is None:
             return None
-        errors = _Polynomial(basis, (x - centre) / scale, y).errors  # a line has the first terms of a parabola
+        errors = _Polynomial(
+            basis, (x - centre) / scale, y
+        ).errors  # a line has the first terms of a parabola
         weights[: len(errors), : errors.shape[1], k] = errors
     return FunctionErrors(weights, centre, scale)
 
@@ -105,30 +121,36 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
 def _measured(posterior: Any) -> Data | None:
     """Return the measured samples of a posterior, None if it has none (compact models)."""
     data = posterior.samples()
-    return data if data is None or posterior.measured is None else Data.from_table(*posterior.measured)
+    return (
+        data if data is None or posterior.measured is None else Data.from_table(*posterior.measured)
+    )
 
 
 @one_blas_thread()
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
-    The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of consecutive samples
-    and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum over blocks of :math:`G Q_b^T r_b`,
-    whatever the correlation within a block and between outputs (Liang & Zeger 1986).
+    The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of
+    consecutive samples and :math:`G = (\sum_b Q_b^T Q_b)^{-1}`. With residuals r its error is a sum
+    over blocks of :math:`G Q_b^T r_b`, whatever the correlation within a block and between outputs
+    (Liang & Zeger 1986).
 
-    A slope by instruments, of standard deviation s, differs by d. It counts as :math:`d |d| / \sqrt{d^2 + s^2}`: as d
-    where it is much larger than s, and as .8 s in root mean square where it is only chance. What instruments do not
-    determine, least squares does. Where a posterior has learned from other samples than those ``measured``, such as
-    mirrored ones, polynomials are of the measured ones.
+    A slope by instruments, of standard deviation s, differs by d. It counts as :math:`d |d| /
+    \sqrt{d^2 + s^2}`: as d where it is much larger than s, and as .8 s in root mean square where it
+    is only chance. What instruments do not determine, least squares does. Where a posterior has
+    learned from other samples than those ``measured``, such as mirrored ones, polynomials are of
+    the measured ones.
 
-    Noise in a regressor flattens the slopes w of least squares. The same noise is in the residuals of all outputs,
-    which have the covariance :math:`\Sigma`. With p, the variance of the regressor that the others do not explain, it
-    can be no more than what leaves :math:`\Sigma` positive definite, so true slopes lie between w and w + g:
+    Noise in a regressor flattens the slopes w of least squares. The same noise is in the residuals
+    of all outputs, which have the covariance :math:`\Sigma`. With p, the variance of the regressor
+    that the others do not explain, it can be no more than what leaves :math:`\Sigma` positive
+    definite, so true slopes lie between w and w + g:
 
     .. math:: g = \frac{w}{p\, w^T \Sigma^{-1} w}
 
-    (bounds by direct and reverse regression: Frisch 1934; Klepper & Leamer 1984). Its error is :math:`g / \sqrt 3`, the
-    root mean square of what lies anywhere between. Slopes by other regressors follow as the weights correlate.
+    (bounds by direct and reverse regression: Frisch 1934; Klepper & Leamer 1984). Its error is
+    :math:`g / \sqrt 3`, the root mean square of what lies anywhere between. Slopes by other
+    regressors follow as the weights correlate.
     """
     data = _measured(posterior)
     if data is None:
@@ -142,16 +164,23 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     instrumented, std, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
     flat = posterior.gradient(X) - instrumented
     share = np.divide(np.abs(flat), np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
-    noisy = [D @ moved for D, moved in zip(slopes, _noise_of_regressors(data, fits, rests), strict=True)]
-    method = np.concatenate([np.stack([flat * share, third / np.sqrt(2)], axis=-1), np.stack(noisy, axis=1)], axis=-1)
-    return SlopeErrors(np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y)))
+    noisy = [
+        D @ moved for D, moved in zip(slopes, _noise_of_regressors(data, fits, rests), strict=True)
+    ]
+    method = np.concatenate(
+        [np.stack([flat * share, third / np.sqrt(2)], axis=-1), np.stack(noisy, axis=1)], axis=-1
+    )
+    return SlopeErrors(
+        np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y))
+    )
 
 
 def _of_output(x, y, X):
     """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
 
-    The slopes are those by instruments, their standard deviation, and what third powers change of those of all samples.
-    Last come the polynomial of all samples, what it leaves of y, and the slopes (n, d, n_terms) of its terms.
+    The slopes are those by instruments, their standard deviation, and what third powers change of
+    those of all samples. Last come the polynomial of all samples, what it leaves of y, and the
+    slopes (n, d, n_terms) of its terms.
     """
     basis = _basis_for(len(x), x.shape[1])
     if basis is None:
@@ -159,7 +188,9 @@ def _of_output(x, y, X):
     centre, scale = x.mean(axis=0), column_scale(x)
     z, at = (x - centre) / scale, (X - centre) / scale
     every, Q = _Polynomial(basis, z, y), basis(z)
-    rest = y - Q @ every.weights  # so that slopes are those of all samples where instruments do not determine them
+    rest = (
+        y - Q @ every.weights
+    )  # so that slopes are those of all samples where instruments do not determine them
     few = _basis_for(len(x), x.shape[1], FEWEST_INSTRUMENTED) or _line
     change, scatter = _instrumented(few(z), rest)
     std = np.linalg.norm(_slopes_of(few, at) @ scatter.T, axis=-1)
@@ -177,11 +208,18 @@ def _noise_of_regressors(data, fits, rests):
     least = SINGULAR * np.array([y @ y for y in data.y])
     if all(np.array_equal(x, data.X[0]) for x in data.X):
         covariance = np.array(rests) @ np.transpose(rests) + np.diag(least)
-        strength = np.einsum("ik,ij,jk->k", weights, np.linalg.pinv(covariance, hermitian=True), weights)
+        strength = np.einsum(
+            "ik,ij,jk->k", weights, np.linalg.pinv(covariance, hermitian=True), weights
+        )
     else:  # each output bounds the noise by itself
         squares = least + [rest @ rest for rest in rests]
-        strength = np.max(np.divide(weights.T**2, squares, out=np.zeros(weights.T.shape), where=squares > 0), axis=1)
-    g = np.divide(weights, strength, out=np.zeros_like(weights), where=strength > 0)  # times 1 / (n p)
+        strength = np.max(
+            np.divide(weights.T**2, squares, out=np.zeros(weights.T.shape), where=squares > 0),
+            axis=1,
+        )
+    g = np.divide(
+        weights, strength, out=np.zeros_like(weights), where=strength > 0
+    )  # times 1 / (n p)
     return [fit.inverse[:, linear] * one / np.sqrt(3) for fit, one in zip(fits, g, strict=True)]
 
 
@@ -201,16 +239,23 @@ def _basis_for(n, d, fewest=FEWEST):
 def _instrumented(Q, y):
     """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
-    Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least squares last (Soderstrom
-    & Stoica 1989, section 8.1): an error that causes motion, such as that of a gust, correlates with present
-    regressors, and so biases least squares. Part of the bias remains, the more the longer gusts last: least squares
-    hides some of them, and past gusts have moved the instruments.
+    Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least
+    squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes motion, such as that
+    of a gust, correlates with present regressors, and so biases least squares. Part of the bias
+    remains, the more the longer gusts last: least squares hides some of them, and past gusts have
+    moved the instruments.
     """
     lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
-    past, now, y = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS], Q[first:], y[first:]
+    past, now, y = (
+        [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS],
+        Q[first:],
+        y[first:],
+    )
     between = np.block([[one.T @ other for other in past] for one in past])
-    by_past = np.linalg.pinv(between, rcond=SINGULAR, hermitian=True) @ np.vstack([one.T @ now for one in past])
+    by_past = np.linalg.pinv(between, rcond=SINGULAR, hermitian=True) @ np.vstack(
+        [one.T @ now for one in past]
+    )
     expected = sum(one @ part for one, part in zip(past, np.split(by_past, len(past)), strict=True))
     inverse = np.linalg.pinv(expected.T @ now, rcond=SINGULAR, hermitian=True)
     weights = inverse @ (expected.T @ y)
@@ -234,13 +279,19 @@ class _Polynomial:
 
     def __init__(self, basis: Any, z: Matrix, y: Array) -> None:
         self.basis = basis
-        sums = [(Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows]) for rows in _blocks(len(y)) for Q in [basis(z[rows])]]
+        sums = [
+            (Q.T @ Q, Q.T @ y[rows], y[rows] @ y[rows])
+            for rows in _blocks(len(y))
+            for Q in [basis(z[rows])]
+        ]
         self.outer, self.inner, square = (np.array(part) for part in zip(*sums, strict=True))
         self.inverse = np.linalg.pinv(self.outer.sum(axis=0), hermitian=True)
         self.weights = self.inverse @ self.inner.sum(axis=0)
         left = square.sum() - self.weights @ self.inner.sum(axis=0)
         self.variance = max(float(left), 0.0) / max(len(y) - len(self.weights), 1)
-        self.errors = _errors(self.inner - self.outer @ self.weights, self.inverse)  # of the weights, by block
+        self.errors = _errors(
+            self.inner - self.outer @ self.weights, self.inverse
+        )  # of the weights, by block
 
     def error(self, at: Matrix) -> tuple[Array, Array]:
         """Return the error of the slopes (n, d, n_blocks), and its deviation (n, d) if samples were independent."""
@@ -267,15 +318,17 @@ def _slopes_of(basis, at):
     return 0.5 * np.stack(change, axis=-2)
 
 
-# -- correlation of outputs -------------------------------------------------------------------------------------------
+# -- correlation of outputs
+# -------------------------------------------------------------------------------------------
 
 
 def output_correlation(kernel: Any) -> Bunch:
     """Return the largest correlation between outputs over all separations, and the separation of that maximum.
 
-    For a stationary kernel the correlation of output i at s + delta with output j at s is K_ij(delta) / sqrt(K_ii(0)
-    K_jj(0)). Its extremes are found by gradient ascent from the separations at which the terms of the kernel are
-    largest. The result has ``correlation`` (P, P) and ``shift`` (P, P, d), antisymmetric in the outputs.
+    For a stationary kernel the correlation of output i at s + delta with output j at s is
+    K_ij(delta) / sqrt(K_ii(0) K_jj(0)). Its extremes are found by gradient ascent from the
+    separations at which the terms of the kernel are largest. The result has ``correlation`` (P, P)
+    and ``shift`` (P, P, d), antisymmetric in the outputs.
     """
     P, n_features = kernel.n_outputs, kernel.n_features
     correlation, shift = np.eye(P), np.zeros((P, P, n_features))
@@ -284,7 +337,9 @@ def output_correlation(kernel: Any) -> Bunch:
         for j in range(i):
             value, separation = _extreme(kernel, i, j, n_features)
             size = scale[i] * scale[j]
-            correlation[i, j] = correlation[j, i] = np.clip(value / size, -1, 1) if size > 0 else 0.0
+            correlation[i, j] = correlation[j, i] = (
+                np.clip(value / size, -1, 1) if size > 0 else 0.0
+            )
             shift[i, j], shift[j, i] = separation, -separation
     return Bunch(correlation=correlation, shift=shift)
 

@@ -1,16 +1,18 @@
 """Sparse inference by the collapsed variational bound.
 
-Features are inducing variables u (Alvarez et al. 2010), see ``skdgp.kernels._features``. With their covariance Kuu, the
-covariance Kfu of values and features, and the noise S, the bound of Titsias (2009) is
+Features are inducing variables u (Alvarez et al. 2010), see ``skdgp.kernels._features``. With their
+covariance Kuu, the covariance Kfu of values and features, and the noise S, the bound of Titsias
+(2009) is
 
     log N(y | 0, Kfu Kuu^-1 Kuf + S) - 1/2 tr S^-1 (Kff - Kfu Kuu^-1 Kuf).
 
-It does not exceed the log marginal likelihood, and approaches it as features are added. It needs only sums over the
-samples, so time is linear in their number and memory is constant.
+It does not exceed the log marginal likelihood, and approaches it as features are added. It needs
+only sums over the samples, so time is linear in their number and memory is constant.
 
-A share is a sequence of samples, a chunk of the data. It holds one output if the outputs have independent noise, and
-all outputs if noisy regressors correlate their noise. Functions that sum over a share are module-level functions with
-explicit arguments, so that a thread, a process or another machine can run them.
+A share is a sequence of samples, a chunk of the data. It holds one output if the outputs have
+independent noise, and all outputs if noisy regressors correlate their noise. Functions that sum
+over a share are module-level functions with explicit arguments, so that a thread, a process or
+another machine can run them.
 """
 
 from __future__ import annotations
@@ -74,8 +76,13 @@ class SparsePosterior(Single):
         self._begin()
 
     def __getstate__(self):
-        state = {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares", "measured")}
-        if self.shares is None:  # otherwise the sums are computed again from the samples, which take less space
+        state = {
+            name: getattr(self, name)
+            for name in ("kernel", "features", "noise", "shares", "measured")
+        }
+        if (
+            self.shares is None
+        ):  # otherwise the sums are computed again from the samples, which take less space
             state["sums"] = self.sums.packed()
         return state
 
@@ -94,7 +101,9 @@ class SparsePosterior(Single):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         if self.shares is not None:
-            self.sums, self.statistics = compute_sums(self.kernel, self.features, self.noise, self.Lu, self.shares)
+            self.sums, self.statistics = compute_sums(
+                self.kernel, self.features, self.noise, self.Lu, self.shares
+            )
         self._condition()
 
     def _condition(self):
@@ -104,7 +113,9 @@ class SparsePosterior(Single):
             self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
             self.white = cholesky_solve(self.LB, b)
             self.weights = triangular_solve(self.Lu, self.white, transposed=True)
-        self.log_marginal_likelihood = -0.5 * (self.sums.rest + log_determinant(self.LB) - b @ self.white)
+        self.log_marginal_likelihood = -0.5 * (
+            self.sums.rest + log_determinant(self.LB) - b @ self.white
+        )
 
     @property
     def B(self) -> np.ndarray:
@@ -121,7 +132,10 @@ class SparsePosterior(Single):
 
     def _with(self, **state) -> SparsePosterior:
         """Return the posterior of other samples or with another noise, with the same features."""
-        new, kept = object.__new__(SparsePosterior), ("kernel", "features", "Lu", "noise", "measured", "shares")
+        new, kept = (
+            object.__new__(SparsePosterior),
+            ("kernel", "features", "Lu", "noise", "measured", "shares"),
+        )
         vars(new).update({name: getattr(self, name) for name in kept} | state)
         new._condition()
         return new
@@ -129,12 +143,15 @@ class SparsePosterior(Single):
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
         sums = SampleSums.combine(self.features, noise, self.statistics)
-        return self._with(noise=np.asarray(noise, dtype=float), statistics=self.statistics, sums=sums)
+        return self._with(
+            noise=np.asarray(noise, dtype=float), statistics=self.statistics, sums=sums
+        )
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
 
-        This is the noise update of expectation maximisation: at its fixed point the bound is stationary in the noise.
+        This is the noise update of expectation maximisation: at its fixed point the bound is
+        stationary in the noise.
         """
         residual = np.empty(len(self.noise))
         for i, s in enumerate(self.statistics):
@@ -178,10 +195,13 @@ class SparsePosterior(Single):
         """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""
         if self.shares is None:
             raise ValueError(
-                "A compact model holds no samples, so its likelihood is known at the fitted hyperparameters alone. Use "
+                "A compact model holds no samples, so its likelihood is known at the fitted "
+                "hyperparameters alone. Use "
                 "the model it was made from."
             )
-        other = SparsePosterior(kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares)
+        other = SparsePosterior(
+            kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares
+        )
         if not eval_gradient:
             return other.log_marginal_likelihood
         return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
@@ -190,9 +210,14 @@ class SparsePosterior(Single):
         """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
         Lu, identity = self.Lu, np.eye(self.size)
         reduction = _unwhitened(Lu, identity - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
-        Wuu = 0.5 * (_unwhitened(Lu, 2 * identity - self.B_inverse - self.B) - np.outer(self.weights, self.weights))
+        Wuu = 0.5 * (
+            _unwhitened(Lu, 2 * identity - self.B_inverse - self.B)
+            - np.outer(self.weights, self.weights)
+        )
         state = self.kernel, self.features, self.noise, self.weights, reduction
-        total, diagonal, d_noise = map(sum, zip(*share_map(_share_slope, state, self.shares), strict=True))
+        total, diagonal, d_noise = map(
+            sum, zip(*share_map(_share_slope, state, self.shares), strict=True)
+        )
         total = total + self.features.gradient_uu(Wuu)
         n = self.kernel.n_dims
         return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
@@ -205,7 +230,10 @@ class SparsePosterior(Single):
         """
         columns = [self.features.columns(i) for i in range(self.kernel.n_outputs)]
         edges = np.cumsum([0, *map(len, columns)])
-        slices, weights = [slice(*ends) for ends in pairwise(edges)], np.zeros((edges[-1], len(columns)))
+        slices, weights = (
+            [slice(*ends) for ends in pairwise(edges)],
+            np.zeros((edges[-1], len(columns))),
+        )
         for i, (own, of_output) in enumerate(zip(slices, columns, strict=True)):
             weights[own, i] = self.weights[of_output]
         return self.features.rows(), slices, weights
@@ -214,7 +242,8 @@ class SparsePosterior(Single):
     def roots(self) -> list[np.ndarray]:
         """Lu^-T R of the features of each output, (c, c), with R R^T = I - B^-1.
 
-        With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V, the square of Kfu Lu^-T R.
+        With V = Lu^-1 Kuf the data reduce the prior variance by V^T (I - B^-1) V, the square of Kfu
+        Lu^-T R.
         """
         roots = []
         with threads_for(self.size):
@@ -222,7 +251,9 @@ class SparsePosterior(Single):
                 columns = self.features.columns(i)
                 reduction = np.eye(len(columns)) - self.B_inverse[np.ix_(columns, columns)]
                 factor = sub_factor(self.Lu, columns)
-                roots.append(triangular_solve(factor, semidefinite_root(reduction), transposed=True))
+                roots.append(
+                    triangular_solve(factor, semidefinite_root(reduction), transposed=True)
+                )
         return roots
 
     @few_threads
@@ -235,23 +266,34 @@ class SparsePosterior(Single):
             A = rows(X)
             if not return_variance:
                 return A @ weights
-            explained = [explained_variance(A[:, own], root) for own, root in zip(slices, roots, strict=True)]
+            explained = [
+                explained_variance(A[:, own], root) for own, root in zip(slices, roots, strict=True)
+            ]
             prior = [self.kernel.block_diag(i, X) for i in range(len(slices))]
-            return A @ weights, unexplained_variance(np.stack(prior, axis=1), np.stack(explained, axis=1))
+            return A @ weights, unexplained_variance(
+                np.stack(prior, axis=1), np.stack(explained, axis=1)
+            )
 
         if len(Xs) <= ROWS:
             return evaluate(Xs)
         parts = thread_map(lambda some: evaluate(Xs[some]), [*gen_batches(len(Xs), ROWS)])
-        return tuple(map(np.concatenate, zip(*parts, strict=True))) if return_variance else np.concatenate(parts)
+        return (
+            tuple(map(np.concatenate, zip(*parts, strict=True)))
+            if return_variance
+            else np.concatenate(parts)
+        )
 
     def term(self, kernel: Any) -> SparsePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
-        The features are the same, so the posterior of the term is that of all with the covariance of the term and the
-        features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` are those of the term,
-        which ``self.kernel.term(regressors)`` gives.
+        The features are the same, so the posterior of the term is that of all with the covariance
+        of the term and the features in place of Kfu. ``predict``, ``covariance`` and ``gradient``
+        are those of the term, which ``self.kernel.term(regressors)`` gives.
         """
-        new, features = object.__new__(SparsePosterior), self.features.rebuild(kernel, self.features.theta)
+        new, features = (
+            object.__new__(SparsePosterior),
+            self.features.rebuild(kernel, self.features.theta),
+        )
         vars(new).update(vars(self) | {"kernel": kernel, "features": features, "roots": self.roots})
         vars(new).pop("_readout", None)
         return new
@@ -291,17 +333,24 @@ class SparsePosterior(Single):
         roots = self.roots if return_variance else None
         parts = thread_map(partial(self._gradient, Xs, roots), [*gen_batches(len(Xs), ROWS)])
         mean, variance = zip(*parts, strict=True)
-        return (np.concatenate(mean), np.concatenate(variance)) if return_variance else np.concatenate(mean)
+        return (
+            (np.concatenate(mean), np.concatenate(variance))
+            if return_variance
+            else np.concatenate(mean)
+        )
 
     def _gradient(self, Xs, roots, rows):
         """Return the mean and, unless ``roots`` is None, the variance of the slopes at some rows, (n, P, d) each."""
         x, outputs = Xs[rows], range(self.kernel.n_outputs)
         D = [self.features.Kfu_derivative(i, x) for i in outputs]
-        mean = np.stack([(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1)
+        mean = np.stack(
+            [(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1
+        )
         if roots is None:
             return mean, None
         explained = [
-            explained_variance(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T for i in outputs
+            explained_variance(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T
+            for i in outputs
         ]
         prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
         return mean, unexplained_variance(prior, np.stack(explained, axis=1))
@@ -313,14 +362,15 @@ def explained_variance(A, root: Matrix):
     return np.einsum("nc,nc->n", half, half)
 
 
-# -- shares of the samples --------------------------------------------------------------------------------------------
+# -- shares of the samples
+# --------------------------------------------------------------------------------------------
 
 
 class SampleShare(NamedTuple):
     """A sequence of samples of some outputs.
 
-    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and the ``loading`` G (n, p, r) of the noise covariance
-    diag(sigma^2) + G G^T.
+    ``X`` (n, d), ``Y`` (n, p) with NaN where not observed, and the ``loading`` G (n, p, r) of the
+    noise covariance diag(sigma^2) + G G^T.
     """
 
     outputs: tuple[int, ...]
@@ -340,10 +390,14 @@ def shares_of(data: Data) -> list[SampleShare]:
             _one_output(i, *part)
             for i, values in enumerate(zip(data.X, data.y, strict=True))
             if len(values[1])
-            for part in zip(*(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True)
+            for part in zip(
+                *(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True
+            )
         ]
     table = _sample_table(data)
-    parts = zip(*(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True)
+    parts = zip(
+        *(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True
+    )
     return [SampleShare(tuple(range(len(data.y))), *part) for part in parts]
 
 
@@ -362,7 +416,9 @@ def data_from_shares(shares, n_outputs) -> Data:
     """Return the observed values of all shares."""
     if _independent(shares):
         empty = _one_output(-1, shares[0].X[:0], np.empty(0))
-        by_output = [[empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)]
+        by_output = [
+            [empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)
+        ]
         X = [np.concatenate([share.X for share in parts]) for parts in by_output]
         return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in by_output])
     table = [np.concatenate([share[k] for share in shares]) for k in (1, 2, 3)]
@@ -374,7 +430,8 @@ def _independent(shares) -> bool:
     return all(share.loading.shape[2] == 0 for share in shares)
 
 
-# -- sums for conditioning --------------------------------------------------------------------------------------------
+# -- sums for conditioning
+# --------------------------------------------------------------------------------------------
 
 
 class SampleSums(NamedTuple):
@@ -400,7 +457,9 @@ class SampleSums(NamedTuple):
 
     def plus(self, other: SampleSums) -> SampleSums:
         """Return the sums over these and the other values."""
-        return SampleSums(self.outer + other.outer, self.inner + other.inner, self.rest + other.rest)
+        return SampleSums(
+            self.outer + other.outer, self.inner + other.inner, self.rest + other.rest
+        )
 
     def packed(self) -> SampleSums:
         """Return the sums with ``outer`` as the bits of what is not zero in its lower triangle, and these values."""
@@ -438,8 +497,14 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
     """Return the sums over all values, and their parts by output if the noise is independent, else None."""
     if shares and not _independent(shares):
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
-        for share, part in zip(shares, share_map(_share_sums, (kernel, features, noise, Lu), shares), strict=True):
-            columns = features.columns(share.outputs[0]) if len(share.outputs) == 1 else np.arange(features.size)
+        for share, part in zip(
+            shares, share_map(_share_sums, (kernel, features, noise, Lu), shares), strict=True
+        ):
+            columns = (
+                features.columns(share.outputs[0])
+                if len(share.outputs) == 1
+                else np.arange(features.size)
+            )
             outer[np.ix_(columns, columns)] += part[0]
             inner[columns] += part[1]
             rest += part[4] + part[2] + part[3] - np.trace(part[0])
@@ -462,7 +527,13 @@ def _share_sums(kernel, features, noise, Lu, share):
     size = features.size
     if len(outputs) == 1:  # slices instead of index arrays: nothing is copied
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
-    outer, inner, square, variance, log_determinant = np.zeros((size, size)), np.zeros(size), 0.0, 0.0, 0.0
+    outer, inner, square, variance, log_determinant = (
+        np.zeros((size, size)),
+        np.zeros(size),
+        0.0,
+        0.0,
+        0.0,
+    )
     for X, Y, precision, log_determinants in _blocks(share, noise):
         Y = np.nan_to_num(Y)
         weighted = np.einsum("nij,nj->ni", precision, Y)
@@ -485,7 +556,8 @@ def _share_sums(kernel, features, noise, Lu, share):
     return outer, inner, square, variance, log_determinant
 
 
-# -- the gradient of the bound ----------------------------------------------------------------------------------------
+# -- the gradient of the bound
+# ----------------------------------------------------------------------------------------
 
 
 def _unwhitened(Lu, M):
@@ -497,11 +569,14 @@ def _unwhitened(Lu, M):
 def _share_slope(kernel, features, noise, weights, reduction, share):
     """Return the sums of the gradient: by [kernel, features], by the kernel through prior variances, by log noise.
 
-    ``weights`` (K,) are Kuu^-1 times the posterior mean of the features; ``reduction`` (K, K) as in ``bound_gradient``.
+    ``weights`` (K,) are Kuu^-1 times the posterior mean of the features; ``reduction`` (K, K) as in
+    ``bound_gradient``.
     """
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
-    reductions = {(i, j): reduction[np.ix_(columns[j], columns[i])] for i in outputs for j in outputs}
+    reductions = {
+        (i, j): reduction[np.ix_(columns[j], columns[i])] for i in outputs for j in outputs
+    }
     total, diagonal, d_noise = 0.0, np.zeros(kernel.n_dims), np.zeros(len(noise))
     for X, Y, precision, _ in _blocks(share, noise):
         A = [features.Kfu(i, X) for i in share.outputs]
@@ -511,14 +586,18 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
         covariance = np.empty_like(precision)  # posterior covariance of the outputs at each sample
         for i, j in _pairs(share):
             first, second = share.outputs[i], share.outputs[j]
-            value = _variance(kernel, first, second, X) - np.einsum("nc,nc->n", A[i], projected[i, j])
+            value = _variance(kernel, first, second, X) - np.einsum(
+                "nc,nc->n", A[i], projected[i, j]
+            )
             covariance[:, i, j] = covariance[:, j, i] = value
             w = -0.5 * precision[:, i, j]
             if i == j:
                 diagonal += kernel.diag_gradient(first, X, w)
             elif kernel.couples(first, second):
                 for rows in gen_batches(len(X), DIAGONAL_ROWS):
-                    diagonal += kernel.block_gradient(first, second, X[rows], X[rows], np.diag(2 * w[rows]))
+                    diagonal += kernel.block_gradient(
+                        first, second, X[rows], X[rows], np.diag(2 * w[rows])
+                    )
         for i in outputs:
             W = np.multiply.outer(weighted[:, i], weights[columns[i]])
             for j in outputs:
@@ -530,7 +609,8 @@ def _share_slope(kernel, features, noise, weights, reduction, share):
     return total, diagonal, d_noise
 
 
-# -- common to both ---------------------------------------------------------------------------------------------------
+# -- common to both
+# ---------------------------------------------------------------------------------------------------
 
 
 def sub_factor(Lu, columns):
@@ -573,5 +653,8 @@ def _variance(kernel, i, j, X):
     if not kernel.couples(i, j):
         return np.zeros(len(X))
     return np.concatenate(
-        [np.diag(kernel.block(i, j, X[rows], X[rows])) for rows in gen_batches(len(X), DIAGONAL_ROWS)]
+        [
+            np.diag(kernel.block(i, j, X[rows], X[rows]))
+            for rows in gen_batches(len(X), DIAGONAL_ROWS)
+        ]
     )

@@ -35,7 +35,8 @@ from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_topic_tables, read_ulog
 
 BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
-RESTART_STEP = 5.0  # a clock that goes back by more than this was restarted [s]; messages out of order are less late
+# a clock that goes back by more than this was restarted [s]; messages out of order are less late
+RESTART_STEP = 5.0
 STAMP_MARGIN = 5.0  # distance of valid stamps from the medians of a part [s]
 LARGEST_STEP = 60.0  # longest step between medians that widens this margin [s]
 FILTER_ORDER = 4
@@ -48,14 +49,23 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
 }  # fmt: skip
 """Readers of logs by suffix; another format is one more entry."""
-RATE_CUTOFF = 0.2  # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
-AIRBORNE_SHARE, AIRBORNE_SPEED = 0.7, 8.0  # of the slowest airspeed set, or without one this [m/s]: airborne above it
-CLEAR = 0.5  # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
-LONGEST_DIP, SHORTEST_FLIGHT = 2.0, 5.0  # slower for less than this is still flight [s]; faster for less is none [s]
+# corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
+RATE_CUTOFF = 0.2
+AIRBORNE_SHARE, AIRBORNE_SPEED = (
+    0.7,
+    8.0,
+)  # of the slowest airspeed set, or without one this [m/s]: airborne above it
+# height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
+CLEAR = 0.5
+LONGEST_DIP, SHORTEST_FLIGHT = (
+    2.0,
+    5.0,
+)  # slower for less than this is still flight [s]; faster for less is none [s]
 LONGEST_EDGE = 1.0  # channels begin and end within this of each other [s]
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 LEAST_RATE = 5.0  # a source slower than this [Hz] gives way to a faster one further down
-HIGHEST_RATE = 50.0  # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
+# of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
+HIGHEST_RATE = 50.0
 
 
 class Origin(NamedTuple):
@@ -101,7 +111,9 @@ class FlightLog(NamedTuple):
 
 def is_log(path: object) -> bool:
     """Return whether this is the path of a log of an autopilot: with its suffix, or a folder of topics."""
-    return isinstance(path, str | os.PathLike) and (Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir())
+    return isinstance(path, str | os.PathLike) and (
+        Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir()
+    )
 
 
 def read_log(path: Path) -> Log:
@@ -111,7 +123,9 @@ def read_log(path: Path) -> Log:
     return read_topic_tables(path) if path.is_dir() else AUTOPILOTS[path.suffix.lower()](path)
 
 
-def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_position=None) -> FlightLog:
+def on_one_clock(
+    path: Path, *, rate=None, servos=None, airborne=True, imu_position=None
+) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     _check_options(rate, airborne, imu_position)
     turned = reversed_of(servos)
@@ -122,7 +136,9 @@ def on_one_clock(path: Path, *, rate=None, servos=None, airborne=True, imu_posit
         topics, remarks = clock_parts(log.topics)
         slowest = log.slowest_airspeed
         speed = AIRBORNE_SHARE * slowest if 0 < slowest < 200 else AIRBORNE_SPEED
-        speed = speed if isinstance(airborne, bool) else float(airborne)  # [m/s], above which it is airborne
+        speed = (
+            speed if isinstance(airborne, bool) else float(airborne)
+        )  # [m/s], above which it is airborne
         parts: list[Part] = []
         origin: dict[str, Origin] = {}
         useless: list[str] = []
@@ -149,27 +165,37 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
         pieces = [trimmed(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
     if not pieces:
         longest = max((part.table for part in flown.parts), key=len, default=pd.DataFrame())
-        why = no_flight_because(longest, flown.log, flown.speed) if len(longest) else "there are no samples"
+        why = (
+            no_flight_because(longest, flown.log, flown.speed)
+            if len(longest)
+            else "there are no samples"
+        )
         raise FlightReadError(
-            f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but expected a fixed wing in "
-            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
+            f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but "
+            f"expected a fixed wing in "
+            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne "
+            "6) all above 6 m/s."
         )
     names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
-    return pd.concat([piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True)
+    return pd.concat(
+        [piece.assign(flight=n) for piece, n in zip(pieces, names, strict=True)], ignore_index=True
+    )
 
 
 def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataFrame:
     """Move specific force from the accelerometer to the centre of gravity.
 
-    f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the accelerometer (Klein & Morelli
-    2006, Aircraft System Identification, equation 10.12).
+    f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the
+    accelerometer (Klein & Morelli 2006, Aircraft System Identification, equation 10.12).
     """
     if not {*SPECIFIC_FORCE, *RATES} <= set(table.columns):
         return table
     try:
         accelerations = _rates_of_change(table, RATES, rate)
     except ValueError as error:
-        raise FlightReadError(f"The gyros cannot be differentiated, as imu_position asks for: {error}") from error
+        raise FlightReadError(
+            f"The gyros cannot be differentiated, as imu_position asks for: {error}"
+        ) from error
     arm, omega = np.asarray(position, float), table[list(RATES)].to_numpy()
     extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
     force = table[list(SPECIFIC_FORCE)].to_numpy() - extra
@@ -182,32 +208,40 @@ def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> 
         return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
 
 
-def with_specific_force(table: pd.DataFrame, origin: dict[str, Origin]) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def with_specific_force(
+    table: pd.DataFrame, origin: dict[str, Origin]
+) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g), where it has both.
 
-    It is for logs without an accelerometer of use, and carries what the velocity does: little above a fifth of its
-    rate.
+    It is for logs without an accelerometer of use, and carries what the velocity does: little above
+    a fifth of its rate.
     """
     if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
         return table, origin
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     try:
         change = _rates_of_change(table, EARTH_VELOCITY, rate)
-    except ValueError:  # the clock of the log is not sound, which coefficients refuse in their own words
+    except (
+        ValueError
+    ):  # the clock of the log is not sound, which coefficients refuse in their own words
         return table, origin
     change[:, 2] -= STANDARD_GRAVITY
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
     words = Origin("velocity and attitude, as no accelerometer is of use", rate)
     table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
-    return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(SPECIFIC_FORCE, words)
+    return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(
+        SPECIFIC_FORCE, words
+    )
 
 
-def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float) -> list[slice]:
+def find_segments(
+    table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed: float
+) -> list[slice]:
     """Return the rows of each flight: airspeed above a speed, and not reported as landed.
 
-    Without an airspeed the speed over ground is used, unless the vehicle has no wings. What rolls on its wheels after
-    it was reported as landed does not fly yet.
+    Without an airspeed the speed over ground is used, unless the vehicle has no wings. What rolls
+    on its wheels after it was reported as landed does not fly yet.
     """
     fast = _speed(table, log) > speed
     landed = _landed(table["time"].to_numpy(), log, topics)
@@ -215,17 +249,25 @@ def find_segments(table: pd.DataFrame, log: Log, topics: dict[str, Topic], speed
         fast &= ~landed
     time, rows = table["time"].to_numpy(), np.flatnonzero(fast)
     parts = np.split(rows, np.flatnonzero(np.diff(time[rows]) >= LONGEST_DIP) + 1)
-    ends = [(_lift_off(table, landed, int(part[0]), int(part[-1])), int(part[-1])) for part in parts if len(part)]
+    ends = [
+        (_lift_off(table, landed, int(part[0]), int(part[-1])), int(part[-1]))
+        for part in parts
+        if len(part)
+    ]
     return [slice(a, b + 1) for a, b in ends if time[b] - time[a] >= SHORTEST_FLIGHT]
 
 
 def _lift_off(table, landed, first: int, last: int) -> int:
     """Return the first row of a flight that is clear of the ground on which it was reported as landed before."""
-    before = np.flatnonzero(landed[:first]) if landed is not None and "down" in table else np.empty(0)
+    before = (
+        np.flatnonzero(landed[:first]) if landed is not None and "down" in table else np.empty(0)
+    )
     if not len(before):
         return first
     height = table["down"].to_numpy()[before[-1]] - table["down"].to_numpy()[first : last + 1]
-    return first + int((height > CLEAR).argmax())  # 0 where it is never: the height is not to be believed
+    return first + int(
+        (height > CLEAR).argmax()
+    )  # 0 where it is never: the height is not to be believed
 
 
 def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
@@ -248,7 +290,9 @@ def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
     highest = np.nanmax(_speed(table, log), initial=-np.inf)
     if np.isfinite(highest):
         what = "airspeed" if "airspeed" in table else "ground speed"
-        reasons.append(f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)")
+        reasons.append(
+            f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
+        )
     return ", ".join(reasons)
 
 
@@ -281,14 +325,21 @@ def _gap_remarks(parts):
 
 def _check_options(rate, airborne, imu_position):
     if rate is not None and not (_is_positive(rate) and rate <= 1000):
-        raise FlightReadError(f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000.")
+        raise FlightReadError(
+            f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000."
+        )
     if not isinstance(airborne, bool) and not _is_positive(airborne):
-        raise FlightReadError(f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s.")
+        raise FlightReadError(
+            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
+        )
     if imu_position is not None:
-        position = np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
+        position = (
+            np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
+        )
         if position.shape != (3,) or not np.isfinite(position).all():
             raise FlightReadError(
-                f"Got imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
+                f"Got imu_position={imu_position!r}, but expected x, y, z from the centre of "
+                f"gravity to the "
                 "accelerometer in body axes [m]."
             )
 
@@ -308,12 +359,17 @@ def find_sources(
         source = _source(part, rule)
         if source is None:
             continue
-        low, high = zip(*(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True)
+        low, high = zip(
+            *(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True
+        )
         wrong = ((source.values < low) | (source.values > high)).any(axis=1)
         if len(source.time) < 2:
             useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
         elif (share := wrong.mean()) > RARE:  # fewer are faults of a sensor
-            useless.append(f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is impossible")
+            useless.append(
+                f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is "
+                f"impossible"
+            )
         else:
             candidates.setdefault(rule.columns, []).append(source)
     found = [
@@ -336,7 +392,8 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
     leader = leader or max(sources, key=lambda source: source.rate, default=None)
     if leader is None:
         raise FlightReadError(
-            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
+            "log these topics."
         )
     rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
     try:
@@ -346,7 +403,9 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
     return clock, rate
 
 
-def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def to_table(
+    sources: list[Source], clock: Vector, rate: float
+) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
     columns: dict[str, Vector] = {"time": clock}
     origin: dict[str, Origin] = {}
@@ -359,15 +418,23 @@ def to_table(sources: list[Source], clock: Vector, rate: float) -> tuple[pd.Data
             names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
         for name, column in zip(names, values.T, strict=True):
             columns[name] = column
-            origin[name] = Origin(source.name + (f" ({source.note})" if source.note else ""), source.rate)
+            origin[name] = Origin(
+                source.name + (f" ({source.note})" if source.note else ""), source.rate
+            )
     if "density" not in columns and "altitude" in columns:
         columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
         equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
         dense = "density" in columns
-        columns["airspeed"] = equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
-        note = "equivalent; true by density" if dense else "equivalent, taken for true: density unknown"
+        columns["airspeed"] = (
+            equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
+        )
+        note = (
+            "equivalent; true by density"
+            if dense
+            else "equivalent, taken for true: density unknown"
+        )
         origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
     table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
     table = table.where(np.isfinite(table))
@@ -385,12 +452,16 @@ def _source(log, rule: Rule) -> Source | None:
         known &= topic[field] > 0 if field in topic else True
     first, last = rule.fields[0], rule.fields[-1]
     is_array = first != last and first.endswith("[0]")
-    words = f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)  # q[0..3], GyrX GyrY GyrZ
+    words = (
+        f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)
+    )  # q[0..3], GyrX GyrY GyrZ
     return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
 
 
 def _surface(log, name, servo: Servo | Mixture) -> Source:
-    values = np.sum([w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0)
+    values = np.sum(
+        [w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0
+    )
     known = np.isfinite(values)
     largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in servo.parts)
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
@@ -403,7 +474,12 @@ def _channel(log, name, channel: str) -> Vector:
     """Return the values of a channel; raise FlightReadError if the log has none such."""
     topic, _, field = channel.partition(".")
     if field not in log.topics.get(topic, ()):
-        fields = [f"{key}.{each}" for key in log.topics if key in log.outputs for each in log.topics[key].channels()]
+        fields = [
+            f"{key}.{each}"
+            for key in log.topics
+            if key in log.outputs
+            for each in log.topics[key].channels()
+        ]
         raise FlightReadError(
             f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
             f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
@@ -427,7 +503,11 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
         part = {}
         for name, topic in topics.items():
             inside = (topic.order >= order[first]) & (topic.order <= order[last - 1])
-            valid = inside & (topic.time >= steady.min() - margin) & (topic.time <= steady.max() + margin)
+            valid = (
+                inside
+                & (topic.time >= steady.min() - margin)
+                & (topic.time <= steady.max() + margin)
+            )
             here = topic.select(valid)
             disordered += int((np.diff(here.time) < 0).sum())
             here = here.select(np.unique(here.time, return_index=True)[1])
@@ -436,11 +516,18 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
                 part[name] = here
         parts.append(part)
     if len(parts) > 1:
-        steps = ", ".join(f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4])
-        remarks.append(f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight of its own")
+        steps = ", ".join(
+            f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4]
+        )
+        remarks.append(
+            f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight "
+            f"of its own"
+        )
     if n_dropped := sum(dropped.values()):
         most, name = max(zip(dropped.values(), dropped, strict=True), key=itemgetter(0))
-        remarks.append(f"{n_dropped} of {len(time)} messages have a time that cannot be ({most} of {name})")
+        remarks.append(
+            f"{n_dropped} of {len(time)} messages have a time that cannot be ({most} of {name})"
+        )
     if disordered:
         remarks.append(f"{disordered} messages stand out of order in time, and were sorted")
     return parts, remarks
@@ -450,7 +537,8 @@ def _steady(time):
     """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
     size = min(BLOCK_SIZE, len(time))
     centres = np.median(time[: len(time) // size * size].reshape(-1, size), axis=1)
-    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and 1.15.3 returns 0.
+    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and
+    # 1.15.3 returns 0.
     return np.median(sliding_window_view(np.pad(centres, 2, mode="edge"), 5), axis=1)
 
 
@@ -474,7 +562,10 @@ def gaps(time: Vector) -> list[tuple[float, float]]:
     step = np.diff(time)
     if not len(step):
         return []
-    return [(float(time[i]), float(step[i])) for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))]
+    return [
+        (float(time[i]), float(step[i]))
+        for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))
+    ]
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
@@ -486,7 +577,8 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
     counts = np.maximum(last - first + 1, 0).astype(int)
     if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate / sampling_rate(time)):
         raise ValueError(
-            f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock without so many gaps."
+            f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock "
+            f"without so many gaps."
         )
     return np.concatenate([a + np.arange(n) for a, n in zip(first, counts, strict=True)]) / rate
 
@@ -494,10 +586,11 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
 def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
     """Return channels (n, k), sampled at increasing times (n,) [s], on another clock (m,) of ``rate`` [Hz], (m, k).
 
-    Rows that are not finite count as not sampled; gaps, and rows before the first and after the last sample, are NaN.
-    Each run of samples without a gap (2.5 usual steps) is taken by itself. If it is faster than the new rate it passes
-    a Butterworth low-pass forwards and backwards, which has no delay (Gustafsson 1996, Determining the initial states
-    in forward-backward filtering); then it is interpolated linearly.
+    Rows that are not finite count as not sampled; gaps, and rows before the first and after the
+    last sample, are NaN. Each run of samples without a gap (2.5 usual steps) is taken by itself. If
+    it is faster than the new rate it passes a Butterworth low-pass forwards and backwards, which
+    has no delay (Gustafsson 1996, Determining the initial states in forward-backward filtering);
+    then it is interpolated linearly.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
     known = np.isfinite(values).all(axis=1)

@@ -17,29 +17,40 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, known_unit, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
-ABOVE = re.compile(r"\s*(#|sep=.\s*$)", re.IGNORECASE)  # above the header: remarks, and Excel's separator
-DECIMAL = {mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."}
+ABOVE = re.compile(
+    r"\s*(#|sep=.\s*$)", re.IGNORECASE
+)  # above the header: remarks, and Excel's separator
+DECIMAL = {
+    mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."
+}
 
 
 def read_csv(path: Path) -> pd.DataFrame:
     """Return the table of a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
 
-    Empty lines and remarks (#) before the header and columns without a name are left out; a last row that is shorter
-    too, with a FlightDataWarning. Raise FlightReadError if it is no such table.
+    Empty lines and remarks (#) before the header and columns without a name are left out; a last
+    row that is shorter too, with a FlightDataWarning. Raise FlightReadError if it is no such table.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             return _table(file, path.name)
     except UnicodeDecodeError as error:
         raise FlightReadError(
-            f"Got a file that is not text ({error.reason}), but expected a CSV in UTF-8: save it so, if it is one."
+            f"Got a file that is not text ({error.reason}), but expected a CSV in UTF-8: save it "
+            f"so, if it is one."
         ) from error
     except (csv.Error, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise FlightReadError(f"Got a file that is not a CSV table ({error}), but expected one.") from error
+        raise FlightReadError(
+            f"Got a file that is not a CSV table ({error}), but expected one."
+        ) from error
 
 
 def _table(file, file_name):
-    header = (number for number, line in enumerate(file) if line.strip(" \t\r\n,;") and not ABOVE.match(line))
+    header = (
+        number
+        for number, line in enumerate(file)
+        if line.strip(" \t\r\n,;") and not ABOVE.match(line)
+    )
     if (above := next(header, None)) is None:
         words = "a header line, and a row for each sample under it"
         raise FlightReadError(f"Got a file that is empty, but expected {words}.")
@@ -53,7 +64,8 @@ def _table(file, file_name):
         below = above + records.line_num
         if known_unit(units.setdefault(name, unit)) != known_unit(unit):
             raise FlightReadError(
-                f"Got units {units[name]!r} in and {unit!r} under the header of column {name!r}, but expected one: "
+                f"Got units {units[name]!r} in and {unit!r} under the header of column {name!r}, "
+                f"but expected one: "
                 "delete the wrong one."
             )
     n_rows, cut, decimal = _check_rows(_records(file, below, separator), names, separator, below)
@@ -71,11 +83,20 @@ def _table(file, file_name):
         low_memory=False,
     ).copy()  # one piece of memory instead of one for each column
     if len(table) != n_rows:
-        raise FlightReadError(f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number.")
+        raise FlightReadError(
+            f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number."
+        )
     if cut:
-        warnings.warn(f"{file_name}: {cut}, so it was cut off and is left out.", FlightDataWarning, stacklevel=4)
+        warnings.warn(
+            f"{file_name}: {cut}, so it was cut off and is left out.",
+            FlightDataWarning,
+            stacklevel=4,
+        )
         table = table.iloc[:-1]
-    texts = {str(name): column.map(unguarded) for name, column in table.select_dtypes(exclude="number").items()}
+    texts = {
+        str(name): column.map(unguarded)
+        for name, column in table.select_dtypes(exclude="number").items()
+    }
     return to_si(table.assign(**texts), units)
 
 
@@ -121,7 +142,9 @@ def _units_row(cells, names) -> dict[str, str]:
     cells = [cell.strip(" \t[]()") for cell in cells]
     if len(cells) != len(names) or any(_is_number(cell) for cell in cells):
         return {}
-    units = {name: cell for name, cell in zip(names, cells, strict=True) if base_name(name) in CHANNELS}
+    units = {
+        name: cell for name, cell in zip(names, cells, strict=True) if base_name(name) in CHANNELS
+    }
     units.pop("flight", None)
     known = any(units.values()) and all(known_unit(unit) is not None for unit in units.values())
     return {name: unit for name, unit in units.items() if unit} if known else {}
@@ -139,7 +162,11 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
     """Return the number of rows, a remark if the last one is cut off, and the decimal mark."""
     width = len(names)
     needed = max((place + 1 for place, name in enumerate(names) if name), default=0)
-    numbers = [place for place, name in enumerate(names) if base_name(name) in CHANNELS and name != "flight"]
+    numbers = [
+        place
+        for place, name in enumerate(names)
+        if base_name(name) in CHANNELS and name != "flight"
+    ]
     n_rows, cut, examples, marks = 0, "", {}, "" if separator == "," else ",."
     for cells in records:
         if len(cells) < 2 and not "".join(cells).strip():
@@ -154,12 +181,20 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
             cut = words if len(cells) < needed else ""
         for mark in marks:
             if mark in "".join(cells):
-                cell = next((cells[k] for k in numbers if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])), None)
+                cell = next(
+                    (
+                        cells[k]
+                        for k in numbers
+                        if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])
+                    ),
+                    None,
+                )
                 if cell is not None:
                     examples[mark], marks = cell, marks.replace(mark, "")
     if len(examples) == 2:
         raise FlightReadError(
-            f"Got {examples[',']!r} with a decimal comma and {examples['.']!r} with a decimal point, but expected one "
+            f"Got {examples[',']!r} with a decimal comma and {examples['.']!r} with a decimal "
+            f"point, but expected one "
             "kind: write all with a point, and no separators of thousands."
         )
     return n_rows, cut, "," if "," in examples else "."
@@ -168,6 +203,8 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
 def _uneven(words, width, separator):
     hint = " (decimal commas need another one)" if separator == "," else ""
     return FlightReadError(
-        f"Got rows of unequal length ({words}, the header has {width}), but expected a cell for each name: quote cells "
-        f"that hold the separator {separator!r}{hint}, and leave missing values empty between separators."
+        f"Got rows of unequal length ({words}, the header has {width}), but expected a cell for "
+        f"each name: quote cells "
+        f"that hold the separator {separator!r}{hint}, and leave missing values empty between "
+        f"separators."
     )

@@ -1,9 +1,9 @@
 """Reader of ArduPilot logs (DataFlash).
 
 The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. A
-message begins with two fixed bytes and a type; the formats of the types are messages too. Every length is checked:
-where no message begins, reading continues at the next two fixed bytes. The messages are those of
-https://ardupilot.org/plane/docs/logmessages.html.
+message begins with two fixed bytes and a type; the formats of the types are messages too. Every
+length is checked: where no message begins, reading continues at the next two fixed bytes. The
+messages are those of https://ardupilot.org/plane/docs/logmessages.html.
 """
 
 from __future__ import annotations
@@ -41,8 +41,19 @@ TYPES = {
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
-DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")  # messages that describe the log, and are no topics
-INSTANCES = ("I", "Instance", "C")  # fields that number instances, in logs that do not say which field does
+DEFINITIONS = (
+    "FMT",
+    "FMTU",
+    "UNIT",
+    "MULT",
+    "PARM",
+    "MSG",
+)  # messages that describe the log, and are no topics
+INSTANCES = (
+    "I",
+    "Instance",
+    "C",
+)  # fields that number instances, in logs that do not say which field does
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -76,7 +87,13 @@ RULES = (
     Rule(("north", "east", "down"), "NKF1", ("PN", "PE", "PD")),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",)),
-    Rule(("density",), "BARO", ("Press",), density_at, note="standard atmosphere at the measured pressure"),
+    Rule(
+        ("density",),
+        "BARO",
+        ("Press",),
+        density_at,
+        note="standard atmosphere at the measured pressure",
+    ),
     Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
     Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
     Rule(("throttle",), "CTUN", ("ThO",), _percent),
@@ -93,10 +110,16 @@ SERVOS = {
 }  # fmt: skip
 """By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
 MOST_SERVOS = 16
-MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}, "aileron": {24: 0.5, 25: 0.5}}
+MIXES = {
+    "elevator": {79: -0.5, 80: -0.5},
+    "rudder": {79: -0.5, 80: 0.5},
+    "aileron": {24: 0.5, 25: 0.5},
+}
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
 and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-LEFT_FLAPERON = 24  # later versions turn its sign: whether it moves with the right one the outputs show
+LEFT_FLAPERON = (
+    24  # later versions turn its sign: whether it moves with the right one the outputs show
+)
 Outputs: TypeAlias = Topic | Mapping[str, Any]
 Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
@@ -106,7 +129,8 @@ def read_dataflash(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
-            "Got a file that does not begin as a DataFlash log does, but expected a binary log of ArduPilot: is it "
+            "Got a file that does not begin as a DataFlash log does, but expected a binary log of "
+            "ArduPilot: is it "
             "empty, or of another kind?"
         )
     reader = _Reader(data)
@@ -114,7 +138,8 @@ def read_dataflash(path: Path) -> Log:
     topics = reader.topics()
     if not topics:
         raise FlightReadError(
-            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but expected messages: was it "
+            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but "
+            f"expected messages: was it "
             "cut off, or written before 2015?"
         )
     messages, parameters = reader.texts("MSG", "Message"), reader.parameters()
@@ -145,11 +170,19 @@ class _Format:
     def __init__(self, name, length, codes, columns):
         self.name, self.length = name, length
         layout = [(column, TYPES[code]) for column, code in zip(columns, codes, strict=True)]
-        self.dtype = np.dtype([(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout])
+        self.dtype = np.dtype(
+            [(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout]
+        )
         self.names = self.dtype.names or ()
         if self.dtype.itemsize != length - HEAD:
-            raise ValueError(f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}.")
-        self.scale = {column: SCALE[code] for column, code in zip(columns, codes, strict=True) if code in SCALE}
+            raise ValueError(
+                f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}."
+            )
+        self.scale = {
+            column: SCALE[code]
+            for column, code in zip(columns, codes, strict=True)
+            if code in SCALE
+        }
         small = [column for column in columns if self.dtype[column] == np.uint8]
         self.instance = next((column for column in small if column in INSTANCES), None)
         self.starts = []
@@ -158,7 +191,11 @@ class _Format:
 class _Reader:
     def __init__(self, data):
         self.data = data
-        self.formats = {FMT: _Format("FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
+        self.formats = {
+            FMT: _Format(
+                "FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"]
+            )
+        }
         self.skipped, self.cut = 0, False
 
     def read(self):
@@ -176,19 +213,29 @@ class _Reader:
             following = n if following < 0 else following
             if of is not None and following == n:
                 self.cut = True
-            elif data[position:following].strip(b"\x00\xff"):  # pages of the memory chip are filled up
+            elif data[position:following].strip(
+                b"\x00\xff"
+            ):  # pages of the memory chip are filled up
                 self.skipped += following - position
             position = following
 
     def _define(self, start):
-        kind, length, name, codes, columns = np.frombuffer(self.data, self.formats[FMT].dtype, 1, start)[0].tolist()
+        kind, length, name, codes, columns = np.frombuffer(
+            self.data, self.formats[FMT].dtype, 1, start
+        )[0].tolist()
         if kind in self.formats:
             return
         try:
             texts = [text.decode("ascii") for text in (name, codes, columns)]
             if re.fullmatch(r"\w+", texts[0]):
-                self.formats[kind] = _Format(texts[0], length, texts[1], texts[2].split(",") if texts[2] else [])
-        except (KeyError, ValueError, TypeError):  # a definition that makes no sense; its messages are skipped
+                self.formats[kind] = _Format(
+                    texts[0], length, texts[1], texts[2].split(",") if texts[2] else []
+                )
+        except (
+            KeyError,
+            ValueError,
+            TypeError,
+        ):  # a definition that makes no sense; its messages are skipped
             return
 
     def records(self, name, *columns) -> np.ndarray | None:
@@ -224,7 +271,9 @@ class _Reader:
             instance = numbered.get(kind, of.instance)
             numbers = np.zeros(len(records), int) if instance is None else records[instance]
             for number in np.unique(numbers).tolist():
-                by_name.setdefault(instance_name(of.name, int(number)), topic.select(numbers == number))
+                by_name.setdefault(
+                    instance_name(of.name, int(number)), topic.select(numbers == number)
+                )
         return dict(sorted(by_name.items()))
 
     def _numbered(self) -> dict[int, str | None]:
@@ -232,7 +281,9 @@ class _Reader:
         records, fields = self.records("FMTU", "FmtType", "UnitIds"), {}
         if records is None:
             return {}
-        for kind, units in zip(records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True):
+        for kind, units in zip(
+            records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True
+        ):
             names = self.formats[kind].names if kind in self.formats else ()
             place = units.find("#")
             field = names[place] if 0 <= place < len(names) else None
@@ -240,7 +291,9 @@ class _Reader:
         return fields
 
 
-def servos_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> dict[str, ServoChannel]:
+def servos_of(
+    outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> dict[str, ServoChannel]:
     """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
     channels: dict[str, ServoChannel] = {}
     for function, n in _numbers(outputs, parameters, name):
@@ -260,9 +313,14 @@ def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RC
             channels = [_channel(name.format(n), n, parameters, False) for n in numbers]
             signs = [1.0, 1.0]
             if LEFT_FLAPERON in weights:
-                moves = [(-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]]) for each in channels]
+                moves = [
+                    (-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]])
+                    for each in channels
+                ]
                 signs = [-1.0 if moves[0] @ moves[1] < 0 else 1.0, 1.0]
-            found[control] = tuple(zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True))
+            found[control] = tuple(
+                zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True)
+            )
     return found
 
 
@@ -275,5 +333,7 @@ def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:
 
 def _channel(channel, n, parameters, turned) -> ServoChannel:
     keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
-    low, trim, high, back = (parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items())
+    low, trim, high, back = (
+        parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items()
+    )
     return ServoChannel(channel, low, trim, high, turned != bool(back))

@@ -17,7 +17,15 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE,
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.faults import SENSORS, Finding, find_faults
 from skdgp._flight.physics import find_contradictions
-from skdgp.io._autopilot import AUTOPILOTS, gaps, is_log, no_flight_because, on_one_clock, read_log, sampling_rate
+from skdgp.io._autopilot import (
+    AUTOPILOTS,
+    gaps,
+    is_log,
+    no_flight_because,
+    on_one_clock,
+    read_log,
+    sampling_rate,
+)
 from skdgp.io._log import Topic
 from skdgp.io._read import PathLike, read_flight
 from skdgp.io._servos import template
@@ -34,12 +42,18 @@ NEEDS = {
 }
 """Columns that each step reads; any of those joined by "or" will do, or a step that gives them."""
 ADVICE = {
-    "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one to fill in)",
-    "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust columns, or take no thrust",
-    "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it from turns",
+    "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one "
+    "to fill in)",
+    "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust "
+    "columns, or take no thrust",
+    "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it "
+    "from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
-STEADY, SHORT = 0.5, 1.0  # with fewer messages than this share of rate times duration, or seconds: no rate
+STEADY, SHORT = (
+    0.5,
+    1.0,
+)  # with fewer messages than this share of rate times duration, or seconds: no rate
 MOST_FLIGHTS = 6  # more flights are summed up in one line
 WIDTH = 110
 
@@ -95,7 +109,8 @@ class LogSummary:
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
-        Damage, gaps, faults of clock and channels, and channels that contradict each other by physics.
+        Damage, gaps, faults of clock and channels, and channels that contradict each other by
+        physics.
     """
 
     path: str
@@ -116,19 +131,40 @@ class LogSummary:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, {self.duration:.1f} s",
-            *("", *self._flight_lines(), "", f"  {'columns':<22}{'rate':>9}  from", *self._column_lines(), ""),
+            f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, "
+            f"{self.duration:.1f} s",
+            *(
+                "",
+                *self._flight_lines(),
+                "",
+                f"  {'columns':<22}{'rate':>9}  from",
+                *self._column_lines(),
+                "",
+            ),
         ]
         for step, names in self.missing.items():
-            lines.append(_hanging(f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20))
+            lines.append(
+                _hanging(
+                    f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20
+                )
+            )
         lacking = {name for names in self.missing.values() for name in names}
         surfaces = {"servos"} if any(name.startswith(SURFACES) for name in lacking) else set()
-        lines += [f"  {'':<18}- {words}" for name, words in ADVICE.items() if name in lacking | surfaces]
-        lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)] if self.remarks else []
+        lines += [
+            f"  {'':<18}- {words}" for name, words in ADVICE.items() if name in lacking | surfaces
+        ]
+        lines += (
+            ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)] if self.remarks else []
+        )
         if self.topics:
-            often = [f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times" for t in self.topics]
+            often = [
+                f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times"
+                for t in self.topics
+            ]
             gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
-            words = [f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)]
+            words = [
+                f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)
+            ]
             lines += ["", _hanging(f"topics: {', '.join(words)}", 4)]
         return "\n".join(lines)
 
@@ -146,17 +182,24 @@ class LogSummary:
             yield f"  flight from {each.begin:.1f} s to {each.end:.1f} s{speed}"
 
     def _column_lines(self):
-        for (source, rate, constant), columns in groupby(self.columns, key=lambda c: (c.source, c.rate, c.constant)):
-            *above, names = wrap(" ".join(column.name for column in columns), WIDTH - 40, break_long_words=False)
+        for (source, rate, constant), columns in groupby(
+            self.columns, key=lambda c: (c.source, c.rate, c.constant)
+        ):
+            *above, names = wrap(
+                " ".join(column.name for column in columns), WIDTH - 40, break_long_words=False
+            )
             yield from (f"  {line}" for line in above)
             yield f"  {names:<21} {rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
 
 
-def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None) -> LogSummary:
+def inspect_log(
+    path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None
+) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
-    ``path`` and ``servos`` are as of :func:`read_flight`. ``print`` shows the summary. Raises FlightReadError if the
-    file cannot be read (a log without a flight can), FileNotFoundError if there is none.
+    ``path`` and ``servos`` are as of :func:`read_flight`. ``print`` shows the summary. Raises
+    FlightReadError if the file cannot be read (a log without a flight can), FileNotFoundError if
+    there is none.
 
     Examples
     --------
@@ -173,8 +216,13 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
     with reading(path):
         flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
-    log, found = flown.log, {name: each for name, each in longest.table.items() if name in flown.origin}
-    columns = tuple(ColumnSummary(name, *flown.origin[name], _constant(each)) for name, each in found.items())
+    log, found = (
+        flown.log,
+        {name: each for name, each in longest.table.items() if name in flown.origin},
+    )
+    columns = tuple(
+        ColumnSummary(name, *flown.origin[name], _constant(each)) for name, each in found.items()
+    )
     tables = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
     return LogSummary(
         path=str(path),
@@ -194,10 +242,13 @@ def inspect_log(path: PathLike, *, servos: PathLike | Mapping[str, Any] | None =
 def servo_template(path: PathLike) -> str:
     """Return the text of a servo file for a log of an autopilot, to be filled in with the angles of the surfaces.
 
-    Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was sent to servos.
+    Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was
+    sent to servos.
     """
     if not is_log(path):
-        raise FlightReadError(f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}.")
+        raise FlightReadError(
+            f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}."
+        )
     with reading(path):
         return template(read_log(Path(path)))
 
@@ -215,7 +266,9 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
     missing: dict[str, tuple[str, ...]] = {}
     for step, needs in NEEDS.items():
         possible = {before for before, lacking in missing.items() if not lacking}
-        missing[step] = tuple(need for need in needs if not set(need.split(" or ")) & (found | possible))
+        missing[step] = tuple(
+            need for need in needs if not set(need.split(" or ")) & (found | possible)
+        )
     return missing
 
 
@@ -244,7 +297,8 @@ def _of_table(path, table) -> LogSummary:
         remarks=(
             *(f"column {name!r} is not of the vocabulary" for name in unknown),
             *(
-                f"flight {first.flight}: {first.message}" + f"; and {len(others)} more like it" * bool(others)
+                f"flight {first.flight}: {first.message}"
+                + f"; and {len(others)} more like it" * bool(others)
                 for first, *others in faults.values()
             ),
             *_contradictions(tables),
@@ -274,7 +328,9 @@ def _topic(name, topic: Topic) -> TopicSummary:
     seconds = np.ptp(topic.time)
     if seconds < SHORT or len(topic) < STEADY * rate * seconds:
         return TopicSummary(name, len(topic), np.nan, 0, np.nan)
-    return TopicSummary(name, len(topic), rate, len(found), max((length for _, length in found), default=0.0))
+    return TopicSummary(
+        name, len(topic), rate, len(found), max((length for _, length in found), default=0.0)
+    )
 
 
 def _constant(column) -> bool:
@@ -282,4 +338,6 @@ def _constant(column) -> bool:
 
 
 def _hanging(words, indent) -> str:
-    return fill(words, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False)
+    return fill(
+        words, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False
+    )

@@ -14,8 +14,15 @@ from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
-QUATERNION = ("qw", "qx", "qy", "qz")  # columns of a rule for attitude: body to north-east-down, of any length
-EQUIVALENT = "equivalent_airspeed"  # column of a rule for equivalent airspeed; the table gets the true one
+QUATERNION = (
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+)  # columns of a rule for attitude: body to north-east-down, of any length
+EQUIVALENT = (
+    "equivalent_airspeed"  # column of a rule for equivalent airspeed; the table gets the true one
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,9 @@ class Topic:
         """
         time = np.asarray(time, dtype=float)
         arrays = {name: np.asarray(values, dtype=float) for name, values in fields.items()}
-        records = np.empty(len(time), [(name, float, values.shape[1:]) for name, values in arrays.items()])
+        records = np.empty(
+            len(time), [(name, float, values.shape[1:]) for name, values in arrays.items()]
+        )
         for name, values in arrays.items():
             records[name] = values
         return cls(time, time, records)
@@ -98,7 +107,8 @@ class Topic:
 class Rule(NamedTuple):
     """A rule: the fields of a topic that give columns of the flight table.
 
-    Of several rules for the same columns the first one is used whose topic is logged, valid, and not slower than 5 Hz.
+    Of several rules for the same columns the first one is used whose topic is logged, valid, and
+    not slower than 5 Hz.
 
     Attributes
     ----------
@@ -149,7 +159,8 @@ class Log:
     parameters : dict of str to float
         Settings of the autopilot.
     firmware, vehicle : str
-        Name and version; ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ..., or None where the log does not say.
+        Name and version; ``"fixed wing"``, ``"VTOL"``, ``"multicopter"``, ..., or None where the
+        log does not say.
     remarks : tuple of str
         Damage of the file: bytes that could not be read, where it was cut off.
     slowest_airspeed : float
@@ -159,8 +170,8 @@ class Log:
     outputs : tuple of str
         Topics that hold what was sent to servos.
     servos, mixing : dict
-        By surface, what the parameters say of its servo; by control, weights of the outputs, each from -1 to 1, that
-        make it together, such as those of a V-tail.
+        By surface, what the parameters say of its servo; by control, weights of the outputs, each
+        from -1 to 1, that make it together, such as those of a V-tail.
     """
 
     kind: str
@@ -178,7 +189,9 @@ class Log:
 
     def find(self, name: str) -> str | None:
         """Return the name of the first instance of a topic that has messages, or None."""
-        instances = [key for key in self.topics if key.split("#")[0] == name and len(self.topics[key]) > 1]
+        instances = [
+            key for key in self.topics if key.split("#")[0] == name and len(self.topics[key]) > 1
+        ]
         return min(instances, key=lambda key: int(key.partition("#")[2] or 0), default=None)
 
 
@@ -199,7 +212,9 @@ def whole(value: float) -> int:
 
 def gathered(data: bytes, starts: list[int], dtype: np.dtype) -> np.ndarray:
     """Return the messages of one type that start at these bytes, (n,)."""
-    return np.frombuffer(b"".join([data[start : start + dtype.itemsize] for start in starts]), dtype)
+    return np.frombuffer(
+        b"".join([data[start : start + dtype.itemsize] for start in starts]), dtype
+    )
 
 
 def damage(skipped: int, cut: bool = False, lost: int = 0) -> tuple[str, ...]:

@@ -1,8 +1,9 @@
 """MATLAB tables: vectors named as columns, as variables or as fields of one struct, in files of versions 5 to 7.
 
-The format is that of MathWorks, MAT-File Format (R2019b): nested elements, each after its type and length. This module
-exists because ``scipy.io.loadmat`` crashes the process on some damaged files: SciPy 1.17.1 on 6 of 3000 (the kinds of
-damage of the tests; the first report is https://github.com/scipy/scipy/issues/6072). Every length is checked.
+The format is that of MathWorks, MAT-File Format (R2019b): nested elements, each after its type and
+length. This module exists because ``scipy.io.loadmat`` crashes the process on some damaged files:
+SciPy 1.17.1 on 6 of 3000 (the kinds of damage of the tests; the first report is
+https://github.com/scipy/scipy/issues/6072). Every length is checked.
 """
 
 from __future__ import annotations
@@ -21,7 +22,18 @@ from skdgp.io._tables import FlightReadError, base_name, check_room, check_width
 
 HDF5 = b"MATLAB 7.3"
 HEADER_SIZE = 128
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+NUMBERS = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 LETTERS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
 MATRIX, COMPRESSED = 14, 15
 CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
@@ -34,7 +46,8 @@ def read_mat(path: Path) -> pd.DataFrame:
     data = path.read_bytes()
     if data.startswith(HDF5):
         raise FlightReadError(
-            "Got a file of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: save('flight.mat', '-v7', "
+            "Got a file of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: "
+            "save('flight.mat', '-v7', "
             "...) in MATLAB, or writetable(..., 'flight.csv')."
         )
     try:
@@ -43,22 +56,34 @@ def read_mat(path: Path) -> pd.DataFrame:
         raise
     except ValueError as error:
         raise FlightReadError(
-            f"Got a file that is not a whole MATLAB file ({error}), but expected one of version 5 to 7: save it "
+            f"Got a file that is not a whole MATLAB file ({error}), but expected one of version 5 "
+            f"to 7: save it "
             "again, with '-v7'."
         ) from error
     tables = {name: vectors for name, vectors in _structs("", content) if "time" in vectors}
     if len(tables) != 1:
         found = [name or "loose vectors" for name in tables]
-        what = f"several tables, {found}" if found else f"no vector 'time' among {sorted(content)[:12]}"
+        what = (
+            f"several tables, {found}"
+            if found
+            else f"no vector 'time' among {sorted(content)[:12]}"
+        )
         raise FlightReadError(
-            f"Got {what}, but expected one: vectors of equal length, loose or in one struct (of a MATLAB table: "
+            f"Got {what}, but expected one: vectors of equal length, loose or in one struct (of a "
+            f"MATLAB table: "
             "table2struct(T, 'ToScalar', true))."
         )
     (vectors,) = tables.values()
     n = len(vectors["time"])
-    uneven = {name: len(each) for name, each in vectors.items() if len(each) != n and base_name(name) in CHANNELS}
+    uneven = {
+        name: len(each)
+        for name, each in vectors.items()
+        if len(each) != n and base_name(name) in CHANNELS
+    }
     if uneven:
-        raise FlightReadError(f"Got vectors of lengths {uneven}, but expected {n}, as many values as time has.")
+        raise FlightReadError(
+            f"Got vectors of lengths {uneven}, but expected {n}, as many values as time has."
+        )
     return pd.DataFrame({name: each for name, each in vectors.items() if len(each) == n})
 
 
@@ -83,12 +108,15 @@ def _vector(value):
 def parse_mat5(data: bytes) -> dict[str, object]:
     """Return the variables of a file: numbers as arrays, texts as lists of str, structs as dicts, others as None.
 
-    Raise FlightReadError if they are too many or take far more memory than the file, ValueError if one is damaged.
+    Raise FlightReadError if they are too many or take far more memory than the file, ValueError if
+    one is damaged.
     """
     mark = data[126:128]
     if mark not in (b"IM", b"MI"):
         raise ValueError("it does not begin as a MAT-file of version 5 to 7 does")
-    return _Reader(len(data), "<" if mark == b"IM" else ">").variables(memoryview(data)[HEADER_SIZE:])
+    return _Reader(len(data), "<" if mark == b"IM" else ">").variables(
+        memoryview(data)[HEADER_SIZE:]
+    )
 
 
 class _Reader:
@@ -146,7 +174,10 @@ class _Reader:
         if len(head) < 3 or len(head[0][1]) != 8 or depth > DEEPEST:
             raise ValueError("a variable has no head, or is nested too deep")
         flags, _ = np.frombuffer(head[0][1], f"{self.order}u4").tolist()
-        shape, name = self._numbers(head[1]).astype(int).tolist(), bytes(head[2][1]).decode("latin-1")
+        shape, name = (
+            self._numbers(head[1]).astype(int).tolist(),
+            bytes(head[2][1]).decode("latin-1"),
+        )
         kind, value = flags & 0xFF, None
         if (kind in NUMERIC and not flags & COMPLEX) or kind == CHAR:
             rest = list(islice(parts, 2))
@@ -181,7 +212,9 @@ class _Reader:
         width = int(length[0]) if length.size else 0
         starts = range(0, len(letters), width) if width > 0 else ()
         check_width(len(starts))
-        names = [letters[start : start + width].split(b"\0")[0].decode("latin-1") for start in starts]
+        names = [
+            letters[start : start + width].split(b"\0")[0].decode("latin-1") for start in starts
+        ]
         fields = zip(names, parts, strict=False)
         return {name: self._matrix(content, depth + 1)[1] for name, (_, content) in fields}
 

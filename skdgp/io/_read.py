@@ -20,7 +20,14 @@ from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._csv import read_csv
 from skdgp.io._mat import read_mat
 from skdgp.io._parquet import read_parquet
-from skdgp.io._tables import FlightReadError, base_name, check_magnitudes, check_names, reading, to_floats
+from skdgp.io._tables import (
+    FlightReadError,
+    base_name,
+    check_magnitudes,
+    check_names,
+    reading,
+    to_floats,
+)
 
 UNKNOWN = "unknown_columns"
 TABLES: dict[str, Callable[[Path], pd.DataFrame]] = {
@@ -42,34 +49,40 @@ def read_flight(
 ) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
-    A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are converted. Columns that
-    the vocabulary does not know are kept, ``table.attrs["unknown_columns"]``. A table that has u, v, w but neither
-    airspeed, alpha nor beta gets them: relative to the wind if it has wind and attitude, else of still air.
+    A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are
+    converted. Columns that the vocabulary does not know are kept,
+    ``table.attrs["unknown_columns"]``. A table that has u, v, w but neither airspeed, alpha nor
+    beta gets them: relative to the wind if it has wind and attitude, else of still air.
 
-    Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where slower, NaN in gaps)
-    and cut into flights; ``table.attrs["sources"]`` names the message of each column. Warns with FlightDataWarning if
-    a log is damaged, has gaps, its clock jumped, channels were never valid, or columns are left out.
+    Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where
+    slower, NaN in gaps) and cut into flights; ``table.attrs["sources"]`` names the message of each
+    column. Warns with FlightDataWarning if a log is damaged, has gaps, its clock jumped, channels
+    were never valid, or columns are left out.
 
     Parameters
     ----------
     path : str or path, or several
-        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB v5 to v7: vectors
-        named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin`` (ArduPilot), ``.tlog`` (MAVLink
-        telemetry of both, by the extra ``mavlink``), a folder with a Parquet file of each topic (Flight Review of PX4).
-        Several: as :func:`read_flights`.
+        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB v5
+        to v7: vectors named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin``
+        (ArduPilot), ``.tlog`` (MAVLink telemetry of both, by the extra ``mavlink``), a folder with
+        a Parquet file of each topic (Flight Review of PX4). Several: as :func:`read_flights`.
     flight : str, optional
-        Flight identifier. By default the file's column ``flight``, or without one the name of the file; further flights
-        in a log of an autopilot are ``name#2``, ``name#3``.
+        Flight identifier. By default the file's column ``flight``, or without one the name of the
+        file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
     rate : float, optional
-        Rate of the clock [Hz]. By default that of the gyros, at most 50 Hz. This and the following: autopilots only.
+        Rate of the clock [Hz]. By default that of the gyros, at most 50 Hz. This and the following:
+        autopilots only.
     servos : path or mapping, optional
-        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it the table has no
-        surfaces. ``"full throw"``: parts of their full throw, -1 to 1, of the servos that the parameters name.
+        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it
+        the table has no surfaces. ``"full throw"``: parts of their full throw, -1 to 1, of the
+        servos that the parameters name.
     airborne : bool or float, default=True
-        Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8 m/s if none is), or
-        above this number [m/s], and not landed by the autopilot's own account. False keeps all.
+        Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8
+        m/s if none is), or above this number [m/s], and not landed by the autopilot's own account.
+        False keeps all.
     imu_position : sequence of 3 floats, optional
-        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the centre of gravity.
+        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the
+        centre of gravity.
 
     Returns
     -------
@@ -79,8 +92,9 @@ def read_flight(
     Raises
     ------
     FlightReadError
-        If the file is damaged or no table or log; has no ``time``, or one that does not increase within a flight, text
-        among numbers, or numbers that are not in SI and radians; a log holds no flight; or an option makes no sense.
+        If the file is damaged or no table or log; has no ``time``, or one that does not increase
+        within a flight, text among numbers, or numbers that are not in SI and radians; a log holds
+        no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError
@@ -99,7 +113,10 @@ def read_flight(
     options = {"rate": rate, "servos": servos, "airborne": airborne, "imu_position": imu_position}
     if not isinstance(path, (str, Path)) and isinstance(path, Iterable):
         if flight is not None:
-            raise TypeError("Got several paths and one flight, but expected a mapping of flight identifier to path.")
+            raise TypeError(
+                "Got several paths and one flight, but expected a mapping of flight identifier to "
+                "path."
+            )
         return read_flights(path, **options)
     path = Path(path)
     with reading(path):
@@ -108,24 +125,34 @@ def read_flight(
         kind = path.suffix.lower()
         if kind not in TABLES:
             raise FlightReadError(
-                f"Got the suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: convert or "
+                f"Got the suffix {path.suffix!r}, but expected one of "
+                f"{sorted(TABLES | AUTOPILOTS)}: convert or "
                 "rename it."
             )
         if not path.exists():
             raise FileNotFoundError(f"Got {path}, but there is no such file.")
         given = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if given:
-            raise FlightReadError(f"Got {given} for a table, but expected these only with logs of autopilots.")
-        return _as_flight(TABLES[kind](path), path.stem if flight is None else flight, overrides=flight is not None)
+            raise FlightReadError(
+                f"Got {given} for a table, but expected these only with logs of autopilots."
+            )
+        return _as_flight(
+            TABLES[kind](path),
+            path.stem if flight is None else flight,
+            overrides=flight is not None,
+        )
 
 
-def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any) -> pd.DataFrame:
+def read_flights(
+    paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any
+) -> pd.DataFrame:
     r"""Read several logs into one table, flight after flight.
 
-    ``paths`` is an iterable, or a mapping of flight identifier to path, which names the flights itself; ``options`` are
-    those of :func:`read_flight`, for all of them. The table is as of :func:`read_flight`, with a new index. Columns
-    that some files lack are NaN there, with a warning. Raises FlightReadError as :func:`read_flight`, or if two files
-    hold a flight of the same name.
+    ``paths`` is an iterable, or a mapping of flight identifier to path, which names the flights
+    itself; ``options`` are those of :func:`read_flight`, for all of them. The table is as of
+    :func:`read_flight`, with a new index. Columns that some files lack are NaN there, with a
+    warning. Raises FlightReadError as :func:`read_flight`, or if two files hold a flight of the
+    same name.
 
     Examples
     --------
@@ -147,7 +174,8 @@ def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: 
         for name in table["flight"].unique():
             if name in path_of:
                 raise FlightReadError(
-                    f"Got flight {name!r} in both {path_of[name]} and {path}, but expected each once: give a mapping "
+                    f"Got flight {name!r} in both {path_of[name]} and {path}, but expected each "
+                    f"once: give a mapping "
                     "of flight identifier to path."
                 )
             path_of[name] = path
@@ -158,7 +186,9 @@ def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: 
         if (names := [name for name in every if name not in table])
     }
     if lacking:
-        warnings.warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2)
+        warnings.warn(
+            f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2
+        )
     unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
     for table in tables:
         table.attrs = {}  # pandas compares them
@@ -170,8 +200,12 @@ def read_flights(paths: Iterable[PathLike] | Mapping[str, PathLike], **options: 
 def _from_autopilot(path, flight, options):
     flown = on_one_clock(path, **options)
     name = path.stem if flight is None else flight
-    table = _as_flight(flight_table(flown, name, airborne=options["airborne"]), name, overrides=False)
-    table.attrs["sources"] = {column: origin.words for column, origin in flown.origin.items() if column in table}
+    table = _as_flight(
+        flight_table(flown, name, airborne=options["airborne"]), name, overrides=False
+    )
+    table.attrs["sources"] = {
+        column: origin.words for column, origin in flown.origin.items() if column in table
+    }
     if flown.remarks:
         warnings.warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning, stacklevel=3)
     return table
@@ -180,13 +214,16 @@ def _from_autopilot(path, flight, options):
 def _as_flight(table, flight, *, overrides):
     """Return a raw table in the order and types of a flight table."""
     if table.empty:
-        raise FlightReadError(f"Got a table of {len(table)} rows and {table.shape[1]} columns, but expected samples.")
+        raise FlightReadError(
+            f"Got a table of {len(table)} rows and {table.shape[1]} columns, but expected samples."
+        )
     table = table.reset_index(drop=True).rename(columns=lambda name: str(name).strip())
     check_names(table.columns)
     _hint_at_names(table)
     if "time" not in table:
         raise FlightReadError(
-            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename or compute it."
+            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
+            f"or compute it."
         )
     if overrides or "flight" not in table:
         table["flight"] = flight
@@ -195,7 +232,10 @@ def _as_flight(table, flight, *, overrides):
     table = _split_at_restarts(_without_repeats(table))
     time = table["time"].to_numpy()
     if np.isnan(time).any():
-        raise FlightReadError(f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row [s].")
+        raise FlightReadError(
+            f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row "
+            f"[s]."
+        )
     try:
         check_clock(time, table["flight"])
     except ValueError as error:
@@ -211,7 +251,9 @@ def _as_flight(table, flight, *, overrides):
 def _as_numbers(table):
     """Return the columns of the vocabulary as floats; infinities as NaN, with a warning."""
     numbers = {}
-    for name in [name for name in table.columns if base_name(name) in CHANNELS and name != "flight"]:
+    for name in [
+        name for name in table.columns if base_name(name) in CHANNELS and name != "flight"
+    ]:
         column = table[name]
         if name == "time" and pd.api.types.is_datetime64_any_dtype(column):
             column = column - column.iloc[0]
@@ -220,7 +262,9 @@ def _as_numbers(table):
         numbers[name] = to_floats(column)
     if infinite := [name for name, values in numbers.items() if np.isinf(values).any()]:
         warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
-    return numbers | {name: np.where(np.isinf(numbers[name]), np.nan, numbers[name]) for name in infinite}
+    return numbers | {
+        name: np.where(np.isinf(numbers[name]), np.nan, numbers[name]) for name in infinite
+    }
 
 
 def _flight_names(flight):
@@ -228,7 +272,9 @@ def _flight_names(flight):
     try:
         codes, names = flight_codes(flight)
     except ValueError as error:
-        raise FlightReadError(f"{error} read_flight(path, flight='name') names all rows alike.") from error
+        raise FlightReadError(
+            f"{error} read_flight(path, flight='name') names all rows alike."
+        ) from error
     whole = [int(name) if isinstance(name, float) and name.is_integer() else name for name in names]
     return np.array([str(name).strip() for name in whole], dtype=object)[codes]
 
@@ -239,7 +285,8 @@ def _without_repeats(table):
     if not repeated.any():
         return table
     warnings.warn(
-        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row {int(np.argmax(repeated))}) and "
+        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row "
+        f"{int(np.argmax(repeated))}) and "
         "are dropped.",
         stacklevel=4,
     )
@@ -252,9 +299,13 @@ def _split_at_restarts(table):
     names, restarts = part_restarts(time, table["flight"].to_numpy())
     if not restarts.size:
         return table
-    steps = [f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}" for row in restarts[:8]]
+    steps = [
+        f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}"
+        for row in restarts[:8]
+    ]
     warnings.warn(
-        f"Time goes back where a clock was restarted, and from there on flights are named apart ({'; '.join(steps)}).",
+        f"Time goes back where a clock was restarted, and from there on flights are named apart "
+        f"({'; '.join(steps)}).",
         FlightDataWarning,
         stacklevel=4,
     )

@@ -27,8 +27,12 @@ PAIRS = {
     "rudder": {"rudder": (0.5, 0.5)},
 }
 """Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
-The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns down: nose left."""
-ELEVON_WEIGHTS = {"elevator": (0.5, 0.5), "aileron": (0.5, -0.5)}  # columns of their own in a flight table
+The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns
+down: nose left."""
+ELEVON_WEIGHTS = {
+    "elevator": (0.5, 0.5),
+    "aileron": (0.5, -0.5),
+}  # columns of their own in a flight table
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
@@ -70,7 +74,8 @@ class Servo(NamedTuple):
         rising = sign * np.array(self.angles)
         if not (np.diff(rising) > 0).all():
             raise FlightReadError(
-                f"Got angles {list(self.angles)} of {self.channel}, but expected them to rise or fall throughout: "
+                f"Got angles {list(self.angles)} of {self.channel}, but expected them to rise or "
+                f"fall throughout: "
                 "each angle must have one value of the channel."
             )
         return make_interp_spline(rising, self.inputs, k=1)(sign * np.asarray(angles, dtype=float))
@@ -89,19 +94,22 @@ class Throw(NamedTuple):
     std: float = 0.0
 
 
-def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Servo | Throw | Mixture]:
+def read_servos(
+    servos: str | Path | Mapping[str, Any] | None,
+) -> dict[str, Servo | Throw | Mixture]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
-    ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel, angle in rad), or
-    ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at ``max`` [rad] (the angle at ``min`` is
-    its negative; two numbers give both). ``reversed = true`` turns the sign of all angles. Or in one line the angle at
-    full throw, ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that the
-    autopilot's parameters name.
+    ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel,
+    angle in rad), or ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at
+    ``max`` [rad] (the angle at ``min`` is its negative; two numbers give both). ``reversed = true``
+    turns the sign of all angles. Or in one line the angle at full throw, ``elevator = "25 deg"``,
+    or with its standard deviation ``"25 +- 2 deg"``, of the servos that the autopilot's parameters
+    name.
 
-    Surfaces that make controls together are ``[vtail_left]`` and ``[vtail_right]``, or flaperon, aileron, elevator,
-    rudder in place of vtail (`PAIRS`), or have any name and weights in ``[mixing]``, as in
-    ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of angles. Raises FlightReadError if the file
-    is no TOML, or a surface or number makes no sense.
+    Surfaces that make controls together are ``[vtail_left]`` and ``[vtail_right]``, or flaperon,
+    aileron, elevator, rudder in place of vtail (`PAIRS`), or have any name and weights in
+    ``[mixing]``, as in ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of
+    angles. Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------
@@ -114,19 +122,32 @@ def read_servos(servos: str | Path | Mapping[str, Any] | None) -> dict[str, Serv
         try:
             servos = read_toml(servos)
         except ValueError as error:
-            raise FlightReadError(f"Got {servos} as the servo file, but expected TOML: {error}") from error
+            raise FlightReadError(
+                f"Got {servos} as the servo file, but expected TOML: {error}"
+            ) from error
     weights, found = _weights(servos), {}
     mixed = {name for parts in weights.values() for name in parts}
-    each = {name: _servo(name, entry, (*MOVED, *mixed)) for name, entry in servos.items() if name != MIXING}
+    each = {
+        name: _servo(name, entry, (*MOVED, *mixed))
+        for name, entry in servos.items()
+        if name != MIXING
+    }
     for control, parts in weights.items():
-        mixture = [(weight, servo) for name, weight in parts.items() if isinstance(servo := each.get(name), Servo)]
+        mixture = [
+            (weight, servo)
+            for name, weight in parts.items()
+            if isinstance(servo := each.get(name), Servo)
+        ]
         if len(mixture) < len(parts) or control in each:
             raise FlightReadError(
-                f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of these in the servo "
+                f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of "
+                f"these in the servo "
                 f"file, and none of the {control} itself."
             )
         if len({servo.channel.partition(".")[0] for _, servo in mixture}) > 1:
-            raise FlightReadError(f"Got channels of several topics for the {control}, but expected those of one.")
+            raise FlightReadError(
+                f"Got channels of several topics for the {control}, but expected those of one."
+            )
         found[control] = Mixture(tuple(mixture))
     return {name: servo for name, servo in each.items() if name not in mixed} | found
 
@@ -135,26 +156,37 @@ def _weights(servos: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the weights of surfaces in the controls that they make, by the file or by their names."""
     told = servos.get(MIXING, {})
     if not isinstance(told, Mapping) or not all(
-        control in SURFACES and isinstance(parts, Mapping) and parts and all(map(_is_number, parts.values()))
+        control in SURFACES
+        and isinstance(parts, Mapping)
+        and parts
+        and all(map(_is_number, parts.values()))
         for control, parts in told.items()
     ):
         raise FlightReadError(
-            f"Got mixing = {told!r}, but expected weights of surfaces for some of {list(SURFACES)}, as in "
+            f"Got mixing = {told!r}, but expected weights of surfaces for some of "
+            f"{list(SURFACES)}, as in "
             "rudder = {fin = 0.5, nose = -0.5}."
         )
-    weights = {control: {name: float(weight) for name, weight in parts.items()} for control, parts in told.items()}
+    weights = {
+        control: {name: float(weight) for name, weight in parts.items()}
+        for control, parts in told.items()
+    }
     for pair, controls in PAIRS.items():
         sides = [f"{pair}_left", f"{pair}_right"]
-        if set(sides) <= set(servos) and not any(set(sides) & set(parts) for parts in weights.values()):
-            weights |= {control: dict(zip(sides, parts, strict=True)) for control, parts in controls.items()}
+        if set(sides) <= set(servos) and not any(
+            set(sides) & set(parts) for parts in weights.values()
+        ):
+            weights |= {
+                control: dict(zip(sides, parts, strict=True)) for control, parts in controls.items()
+            }
     return weights
 
 
 def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -> pd.DataFrame:
     """Return the values of the channels of servos that turn surfaces as a table says.
 
-    The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls, so the two surfaces
-    of an aileron turn by the same angle to either side.
+    The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls,
+    so the two surfaces of an aileron turn by the same angle to either side.
 
     Parameters
     ----------
@@ -162,18 +194,20 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
         ``time`` [s] and elevator, aileron, rudder, elevons [rad], throttle, as of a flight or of
         :meth:`skdgp.design.Wavetrain.table` with its trim.
     servos : path or mapping
-        Of :func:`read_flight`, with a channel for each surface. Elevons take elevator and aileron where the table has
-        no elevons.
+        Of :func:`read_flight`, with a channel for each surface. Elevons take elevator and aileron
+        where the table has no elevons.
 
     Returns
     -------
     DataFrame
-        ``time``, and a column for each channel, in its unit; beyond its ends by straight lines, so limit the inputs.
+        ``time``, and a column for each channel, in its unit; beyond its ends by straight lines, so
+        limit the inputs.
 
     Raises
     ------
     FlightReadError
-        If the file makes no sense, gives a throw, has angles of several values, or cannot make the controls.
+        If the file makes no sense, gives a throw, has angles of several values, or cannot make the
+        controls.
     ValueError
         If the table lacks a control.
 
@@ -189,22 +223,36 @@ def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -
     """
     found = read_servos(servos)
     if throws := [name for name, each in found.items() if isinstance(each, Throw)]:
-        raise FlightReadError(f"Got a throw of the {throws[0]}, but expected its channel: write its servo in full.")
+        raise FlightReadError(
+            f"Got a throw of the {throws[0]}, but expected its channel: write its servo in full."
+        )
     controls = {name: each.parts for name, each in found.items() if not isinstance(each, Throw)}
     elevons = [controls[name][0][1] for name in ELEVONS if name in controls]
     if len(elevons) == len(ELEVONS) and not set(ELEVONS) & set(table):
         controls = {name: parts for name, parts in controls.items() if name not in ELEVONS}
-        controls |= {name: tuple(zip(weights, elevons, strict=True)) for name, weights in ELEVON_WEIGHTS.items()}
+        controls |= {
+            name: tuple(zip(weights, elevons, strict=True))
+            for name, weights in ELEVON_WEIGHTS.items()
+        }
     check_columns(table, ["time", *controls])
     channels = {servo.channel: servo for parts in controls.values() for _, servo in parts}
-    matrix = np.array([[sum(w for w, s in parts if s.channel == c) for c in channels] for parts in controls.values()])
+    matrix = np.array(
+        [
+            [sum(w for w, s in parts if s.channel == c) for c in channels]
+            for parts in controls.values()
+        ]
+    )
     if np.linalg.matrix_rank(matrix) < len(matrix):
         raise FlightReadError(
-            f"Got {len(channels)} servos for {list(controls)}, but expected some that move each of these by itself: "
+            f"Got {len(channels)} servos for {list(controls)}, but expected some that move each "
+            f"of these by itself: "
             "look at the weights."
         )
     angles = table[list(controls)].to_numpy(float) @ np.linalg.pinv(matrix).T
-    outputs = {channel: servo.output(angle) for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)}
+    outputs = {
+        channel: servo.output(angle)
+        for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)
+    }
     return pd.DataFrame({"time": table["time"].to_numpy(float), **outputs})
 
 
@@ -222,32 +270,46 @@ def reversed_of(servos: Any) -> tuple[str, ...] | None:
         return None
     names = servos.partition(REVERSED)[2].split()
     if strange := set(names) - set(ALL_SURFACES):
-        raise FlightReadError(f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}.")
+        raise FlightReadError(
+            f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}."
+        )
     return tuple(names)
 
 
 def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mixture]:
     """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
 
-    Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed, these are elevator,
-    aileron and rudder of any tail and wing. Raises FlightReadError if there are none.
+    Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed,
+    these are elevator, aileron and rudder of any tail and wing. Raises FlightReadError if there are
+    none.
     """
     if not log.mixing:
         _check_names_servos(log)
-    own = {name: each for name, each in log.servos.items() if not (log.mixing and name in ELEVONS)}  # these are mixed
-    found: dict[str, Servo | Mixture] = {name: _full_throw(name, channel) for name, channel in own.items()}
+    own = {
+        name: each for name, each in log.servos.items() if not (log.mixing and name in ELEVONS)
+    }  # these are mixed
+    found: dict[str, Servo | Mixture] = {
+        name: _full_throw(name, channel) for name, channel in own.items()
+    }
     for name, parts in log.mixing.items():
-        found[name] = Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
-    return {name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()}
+        found[name] = Mixture(
+            tuple((weight, _full_throw(name, channel)) for weight, channel in parts)
+        )
+    return {
+        name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()
+    }
 
 
-def with_throws(servos: Mapping[str, Servo | Throw | Mixture], log: Log) -> dict[str, Servo | Mixture]:
+def with_throws(
+    servos: Mapping[str, Servo | Throw | Mixture], log: Log
+) -> dict[str, Servo | Mixture]:
     """Return the servos, those of a throw by the parameters of the autopilot; FlightReadError if these lack one."""
     throws = {name: each.angle for name, each in servos.items() if isinstance(each, Throw)}
     named = full_throws(log) if throws else {}
     if lacking := sorted(set(throws) - set(named)):
         raise FlightReadError(
-            f"Got the full throw of {lacking}, but expected surfaces that the parameters of the log name, "
+            f"Got the full throw of {lacking}, but expected surfaces that the parameters of the "
+            f"log name, "
             f"{sorted(named)}: give the channel of the others."
         )
     found = {name: each for name, each in servos.items() if not isinstance(each, Throw)}
@@ -263,7 +325,8 @@ def _scaled(servo: Servo | Mixture, angle: float) -> Servo | Mixture:
 def _full_throw(name: str, servo: ServoChannel) -> Servo:
     if not servo.low < servo.trim < servo.high:
         raise FlightReadError(
-            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on {servo.channel}, but "
+            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on "
+            f"{servo.channel}, but "
             "expected them in this order: write the servo file by hand."
         )
     ends = (1.0, 0.0, -1.0) if servo.turned else (-1.0, 0.0, 1.0)
@@ -274,29 +337,40 @@ def _servo(name, entry, known) -> Servo | Throw:
     if name not in known:
         sides = [f"{pair}_left and {pair}_right" for pair in PAIRS]
         raise FlightReadError(
-            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of {', '.join(sides)}, or a name "
+            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of "
+            f"{', '.join(sides)}, or a name "
             "with its weight in mixing."
         )
     if isinstance(entry, str):
         return _throw(name, entry)
     if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
-        raise FlightReadError(f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".')
+        raise FlightReadError(
+            f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".'
+        )
     if set(entry) - KEYS:
-        raise FlightReadError(f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}.")
+        raise FlightReadError(
+            f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}."
+        )
     if not isinstance(turned := entry.get("reversed", False), bool):
         raise FlightReadError(f"Got reversed = {turned!r} for {name}, but expected true or false.")
-    pairs = np.array(sorted(_points(name, entry) if "points" in entry else _ends(name, entry)), dtype=float)
+    pairs = np.array(
+        sorted(_points(name, entry) if "points" in entry else _ends(name, entry)), dtype=float
+    )
     if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
         raise FlightReadError(
-            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value of the channel "
+            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each "
+            f"value of the channel "
             "once: measure the angle of the surface at these values, in rad."
         )
     if (most := np.abs(pairs[:, 1]).max()) > np.pi / 2:
         raise FlightReadError(
-            f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert degrees."
+            f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert "
+            f"degrees."
         )
     sign = -1.0 if turned else 1.0
-    return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist()))
+    return Servo(
+        entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist())
+    )
 
 
 def _throw(name, text) -> Throw:
@@ -305,12 +379,14 @@ def _throw(name, text) -> Throw:
     angle, std = (float(match[k] or 0.0) * unit if match else np.nan for k in (1, 2))
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
-            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg" '
+            f"Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as "
+            f'in {name} = "25 deg" '
             'or "25 +- 2 deg".'
         )
     if std > 0 and name in ELEVONS:
         raise FlightReadError(
-            f"Got {name} = {text!r}, but expected a deviation of elevator or aileron alone: an error of one elevon is "
+            f"Got {name} = {text!r}, but expected a deviation of elevator or aileron alone: an "
+            f"error of one elevon is "
             "of both controls."
         )
     return Throw(angle, std)
@@ -318,10 +394,15 @@ def _throw(name, text) -> Throw:
 
 def _points(name, entry):
     points = entry["points"]
-    pairs = isinstance(points, list) and len(points) > 1 and all(isinstance(p, list) and len(p) == 2 for p in points)
+    pairs = (
+        isinstance(points, list)
+        and len(points) > 1
+        and all(isinstance(p, list) and len(p) == 2 for p in points)
+    )
     if not pairs or not all(_is_number(value) for pair in points for value in pair):
         raise FlightReadError(
-            f"Got points = {points!r} for {name}, but expected pairs of numbers, as in [[1100, -0.35], [1900, 0.35]]."
+            f"Got points = {points!r} for {name}, but expected pairs of numbers, as in [[1100, "
+            f"-0.35], [1900, 0.35]]."
         )
     return points
 
@@ -329,16 +410,21 @@ def _points(name, entry):
 def _ends(name, entry):
     ends, deflection = [entry.get(key) for key in ("min", "trim", "max")], entry.get("deflection")
     angles = [-deflection, deflection] if _is_number(deflection) else deflection
-    if not (isinstance(angles, list) and len(angles) == 2 and all(map(_is_number, [*ends, *angles]))):
+    if not (
+        isinstance(angles, list) and len(angles) == 2 and all(map(_is_number, [*ends, *angles]))
+    ):
         raise FlightReadError(
-            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] (one number, or two: "
+            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] "
+            f"(one number, or two: "
             "at min and at max), or points."
         )
     return list(zip(ends, [angles[0], 0.0, angles[1]], strict=True))
 
 
 def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300  # no float
+    return (
+        isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300
+    )  # no float
 
 
 def template(log: Log) -> str:
@@ -355,12 +441,15 @@ def _check_names_servos(log: Log) -> None:
     logged = [name for name in log.outputs if name in log.topics]
     if not log.servos and logged:
         raise FlightReadError(
-            f"Got outputs {logged} without parameters that name their surfaces, but expected SERVOn_FUNCTION of "
-            "ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed mixer (actuator_controls_0): write the "
+            f"Got outputs {logged} without parameters that name their surfaces, but expected "
+            f"SERVOn_FUNCTION of "
+            "ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed mixer "
+            "(actuator_controls_0): write the "
             "servo file by hand."
         )
     if not log.servos:
         raise FlightReadError(
-            f"Got a log without servo outputs ({', '.join(log.outputs) or 'unknown for this format'}), but expected "
+            f"Got a log without servo outputs "
+            f"({', '.join(log.outputs) or 'unknown for this format'}), but expected "
             "one of them: log it, or write the servo file by hand."
         )

@@ -14,7 +14,10 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
 
 MOST_COLUMNS = 10_000
-ROOM, ROOM_PER_BYTE = 2**28, 100  # bytes that any file may take when unpacked, and bytes more for each byte of it
+ROOM, ROOM_PER_BYTE = (
+    2**28,
+    100,
+)  # bytes that any file may take when unpacked, and bytes more for each byte of it
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
@@ -63,7 +66,8 @@ def check_width(n_columns: int) -> None:
     """Raise a FlightReadError if a table has too many columns."""
     if n_columns > MOST_COLUMNS:
         raise FlightReadError(
-            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: keep those of the flight, with a row for "
+            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: keep those of the "
+            f"flight, with a row for "
             "each sample."
         )
 
@@ -77,8 +81,10 @@ def check_room(needed: int, room: int) -> None:
     """Raise a FlightReadError if what is unpacked takes more bytes than there is room for."""
     if needed > room:
         raise FlightReadError(
-            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most {room / 2**20:.0f} "
-            f"MiB (256 MiB and {ROOM_PER_BYTE} times its size): write each flight into a file of its own."
+            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most "
+            f"{room / 2**20:.0f} "
+            f"MiB (256 MiB and {ROOM_PER_BYTE} times its size): write each flight into a file of "
+            f"its own."
         )
 
 
@@ -98,7 +104,9 @@ def check_names(names: Iterable[str]) -> None:
     """Raise a FlightReadError if a column name stands twice."""
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
-        raise FlightReadError(f"Got columns {twice} repeated, but expected each name once: drop one.")
+        raise FlightReadError(
+            f"Got columns {twice} repeated, but expected each name once: drop one."
+        )
 
 
 def to_floats(column: pd.Series) -> np.ndarray:
@@ -107,14 +115,18 @@ def to_floats(column: pd.Series) -> np.ndarray:
         column = pd.Series(np.asarray(column), name=column.name)
     if pd.api.types.is_numeric_dtype(column):
         return column.to_numpy(dtype=float, na_value=np.nan)
-    timed = pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column)
+    timed = pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(
+        column
+    )
     numbers = pd.Series(np.nan, column.index) if timed else pd.to_numeric(column, errors="coerce")
     values = numbers.to_numpy(dtype=float, na_value=np.nan)
     bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
     if bad.size:
         raise FlightReadError(
-            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
-            f"but expected numbers [{CHANNELS[base_name(str(column.name))].unit}]: leave missing values empty, and "
+            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} "
+            f"rows are not numbers), "
+            f"but expected numbers [{CHANNELS[base_name(str(column.name))].unit}]: leave missing "
+            f"values empty, and "
             "write no separators of thousands."
         )
     return values
@@ -128,7 +140,9 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
         quantity, factor = TO_SI.get(known_unit(text) or "unknown", ("unknown", 1.0))
         if quantity != expected:
             fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
-            raise FlightReadError(f"Got unit {text!r} for column {name!r}, but expected one of {fitting}.")
+            raise FlightReadError(
+                f"Got unit {text!r} for column {name!r}, but expected one of {fitting}."
+            )
         if factor != 1.0:
             converted[name] = to_floats(table[name]) * factor
     return table.assign(**converted)
@@ -148,14 +162,17 @@ def check_magnitudes(table: pd.DataFrame) -> None:
     }
     if degrees:
         raise FlightReadError(
-            f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians per second: these "
-            "look like degrees. Convert them with numpy.deg2rad, or say the unit in the header, as in 'alpha [deg]'."
+            f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "
+            f"per second: these "
+            "look like degrees. Convert them with numpy.deg2rad, or say the unit in the header, "
+            "as in 'alpha [deg]'."
             + " Roll and heading in radians can be wrapped by numpy.angle(numpy.exp(1j * psi))."
             * bool(degrees.keys() & GYROS)
         )
     if "throttle" in table and (most := _typical_maximum(table, "throttle")) > 1.5:
         raise FlightReadError(
-            f"Got throttle up to {most:g}, but expected 0 to 1: divide it by its full range (100 for per cent, or "
+            f"Got throttle up to {most:g}, but expected 0 to 1: divide it by its full range (100 "
+            f"for per cent, or "
             "'throttle [%]' in the header)."
         )
     if {*SPECIFIC_FORCE} <= {*table}:
@@ -164,14 +181,16 @@ def check_magnitudes(table: pd.DataFrame) -> None:
         force = float(np.median(sizes)) if sizes.size else np.nan
         if 0.5 < force < 2.0:
             raise FlightReadError(
-                f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
+                f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected "
+                f"near 9.8 m/s^2: this "
                 "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'."
             )
     warn_of_commands(table)
     step = np.median(np.diff(table["time"].to_numpy(float))) if len(table) > 1 else 0.0
     if step > LONGEST_STEP:
         raise FlightReadError(
-            f"Got a median time step of {step:g}, but expected seconds: this looks like milliseconds or microseconds. "
+            f"Got a median time step of {step:g}, but expected seconds: this looks like "
+            f"milliseconds or microseconds. "
             "Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'."
         )
 

@@ -1,7 +1,8 @@
 """Reader of telemetry logs of ground stations (tlog): MAVLink messages of PX4 or ArduPilot.
 
-Each message stands after the time of its arrival, 8 bytes, big-endian, in microseconds. pymavlink decodes it; see
-https://mavlink.io/en/messages/ardupilotmega.html. Messages of other systems, such as the ground station, are left out.
+Each message stands after the time of its arrival, 8 bytes, big-endian, in microseconds. pymavlink
+decodes it; see https://mavlink.io/en/messages/ardupilotmega.html. Messages of other systems, such
+as the ground station, are left out.
 """
 
 from __future__ import annotations
@@ -20,14 +21,32 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._dataflash import mixing_of, servos_of
-from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Topic, damage, density_at, from_rpm, instance_name
+from skdgp.io._log import (
+    EQUIVALENT,
+    QUATERNION,
+    Log,
+    Rule,
+    Topic,
+    damage,
+    density_at,
+    from_rpm,
+    instance_name,
+)
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES
 
-STAMP, OVERHEAD, SIGNATURE = 8, {0xFE: 8, 0xFD: 12}, 13  # bytes: of the arrival; beside a payload, by its first byte
-PX4, INT32 = 12, 6  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
+STAMP, OVERHEAD, SIGNATURE = (
+    8,
+    {0xFE: 8, 0xFD: 12},
+    13,
+)  # bytes: of the arrival; beside a payload, by its first byte
+PX4, INT32 = (
+    12,
+    6,
+)  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
-LONGEST_DELAY = 5.0  # where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts
+# where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts
+LONGEST_DELAY = 5.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
 
@@ -42,7 +61,9 @@ def _axes(name):
     return tuple(f"{axis}{name}" for axis in "xyz")
 
 
-_milli, _centi, _milli_g = (partial(np.multiply, factor) for factor in (1e-3, 0.01, 1e-3 * STANDARD_GRAVITY))
+_milli, _centi, _milli_g = (
+    partial(np.multiply, factor) for factor in (1e-3, 0.01, 1e-3 * STANDARD_GRAVITY)
+)
 RULES = (
     Rule(("p", "q", "r"), "HIGHRES_IMU", _axes("gyro")),
     Rule(("p", "q", "r"), "RAW_IMU", _axes("gyro"), _milli),
@@ -51,13 +72,29 @@ RULES = (
     Rule(("ax", "ay", "az"), "HIGHRES_IMU", _axes("acc")),
     Rule(("ax", "ay", "az"), "RAW_IMU", _axes("acc"), _milli_g),
     Rule(("ax", "ay", "az"), "SCALED_IMU", _axes("acc"), _milli_g),
-    Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), lambda angles: euler_to_quaternion(*angles.T)),
-    Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed",), note="of a sensor, or estimated on board"),
+    Rule(
+        QUATERNION,
+        "ATTITUDE",
+        ("roll", "pitch", "yaw"),
+        lambda angles: euler_to_quaternion(*angles.T),
+    ),
+    Rule(
+        (EQUIVALENT,),
+        "VFR_HUD",
+        ("airspeed",),
+        valid=("airspeed",),
+        note="of a sensor, or estimated on board",
+    ),
     Rule(("v_north", "v_east", "v_down"), "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
     Rule(("v_north", "v_east", "v_down"), "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), _centi),
     Rule(("north", "east", "down"), "LOCAL_POSITION_NED", ("x", "y", "z")),
     Rule(("altitude",), "GLOBAL_POSITION_INT", ("alt",), _milli),
-    Rule(("density",), "SCALED_PRESSURE", ("press_abs",), lambda hectopascals: density_at(100 * hectopascals)),
+    Rule(
+        ("density",),
+        "SCALED_PRESSURE",
+        ("press_abs",),
+        lambda hectopascals: density_at(100 * hectopascals),
+    ),
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
     Rule(("throttle",), "VFR_HUD", ("throttle",), _centi),
@@ -73,14 +110,16 @@ def read_tlog(path: Path) -> Log:
         from pymavlink.dialects.v20 import ardupilotmega as mavlink
     except ImportError as error:
         raise ImportError(
-            "Reading a tlog needs pymavlink, which is not installed: pip install 'skdgp[mavlink]', or take the log of "
+            "Reading a tlog needs pymavlink, which is not installed: pip install "
+            "'skdgp[mavlink]', or take the log of "
             "the autopilot itself."
         ) from error
     arrivals, messages, skipped = _messages(path.read_bytes(), mavlink)
     systems = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
     if not systems:
         raise FlightReadError(
-            "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an aircraft: is it empty, "
+            "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an "
+            "aircraft: is it empty, "
             "or of another kind?"
         )
     system = systems.most_common(1)[0][0]
@@ -88,21 +127,36 @@ def read_tlog(path: Path) -> Log:
     for place, each in enumerate(messages):
         if each.get_srcSystem() == system:
             name, number = each.get_type(), NUMBERED.get(each.get_type())
-            by_name.setdefault(instance_name(name, int(getattr(each, number, 0)) if number else 0), []).append(place)
+            by_name.setdefault(
+                instance_name(name, int(getattr(each, number, 0)) if number else 0), []
+            ).append(place)
     beats = [messages[place] for place in by_name.pop("HEARTBEAT", ())]
     px4 = any(each.autopilot == PX4 for each in beats)
     parameters = dict(_parameter(messages[place], px4) for place in by_name.pop("PARAM_VALUE", ()))
-    clocks = {name: np.array([_clock(messages[place]) for place in places]) for name, places in by_name.items()}
+    clocks = {
+        name: np.array([_clock(messages[place]) for place in places])
+        for name, places in by_name.items()
+    }
     delay = float(np.median(arrivals[by_name["ATTITUDE"]] - clocks["ATTITUDE"]))
     topics = {}
     for name, places in sorted(by_name.items()):
-        found, arrived, clock = [messages[place] for place in places], arrivals[places] - delay, clocks[name]
+        found, arrived, clock = (
+            [messages[place] for place in places],
+            arrivals[places] - delay,
+            clocks[name],
+        )
         time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
-        numbers = [key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)]
+        numbers = [
+            key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)
+        ]
         fields = {key: [getattr(each, key) for each in found] for key in numbers}
         topics[name] = replace(Topic.of(time, **fields), order=np.array(places, dtype=float))
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
-    speeds = [parameters[name] for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN") if name in parameters]
+    speeds = [
+        parameters[name]
+        for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
+        if name in parameters
+    ]
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
@@ -130,7 +184,11 @@ def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
             size += SIGNATURE
         message = None
         if start + size <= len(data):
-            number = data[start + 5] if data[start] == 0xFE else int.from_bytes(data[start + 7 : start + 10], "little")
+            number = (
+                data[start + 5]
+                if data[start] == 0xFE
+                else int.from_bytes(data[start + 7 : start + 10], "little")
+            )
             if number in known and known[number].msgname not in READ:
                 position = start + size
                 continue
@@ -149,9 +207,18 @@ def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
 def _parameter(message: Any, px4: bool) -> tuple[str, float]:
     bits = struct.pack("<f", message.param_value)
     is_whole = px4 and message.param_type == INT32
-    return message.param_id, float(struct.unpack("<i", bits)[0] if is_whole else message.param_value)
+    return message.param_id, float(
+        struct.unpack("<i", bits)[0] if is_whole else message.param_value
+    )
 
 
 def _clock(message: Any) -> float:
     """Return the time of a message by the clock of the vehicle [s], NaN where it has none."""
-    return next((factor * getattr(message, name) for name, factor in CLOCKS.items() if hasattr(message, name)), np.nan)
+    return next(
+        (
+            factor * getattr(message, name)
+            for name, factor in CLOCKS.items()
+            if hasattr(message, name)
+        ),
+        np.nan,
+    )

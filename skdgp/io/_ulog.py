@@ -1,9 +1,9 @@
 """Reader of PX4 logs (ULog).
 
 The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. A file
-has a header, definitions and messages, little-endian, each after its length and type. Every length is checked: invalid
-bytes are skipped, and reading continues at the next position with three valid messages in a row. The topics are those
-of https://docs.px4.io/main/en/msg_docs.
+has a header, definitions and messages, little-endian, each after its length and type. Every length
+is checked: invalid bytes are skipped, and reading continues at the next position with three valid
+messages in a row. The topics are those of https://docs.px4.io/main/en/msg_docs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.files import read_json
-from skdgp.io._log import QUATERNION, Log, Rule, ServoChannel, Topic, damage, from_rpm, gathered, instance_name, whole
+from skdgp.io._log import (
+    QUATERNION,
+    Log,
+    Rule,
+    ServoChannel,
+    Topic,
+    damage,
+    from_rpm,
+    gathered,
+    instance_name,
+    whole,
+)
 from skdgp.io._tables import FlightReadError
 
 HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
@@ -35,7 +46,8 @@ LARGEST = 2**16  # a message cannot be longer [bytes]: its length is 16 bits
 LONGEST_TEXT = 2000
 LATEST = 1_000_000  # microseconds from sampling to publishing, at most
 DEEPEST = 8  # levels of nested messages
-RELEASED = 64  # the last byte of a version from which it is an alpha, beta or release, not a state of development
+# the last byte of a version from which it is an alpha, beta or release, not a state of development
+RELEASED = 64
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
@@ -56,13 +68,23 @@ RULES = (
     Rule(("ax", "ay", "az"), "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(("ax", "ay", "az"), "sensor_accel", ("x", "y", "z")),
     Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
-    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=("airspeed_sensor_measurement_valid",)),
+    Rule(
+        ("airspeed",),
+        "airspeed_validated",
+        ("true_airspeed_m_s",),
+        valid=("airspeed_sensor_measurement_valid",),
+    ),
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
     Rule(("v_north", "v_east"), "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
     Rule(("v_north", "v_east"), "vehicle_global_position", ("vel_n", "vel_e")),
-    Rule(("v_north", "v_east"), "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=("vel_ned_valid",)),
+    Rule(
+        ("v_north", "v_east"),
+        "vehicle_gps_position",
+        ("vel_n_m_s", "vel_e_m_s"),
+        valid=("vel_ned_valid",),
+    ),
     Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
     Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
     Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=("vel_ned_valid",)),
@@ -84,15 +106,25 @@ RULES = (
     Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
-OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", "actuator_controls_0", "actuator_controls_1")
+OUTPUTS = (
+    "actuator_servos",
+    "actuator_outputs",
+    "actuator_outputs#1",
+    "actuator_controls_0",
+    "actuator_controls_1",
+)
 TOPICS = {*OUTPUTS, *(rule.topic for rule in RULES)}
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
-"""By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up, against our signs."""
+"""By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
+against our signs.
+"""
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 """Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No flaps, airbrakes,
 wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp)."""
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
-"""Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a positive torque."""
+"""Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a
+positive torque.
+"""
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
 """Fields of actuator_controls, and whether more turns the surface against our sign."""
 
@@ -102,25 +134,32 @@ def read_ulog(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
-            "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, or of another kind?"
+            "Got a file that does not begin as a ULog does, but expected a log of PX4: is it "
+            "empty, or of another kind?"
         )
     reader = _Reader(data)
     reader.read()
     topics = reader.topics()
     if not topics:
         raise FlightReadError(
-            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
+            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut "
+            f"off?"
         )
     return _log(
-        "PX4 ULog", topics, reader.parameters, reader.information, damage(reader.skipped, reader.cut, reader.lost)
+        "PX4 ULog",
+        topics,
+        reader.parameters,
+        reader.information,
+        damage(reader.skipped, reader.cut, reader.lost),
     )
 
 
 def read_topic_tables(path: Path) -> Log:
     """Return a log of PX4 in a folder with a Parquet file for each topic, as Flight Review stores it.
 
-    Further instances of a topic are topic_1.parquet, ... Parameters and firmware are in metadata.json; without it the
-    servos of surfaces are not known. Raises FlightReadError if no file is a topic, ImportError without pyarrow.
+    Further instances of a topic are topic_1.parquet, ... Parameters and firmware are in
+    metadata.json; without it the servos of surfaces are not known. Raises FlightReadError if no
+    file is a topic, ImportError without pyarrow.
     """
     try:
         from pyarrow.parquet import read_table
@@ -138,20 +177,33 @@ def read_topic_tables(path: Path) -> Log:
         try:
             table = read_table(file)
         except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
-            raise FlightReadError(f"Got no whole Parquet file {file.name} ({error}): copy it again.") from error
+            raise FlightReadError(
+                f"Got no whole Parquet file {file.name} ({error}): copy it again."
+            ) from error
         records = table.to_pandas().select_dtypes(["number", "bool"]).to_records(index=False)
         if len(records) and "timestamp" in (records.dtype.names or ()):
             name, _, number = file.stem.rpartition("_")
-            is_instance = name and number.isdecimal() and file.stem not in TOPICS  # some topics end in a number
+            is_instance = (
+                name and number.isdecimal() and file.stem not in TOPICS
+            )  # some topics end in a number
             name = instance_name(name, int(number)) if is_instance else file.stem
-            topics[name] = Topic(_sampled(name, records) * 1e-6, records["timestamp"].astype(float), records)
+            topics[name] = Topic(
+                _sampled(name, records) * 1e-6, records["timestamp"].astype(float), records
+            )
     if not topics:
         raise FlightReadError(
-            "Got a folder, but expected Parquet files of the topics of PX4 in it, with a timestamp, such as "
+            "Got a folder, but expected Parquet files of the topics of PX4 in it, with a "
+            "timestamp, such as "
             "vehicle_attitude.parquet."
         )
-    numbers = {key: value for key, value in metadata.get("parameters", {}).items() if type(value) in (int, float)}
-    return _log("PX4 Parquet", topics, {key: float(value) for key, value in numbers.items()}, metadata, ())
+    numbers = {
+        key: value
+        for key, value in metadata.get("parameters", {}).items()
+        if type(value) in (int, float)
+    }
+    return _log(
+        "PX4 Parquet", topics, {key: float(value) for key, value in numbers.items()}, metadata, ()
+    )
 
 
 def _log(kind, topics, parameters, information, remarks) -> Log:
@@ -189,8 +241,14 @@ class _Reader:
         self.parameters, self.information = {}, {}
         self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
         by_kind = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum}
-        by_kind |= {"I": self._information, "P": self._parameter, "S": lambda start, end: data[start:end] == SYNC}
-        by_kind |= dict.fromkeys("MQ", lambda start, end: end - start > 1 and self._keyed(start + 1, end) is not None)
+        by_kind |= {
+            "I": self._information,
+            "P": self._parameter,
+            "S": lambda start, end: data[start:end] == SYNC,
+        }
+        by_kind |= dict.fromkeys(
+            "MQ", lambda start, end: end - start > 1 and self._keyed(start + 1, end) is not None
+        )
         by_kind |= dict.fromkeys("OR", lambda start, end: end - start == 2)
         by_kind |= dict.fromkeys("LC", lambda start, end: 9 <= end - start <= LONGEST_TEXT)
         self.handlers = {ord(kind): makes_sense for kind, makes_sense in by_kind.items()}
@@ -201,7 +259,9 @@ class _Reader:
         while position + HEAD.size <= len(data):
             size, kind = HEAD.unpack_from(data, position)
             start, end = position + HEAD.size, position + HEAD.size + size
-            if self.appended and end > self.appended[0]:  # a crash report was appended there, perhaps to half a message
+            if (
+                self.appended and end > self.appended[0]
+            ):  # a crash report was appended there, perhaps to half a message
                 position = max(position, self.appended.pop(0))
             elif self._read_message(kind, start, end):
                 position = end
@@ -232,7 +292,8 @@ class _Reader:
                 return False
         return True
 
-    # Each of these reads the bytes of one message from start to end, and returns whether they make sense.
+    # Each of these reads the bytes of one message from start to end, and returns whether they make
+    # sense.
 
     def _flags(self, start, end):
         if start != HEADER_SIZE + HEAD.size or end - start < 40:
@@ -240,11 +301,14 @@ class _Reader:
         incompatible = self.data[start + 8 : start + 16]
         if incompatible[0] & ~1 or any(incompatible[1:]):
             raise FlightReadError(
-                f"Got a ULog with incompatible flags {incompatible.hex()}, but expected none but 'data appended': "
+                f"Got a ULog with incompatible flags {incompatible.hex()}, but expected none but "
+                f"'data appended': "
                 "it is of a later format than this reader."
             )
         if incompatible[0] & 1:
-            self.appended = sorted(o for o in struct.unpack_from("<3Q", self.data, start + 16) if o > end)
+            self.appended = sorted(
+                o for o in struct.unpack_from("<3Q", self.data, start + 16) if o > end
+            )
         return True
 
     def _format(self, start, end):
@@ -278,7 +342,9 @@ class _Reader:
         while names and names[-1].startswith("_padding"):  # at the end it is not logged
             names.pop()
         timed = "timestamp" in names and dtype["timestamp"] == np.dtype("<u8")
-        return (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
+        return (
+            (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
+        )
 
     def _dtype(self, name, depth=0):
         """Return the layout of a message, made once; nested messages stay nested, so that no size can be abused."""
@@ -305,7 +371,9 @@ class _Reader:
     def _datum(self, start, end):
         if end - start < 2:
             return False
-        subscription = self.subscriptions.get(int.from_bytes(self.data[start : start + 2], "little"))
+        subscription = self.subscriptions.get(
+            int.from_bytes(self.data[start : start + 2], "little")
+        )
         if subscription is None:
             known = self._chain(end, 1)
             self.lost += known
@@ -347,7 +415,9 @@ class _Reader:
             name = instance_name(each.name, each.instance)
             if each.starts and len(each.starts) > len(by_name.get(name, ())):
                 records = gathered(self.data, each.starts, each.dtype)
-                by_name[name] = Topic(_sampled(each.name, records) * 1e-6, np.array(each.starts), records)
+                by_name[name] = Topic(
+                    _sampled(each.name, records) * 1e-6, np.array(each.starts), records
+                )
         return dict(sorted(by_name.items()))
 
 
@@ -384,7 +454,11 @@ def _vehicle(topics, parameters) -> str | None:
 def _surface_types(topics, parameters) -> dict[int, int]:
     """Return the type of each surface of control allocation whose output is logged, by its number."""
     outputs = topics.get("actuator_servos", ())
-    return {n: whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0)) for n in range(8) if f"control[{n}]" in outputs}
+    return {
+        n: whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
+        for n in range(8)
+        if f"control[{n}]" in outputs
+    }
 
 
 def _servos(topics, parameters) -> dict[str, ServoChannel]:
@@ -392,13 +466,20 @@ def _servos(topics, parameters) -> dict[str, ServoChannel]:
     channels: dict[str, ServoChannel] = {}
     for n, kind in _surface_types(topics, parameters).items():
         if kind in SURFACES:
-            channels.setdefault(SURFACES[kind], ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True))
+            channels.setdefault(
+                SURFACES[kind], ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True)
+            )
     if channels:
         return channels
-    name = "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"  # 1: a VTOL's wings
+    name = (
+        "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"
+    )  # 1: a VTOL's wings
     if name not in topics or "control[2]" not in topics[name]:
         return {}
-    return {key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned) for key, (n, turned) in CONTROLS.items()}
+    return {
+        key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned)
+        for key, (n, turned) in CONTROLS.items()
+    }
 
 
 def _mixing(topics, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:

@@ -29,8 +29,9 @@ DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about
 class FreeParameter:
     """The free entries of one parameter array.
 
-    ``index`` has the shape of the array: entries with the same number share one hyperparameter, and -1 marks a fixed
-    entry. ``log`` is True if theta holds the logarithm, False if it holds the signed value.
+    ``index`` has the shape of the array: entries with the same number share one hyperparameter, and
+    -1 marks a fixed entry. ``log`` is True if theta holds the logarithm, False if it holds the
+    signed value.
     """
 
     name: str
@@ -43,7 +44,8 @@ class FreeParameter:
         """Whether the parameter keeps its value."""
         if isinstance(self.bounds, str) and self.bounds != "fixed":
             raise ValueError(
-                f"Got {self.name}_bounds={self.bounds!r}, but expected a pair, an array of pairs, or 'fixed'."
+                f"Got {self.name}_bounds={self.bounds!r}, but expected a pair, an array of pairs, "
+                f"or 'fixed'."
             )
         return isinstance(self.bounds, str)
 
@@ -62,13 +64,14 @@ class FreeParameter:
 class MultiOutputKernel(Kernel):
     """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
 
-    Inputs are one (n_i, d) array for each output, so outputs observed at different samples need no padding. A single
-    (n, d) array means the same samples for every output. Matrices are output-major: all samples of the first output,
-    then all samples of the second.
+    Inputs are one (n_i, d) array for each output, so outputs observed at different samples need no
+    padding. A single (n, d) array means the same samples for every output. Matrices are
+    output-major: all samples of the first output, then all samples of the second.
 
-    A new kernel needs a constructor as scikit-learn requires it, the properties ``n_outputs`` and ``n_features``, and
-    four methods: ``block``, ``block_gradient``, ``block_diag`` and ``free_parameters``. These are enough for exact and
-    sparse inference. The other methods are optional: each has a default or raises an error that names the method.
+    A new kernel needs a constructor as scikit-learn requires it, the properties ``n_outputs`` and
+    ``n_features``, and four methods: ``block``, ``block_gradient``, ``block_diag`` and
+    ``free_parameters``. These are enough for exact and sparse inference. The other methods are
+    optional: each has a default or raises an error that names the method.
     """
 
     @property
@@ -86,7 +89,8 @@ class MultiOutputKernel(Kernel):
         """Number of terms that are no trends, by default one."""
         return 1
 
-    # -- required methods ------------------------------------------------------------------------------
+    # -- required methods
+    # ------------------------------------------------------------------------------
 
     @abstractmethod
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
@@ -104,7 +108,8 @@ class MultiOutputKernel(Kernel):
     def free_parameters(self) -> list[FreeParameter]:
         """Return the parameters that form theta, in the order of theta."""
 
-    # -- optional methods ------------------------------------------------------------------------------
+    # -- optional methods
+    # ------------------------------------------------------------------------------
 
     def couples(self, i: int, j: int) -> bool:
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
@@ -123,7 +128,10 @@ class MultiOutputKernel(Kernel):
     def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
         """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
         rows = gen_batches(len(Xi), DIAGONAL_ROWS)
-        return sum((self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows), np.zeros(self.n_dims))
+        return sum(
+            (self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows),
+            np.zeros(self.n_dims),
+        )
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -131,9 +139,16 @@ class MultiOutputKernel(Kernel):
         The default uses central differences of fourth order, for regressors of about unit size.
         """
         Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
-        if self.is_stationary() and len(Xj):  # avoid rounding of small steps at points far from zero
+        if self.is_stationary() and len(
+            Xj
+        ):  # avoid rounding of small steps at points far from zero
             Xi, Xj = Xi - Xj[0], Xj - Xj[0]
-        return np.stack([_difference(lambda x: self.block(i, j, Xi + x, Xj), unit) for unit in np.eye(Xi.shape[1])])
+        return np.stack(
+            [
+                _difference(lambda x: self.block(i, j, Xi + x, Xj), unit)
+                for unit in np.eye(Xi.shape[1])
+            ]
+        )
 
     def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
         """Return sum_b d cov(y_i(Xi), y_j(Xj_b)) / dXi w_b, (n_i, d)."""
@@ -144,13 +159,21 @@ class MultiOutputKernel(Kernel):
         Xi = np.asarray(Xi, dtype=float)
 
         def slope(unit, z):  # d/dx of k(x, z) at x = Xi, z = Xi + z, row by row
-            return _difference(lambda x: np.array([self.block(i, i, r[None] + x, r[None] + z)[0, 0] for r in Xi]), unit)
+            return _difference(
+                lambda x: np.array([self.block(i, i, r[None] + x, r[None] + z)[0, 0] for r in Xi]),
+                unit,
+            )
 
-        return np.stack([_difference(lambda z, u=unit: slope(u, z), unit) for unit in np.eye(Xi.shape[1])], axis=1)
+        return np.stack(
+            [_difference(lambda z, u=unit: slope(u, z), unit) for unit in np.eye(Xi.shape[1])],
+            axis=1,
+        )
 
     def has_values(self) -> bool:
         """Return whether all parameter values are given."""
-        return all(getattr(self, parameter.name) is not None for parameter in self.free_parameters())
+        return all(
+            getattr(self, parameter.name) is not None for parameter in self.free_parameters()
+        )
 
     def initialize(
         self,
@@ -163,12 +186,15 @@ class MultiOutputKernel(Kernel):
     ) -> MultiOutputKernel:
         """Return the kernel with missing values and bounds estimated from data.
 
-        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` (fits of each output with
-        ``single_output``) and a fit of ``coarse`` give better starting values. ``width_factor`` multiplies the default
-        starting widths. Given values do not change.
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` (fits of
+        each output with ``single_output``) and a fit of ``coarse`` give better starting values.
+        ``width_factor`` multiplies the default starting widths. Given values do not change.
         """
         if not self.has_values():
-            raise ValueError(f"{type(self).__name__} cannot estimate values from data: give all of its parameters.")
+            raise ValueError(
+                f"{type(self).__name__} cannot estimate values from data: give all of its "
+                f"parameters."
+            )
         return self
 
     def prepared(self, X: Matrix) -> MultiOutputKernel:
@@ -182,7 +208,8 @@ class MultiOutputKernel(Kernel):
     def single_output(self) -> MultiOutputKernel:
         """Return a kernel without values for a separate fit of one output."""
         raise NotImplementedError(
-            f"{type(self).__name__} does not define single_output, the kernel of a separate fit of one output."
+            f"{type(self).__name__} does not define single_output, the kernel of a separate fit "
+            f"of one output."
         )
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
@@ -216,17 +243,22 @@ class MultiOutputKernel(Kernel):
         """Return inducing features for sparse inference at Z (k, d), by default the values of the outputs at Z."""
         return PointFeatures(self, Z)
 
-    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable[[int], Features]:
+    def feature_ranking(
+        self, X: Matrix, scale: Vector, random_state: Seed
+    ) -> Callable[[int], Features]:
         """Return a function n -> the best n inducing features for the outputs at X (n, d).
 
         ``scale`` (P,) is the accuracy required of each output. Every term of a sum gets n features.
         """
-        return lambda n: self.features(cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state))
+        return lambda n: self.features(
+            cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state)
+        )
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process."""
         raise NotImplementedError(
-            f"{type(self).__name__} does not define prior_paths, which sample paths need. Use sample_y, which draws "
+            f"{type(self).__name__} does not define prior_paths, which sample paths need. Use "
+            f"sample_y, which draws "
             "values at given points from any kernel."
         )
 
@@ -234,7 +266,8 @@ class MultiOutputKernel(Kernel):
         """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) for each output."""
         return KernelPaths(self, X, coefficients)
 
-    # -- matrices --------------------------------------------------------------------------------------
+    # -- matrices
+    # --------------------------------------------------------------------------------------
 
     def split(self, X: Matrix) -> list[np.ndarray]:
         """Return X as one array for each output."""
@@ -242,12 +275,14 @@ class MultiOutputKernel(Kernel):
         arrays = [np.asarray(x, dtype=float) for x in (X if per_output else [X])]
         if per_output and len(arrays) != self.n_outputs:
             raise ValueError(
-                f"Got {len(arrays)} input arrays, but expected one for each of the {self.n_outputs} outputs."
+                f"Got {len(arrays)} input arrays, but expected one for each of the "
+                f"{self.n_outputs} outputs."
             )
         for x in arrays:
             if x.ndim != 2 or x.shape[1] != self.n_features:
                 raise ValueError(
-                    f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): one column for each "
+                    f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): one "
+                    f"column for each "
                     "regressor of the kernel."
                 )
         return arrays if per_output else arrays * self.n_outputs
@@ -260,13 +295,19 @@ class MultiOutputKernel(Kernel):
         X, Y : array (n, d), or a list of one (n_i, d) array per output
             ``Y=None`` means ``Y=X``.
         eval_gradient : bool
-            Also return dK/dtheta, (N, N, n_theta), for small matrices. Inference uses ``block_gradient``.
+            Also return dK/dtheta, (N, N, n_theta), for small matrices. Inference uses
+            ``block_gradient``.
         """
         if eval_gradient and Y is not None:
             raise ValueError("Got eval_gradient=True with Y, but expected Y=None.")
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
-        K = np.block([[self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)] for i, Xi in enumerate(rows)])
+        K = np.block(
+            [
+                [self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)]
+                for i, Xi in enumerate(rows)
+            ]
+        )
         if not eval_gradient:
             return K
         points, one = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi], np.ones((1, 1))
@@ -280,8 +321,10 @@ class MultiOutputKernel(Kernel):
     def __add__(self, other):
         if not isinstance(other, MultiOutputKernel):
             raise TypeError(
-                f"Got {other!r} to add to a multi-output kernel, but expected another multi-output kernel. Leave out "
-                "measurement noise: DependentGPRegressor learns it for each output (noise_variance_)."
+                f"Got {other!r} to add to a multi-output kernel, but expected another "
+                f"multi-output kernel. Leave out "
+                "measurement noise: DependentGPRegressor learns it for each output "
+                "(noise_variance_)."
             )
         return Sum(self, other)
 
@@ -290,18 +333,22 @@ class MultiOutputKernel(Kernel):
 
     def _no_product(self, other):
         raise TypeError(
-            "Multi-output kernels can be added, not multiplied or raised to a power. Scale them by their amplitudes."
+            "Multi-output kernels can be added, not multiplied or raised to a power. Scale them "
+            "by their amplitudes."
         )
 
     __mul__ = __rmul__ = __pow__ = _no_product
 
-    # -- hyperparameters -------------------------------------------------------------------------------
+    # -- hyperparameters
+    # -------------------------------------------------------------------------------
 
     @property
     def hyperparameters(self) -> list:
         """Each hyperparameter with its number of elements and bounds."""
         return [
-            Hyperparameter(f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements)
+            Hyperparameter(
+                f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements
+            )
             for f in self.free_parameters()
             if f.fixed or f.n_elements
         ]
@@ -309,8 +356,12 @@ class MultiOutputKernel(Kernel):
     @property
     def theta(self):
         """Free hyperparameters, (n_theta,): the logarithms of positive parameters, and signed parameters themselves."""
-        parts = [(f.elements(self._value(f.name)), f.log) for f in self.free_parameters() if f.n_elements]
-        return np.concatenate([np.empty(0), *(np.log(part) if log else part for part, log in parts)])
+        parts = [
+            (f.elements(self._value(f.name)), f.log) for f in self.free_parameters() if f.n_elements
+        ]
+        return np.concatenate(
+            [np.empty(0), *(np.log(part) if log else part for part, log in parts)]
+        )
 
     @theta.setter
     def theta(self, theta: Vector | None):
@@ -334,7 +385,9 @@ class MultiOutputKernel(Kernel):
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
-        kernel = copy.copy(self)  # scikit-learn's clone copies every parameter, which costs more than a small matrix
+        kernel = copy.copy(
+            self
+        )  # scikit-learn's clone copies every parameter, which costs more than a small matrix
         kernel._cache = dict(self.__dict__.get("_cache", {}))
         kernel.theta = theta
         return kernel
@@ -342,7 +395,11 @@ class MultiOutputKernel(Kernel):
     @property
     def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
-        parts = [np.log(_pairs(f)) if f.log else _pairs(f) for f in self.free_parameters() if f.n_elements]
+        parts = [
+            np.log(_pairs(f)) if f.log else _pairs(f)
+            for f in self.free_parameters()
+            if f.n_elements
+        ]
         return np.concatenate([np.empty((0, 2)), *parts])
 
     @property
@@ -378,7 +435,11 @@ class MultiOutputKernel(Kernel):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
-        shown = {k: v for k, v in self.get_params(deep=False).items() if v is not None and np.ndim(v) == 0}
+        shown = {
+            k: v
+            for k, v in self.get_params(deep=False).items()
+            if v is not None and np.ndim(v) == 0
+        }
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
 
     def is_stationary(self) -> bool:
@@ -391,7 +452,11 @@ class MultiOutputKernel(Kernel):
         for f in self.free_parameters():
             if f.n_elements:
                 free = f.index >= 0
-                parts.append(np.bincount(f.index[free], weights=gradients[f.name][free], minlength=f.n_elements))
+                parts.append(
+                    np.bincount(
+                        f.index[free], weights=gradients[f.name][free], minlength=f.n_elements
+                    )
+                )
         return np.concatenate([np.empty(0), *parts])
 
 
@@ -411,7 +476,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def _common(self, name):
         first, second = getattr(self.k1, name), getattr(self.k2, name)
         if first != second:
-            raise ValueError(f"Got a sum of kernels with {name} {first} and {second}, but expected the same number.")
+            raise ValueError(
+                f"Got a sum of kernels with {name} {first} and {second}, but expected the same "
+                f"number."
+            )
         return first
 
     def couples(self, i: int, j: int) -> bool:
@@ -437,7 +505,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
                 kernel.add_pairs(i, pairs, out)
 
     def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
-        parts = [k.pair_gradient(i, pairs, w) if k.couples(i, i) else np.zeros(k.n_dims) for k in (self.k1, self.k2)]
+        parts = [
+            k.pair_gradient(i, pairs, w) if k.couples(i, i) else np.zeros(k.n_dims)
+            for k in (self.k1, self.k2)
+        ]
         return np.concatenate(parts)
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
@@ -463,11 +534,16 @@ class Sum(_SklearnSum, MultiOutputKernel):
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         def options(name):
-            hints = singles and [getattr(s, name) for s in singles], coarse and getattr(coarse, name)
+            hints = (
+                singles and [getattr(s, name) for s in singles],
+                coarse and getattr(coarse, name),
+            )
             return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
 
         first = self.k1.initialize(X, Y, random_state, **options("k1"))
-        return Sum(first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2")))
+        return Sum(
+            first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2"))
+        )
 
     def prepared(self, X: Matrix) -> MultiOutputKernel:
         return Sum(self.k1.prepared(X), self.k2.prepared(X))
@@ -482,7 +558,11 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k1.paths(X, coefficients) + self.k2.paths(X, coefficients)
 
     def stationary_part(self) -> Any:
-        parts = [part for part in (self.k1.stationary_part(), self.k2.stationary_part()) if part is not None]
+        parts = [
+            part
+            for part in (self.k1.stationary_part(), self.k2.stationary_part())
+            if part is not None
+        ]
         return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
 
     def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
@@ -558,21 +638,30 @@ class Zero(MultiOutputKernel):
 
 def _difference(function, unit):
     """Return the derivative along a unit vector at zero, by central differences of fourth order."""
-    near, far = (function(k * DERIVATIVE_STEP * unit) - function(-k * DERIVATIVE_STEP * unit) for k in (1, 2))
+    near, far = (
+        function(k * DERIVATIVE_STEP * unit) - function(-k * DERIVATIVE_STEP * unit) for k in (1, 2)
+    )
     return (8 * near - far) / (12 * DERIVATIVE_STEP)
 
 
 def _equal(a, b) -> bool:
     """Return whether two parameters are equal; estimators are compared by their content."""
-    return joblib.hash(a) == joblib.hash(b) if isinstance(a, BaseEstimator) else np.array_equal(a, b)
+    return (
+        joblib.hash(a) == joblib.hash(b) if isinstance(a, BaseEstimator) else np.array_equal(a, b)
+    )
 
 
 def _pairs(f: FreeParameter) -> np.ndarray:
     """Return the bounds of a free parameter, (n_elements, 2), from one pair or one pair for each entry."""
     bounds = np.asarray(f.bounds, dtype=float)
-    if bounds.shape[-1:] != (2,) or not (bounds[..., 0] < bounds[..., 1]).all() or (f.log and not (bounds > 0).all()):
+    if (
+        bounds.shape[-1:] != (2,)
+        or not (bounds[..., 0] < bounds[..., 1]).all()
+        or (f.log and not (bounds > 0).all())
+    ):
         raise ValueError(
-            f"Got {f.name}_bounds={f.bounds!r}, but expected {'0 < ' if f.log else ''}lower < upper: a pair, "
+            f"Got {f.name}_bounds={f.bounds!r}, but expected {'0 < ' if f.log else ''}lower < "
+            f"upper: a pair, "
             "or one for each entry."
         )
     if bounds.shape == (2,):
@@ -589,7 +678,8 @@ def as_shape(name: str, value: Any, shape) -> np.ndarray:
         return np.array(np.broadcast_to(value, shape))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that broadcasts to it."
+            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that "
+            f"broadcasts to it."
         ) from None
 
 

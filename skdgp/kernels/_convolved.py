@@ -10,7 +10,13 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import RowPairs, cluster_centres, column_scale, constant_columns, output_scale
+from skdgp._compute.linalg import (
+    RowPairs,
+    cluster_centres,
+    column_scale,
+    constant_columns,
+    output_scale,
+)
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures, rank_parts
@@ -28,36 +34,50 @@ from skdgp.kernels._pair import (
 )
 from skdgp.kernels._prior_paths import PathBundle, ValuePaths, Waves, draw_latents
 
-TIED_AXIS = {"tied": 1, "spherical": 2}  # axis of length_scale (M, P, d) along which values are equal
-MAX_SCALE_RATIO = 1e5  # largest over smallest standard deviation of regressors with a common length scale
+TIED_AXIS = {
+    "tied": 1,
+    "spherical": 2,
+}  # axis of length_scale (M, P, d) along which values are equal
+MAX_SCALE_RATIO = (
+    1e5  # largest over smallest standard deviation of regressors with a common length scale
+)
 CONSTANT_LENGTH = 1e6  # length scale over the standard deviation of a regressor that has no effect
 ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
-ADDITIVE_AMPLITUDE = 0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
+ADDITIVE_AMPLITUDE = (
+    0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
+)
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 SPACING = "spacing"  # of length_scale_bounds
-NOISE_AMPLITUDE = 0.1  # below this fraction of its starting amplitude an output was explained as noise
+NOISE_AMPLITUDE = (
+    0.1  # below this fraction of its starting amplitude an output was explained as noise
+)
 COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")  # also those of DependentGPRegressor
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 SHARED_VARIANCE = 0.5
 """Part of an output's variance that starts in the shared latents, if it has a private latent.
 
-A guess: from 0.1 the searches of seven electrodes end at the same likelihood with three shared latents (887, from 0.5
-888), and those of pairs of flights at the same error (.840 and .841 of least squares; docs/results.md).
+A guess: from 0.1 the searches of seven electrodes end at the same likelihood with three shared
+latents (887, from 0.5 888), and those of pairs of flights at the same error (.840 and .841 of least
+squares; docs/results.md).
 """
 WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
-MOST_COUNTED = 400  # samples for the smallest width: searches learn from a few hundred, however long the log
+MOST_COUNTED = (
+    400  # samples for the smallest width: searches learn from a few hundred, however long the log
+)
 
 
 class ConvolvedGaussian(MultiOutputKernel):
     r"""Covariance of dependent outputs: each output is a sum of latent white-noise processes with Gaussian filters.
 
     The filter from latent process m to output i is
-    :math:`h_{mi}(s) = v_{mi} \exp(-\frac{1}{2} (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`. For a separation
-    :math:`\delta = s_a - s_b` the covariance is (Hemakumara & Sukkarieh 2011, equations 14 to 16)
+    :math:`h_{mi}(s) = v_{mi} \exp(-\frac{1}{2} (s-\mu_{mi})^T A_{mi} (s-\mu_{mi}))`. For a
+    separation :math:`\delta = s_a - s_b` the covariance is (Hemakumara & Sukkarieh 2011, equations
+    14 to 16)
 
     .. math:: K_{ij}(\delta) = \sum_m \frac{(2\pi)^{d/2} v_{mi} v_{mj}}{\sqrt{|A_{mi} + A_{mj}|}}
               \exp\left(-\frac{1}{2} (\delta - \mu_{mi} + \mu_{mj})^T \Sigma_{mij}
-              (\delta - \mu_{mi} + \mu_{mj})\right), \quad \Sigma_{mij} = A_{mi} (A_{mi} + A_{mj})^{-1} A_{mj}.
+              (\delta - \mu_{mi} + \mu_{mj})\right), \quad \Sigma_{mij} = A_{mi} (A_{mi} +
+              A_{mj})^{-1} A_{mj}.
 
     The parameters are the amplitude :math:`w = v \pi^{d/4} |A|^{-1/4}`, so that
     :math:`K_{ii}(0) = \sum_m w_{mi}^2`, and the length scale :math:`\ell` with
@@ -70,28 +90,33 @@ class ConvolvedGaussian(MultiOutputKernel):
     private_latents : bool
         Whether each output also has a private latent process.
     covariance_type : {"spherical", "diag", "full", "tied"}
-        Widths of the filters: "spherical" one number, "diag" one width for each regressor, "full" a full matrix,
-        "tied" one width for each regressor, equal for all outputs of a latent (with zero shifts this is the linear
-        model of coregionalisation).
+        Widths of the filters: "spherical" one number, "diag" one width for each regressor, "full" a
+        full matrix, "tied" one width for each regressor, equal for all outputs of a latent (with
+        zero shifts this is the linear model of coregionalisation).
     regressors : sequence of int or None
-        Columns of X that the outputs depend on, for additive models: a sum of kernels of few regressors each. Length
-        scales of the others are fixed at a million times their standard deviation (at least at a million), whatever
-        ``length_scale`` is given. For "diag" and "tied". None: all columns.
+        Columns of X that the outputs depend on, for additive models: a sum of kernels of few
+        regressors each. Length scales of the others are fixed at a million times their standard
+        deviation (at least at a million), whatever ``length_scale`` is given. For "diag" and
+        "tied". None: all columns.
     feeds : array (M, P) of bool or None
-        Whether latent m contributes to output i, for example one latent for the lateral outputs only. It replaces
-        ``n_latent`` and ``private_latents``.
+        Whether latent m contributes to output i, for example one latent for the lateral outputs
+        only. It replaces ``n_latent`` and ``private_latents``.
     amplitude : array (M, P) or None
-        Signed w, shared latents first, then private ones. The last axis defines P. None: from the data.
+        Signed w, shared latents first, then private ones. The last axis defines P. None: from the
+        data.
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shear : array (M, P, d (d - 1) / 2) or float
-        For "full": the strictly lower part of the unit-triangular C in A = 2 D^-1 C C^T D^-1, D = diag(length_scale).
+        For "full": the strictly lower part of the unit-triangular C in A = 2 D^-1 C C^T D^-1, D =
+        diag(length_scale).
     shift : array (M, P, d) or float
-        mu, in the units of the regressors. Only differences between outputs matter, so the first output has zero.
-    amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array (..., 2), "fixed" or None
-        Bounds on the values. None: from the data, widths of .05 to 1000 standard deviations of the regressor.
-        ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard deviations, for n samples, at most 400,
-        in d regressors. In many regressors, a process of smaller width is noise to the samples.
+        mu, in the units of the regressors. Only differences between outputs matter, so the first
+        output has zero.
+    amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array or None
+        Bounds on the values, (..., 2) for an array, or "fixed". None: from the data, widths of .05 to 1000 standard deviations of the
+        regressor. ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard
+        deviations, for n samples, at most 400, in d regressors. In many regressors, a process of
+        smaller width is noise to the samples.
 
     Examples
     --------
@@ -133,31 +158,44 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.shear_bounds = shear_bounds
         self.shift_bounds = shift_bounds
 
-    # -- shapes ----------------------------------------------------------------------------------------
+    # -- shapes
+    # ----------------------------------------------------------------------------------------
 
     def _arrays(self):
         """Return a dict of the parameters broadcast to (M, P, ...) and of ``feeds`` (M, P)."""
         if self.covariance_type not in COVARIANCE_TYPES:
-            raise ValueError(f"Got covariance_type={self.covariance_type!r}, but expected one of {COVARIANCE_TYPES}.")
+            raise ValueError(
+                f"Got covariance_type={self.covariance_type!r}, but expected one of "
+                f"{COVARIANCE_TYPES}."
+            )
         if self.amplitude is None or self.length_scale is None:
             raise ValueError(
                 "ConvolvedGaussian has no values yet: give amplitude and length_scale, or let "
                 "DependentGPRegressor.fit estimate them from the data."
             )
-        w, lengths = np.asarray(self.amplitude, dtype=float), np.asarray(self.length_scale, dtype=float)
+        w, lengths = (
+            np.asarray(self.amplitude, dtype=float),
+            np.asarray(self.length_scale, dtype=float),
+        )
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
         feeds = self._feed_matrix(P)
         M, others = len(feeds), self._without_effect(d)
         if not (lengths > 0).all() or not np.isfinite(w).all():
-            raise ValueError("Got a length_scale that is not positive or an amplitude that is not finite.")
+            raise ValueError(
+                "Got a length_scale that is not positive or an amplitude that is not finite."
+            )
         lengths = as_shape("length_scale", lengths, (M, P, d))
         lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
         axis, fed = TIED_AXIS.get(self.covariance_type, 0), feeds[..., None] > 0
-        least, most = np.where(fed, lengths, np.inf).min(axis), np.where(fed, lengths, 0.0).max(axis)
+        least, most = (
+            np.where(fed, lengths, np.inf).min(axis),
+            np.where(fed, lengths, 0.0).max(axis),
+        )
         if axis and (least < (1 - 1e-9) * most).any():
             along = "regressors" if self.covariance_type == "spherical" else "outputs"
             raise ValueError(
-                f"Got length scales that differ along the {along} with covariance_type={self.covariance_type!r}, but "
+                f"Got length scales that differ along the {along} with "
+                f"covariance_type={self.covariance_type!r}, but "
                 "expected equal ones: use covariance_type='diag', or give equal length scales."
             )
         return {
@@ -175,28 +213,41 @@ class ConvolvedGaussian(MultiOutputKernel):
         columns = np.asarray(self.regressors)
         whole = columns.ndim == 1 and columns.dtype.kind in "iu" and len(columns) > 0
         if not (whole and set(columns) <= set(range(d))):
-            raise ValueError(f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}.")
+            raise ValueError(
+                f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
+            )
         if self.covariance_type not in ("diag", "tied"):
             raise ValueError(
-                f"Got regressors with covariance_type={self.covariance_type!r}, but expected 'diag' or 'tied'."
+                f"Got regressors with covariance_type={self.covariance_type!r}, but expected "
+                f"'diag' or 'tied'."
             )
         return ~np.isin(np.arange(d), columns)
 
     def _feed_matrix(self, P):
         """Return the matrix (M, P) that is one where a latent contributes to an output."""
         if self.feeds is None:
-            feeds = np.concatenate([np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]])
+            feeds = np.concatenate(
+                [np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]]
+            )
         else:
             feeds = np.asarray(self.feeds, dtype=float)
         if len(feeds) == 0:
             raise ValueError(
-                "Got n_latent=0 without private latents, but expected at least one latent for every output: raise "
+                "Got n_latent=0 without private latents, but expected at least one latent for "
+                "every output: raise "
                 "n_latent, or set private_latents=True."
             )
-        if feeds.ndim != 2 or feeds.shape[1] != P or not feeds.any(axis=1).all() or not feeds.any(axis=0).all():
+        if (
+            feeds.ndim != 2
+            or feeds.shape[1] != P
+            or not feeds.any(axis=1).all()
+            or not feeds.any(axis=0).all()
+        ):
             raise ValueError(
-                f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one latent for every "
-                "output, and at least one output for every latent: raise n_latent, or set private_latents=True."
+                f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one "
+                f"latent for every "
+                "output, and at least one output for every latent: raise n_latent, or set "
+                "private_latents=True."
             )
         return feeds
 
@@ -233,7 +284,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         others = self._without_effect(X.shape[1])
         params = self.get_params()
         feeds = self._feed_matrix(Y.shape[1])
-        for name, shape in (("amplitude", feeds.shape), ("length_scale", (*feeds.shape, X.shape[1]))):
+        for name, shape in (
+            ("amplitude", feeds.shape),
+            ("length_scale", (*feeds.shape, X.shape[1])),
+        ):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
         start = starting_values(feeds, X, Y, random_state, width_factor)
@@ -246,7 +300,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         if coarse:
             start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
         if self.covariance_type == "spherical":
-            start |= {name: common_scale(start[name], X) for name in ("length_scale", "length_scale_bounds")}
+            start |= {
+                name: common_scale(start[name], X)
+                for name in ("length_scale", "length_scale_bounds")
+            }
         elif self.covariance_type == "tied":
             mean = np.log(start["length_scale"]).mean(axis=1, keepdims=True)
             start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
@@ -263,15 +320,20 @@ class ConvolvedGaussian(MultiOutputKernel):
     def _from_singles(self, w, lengths, singles):
         """Return starting values (M, P, ...) from separate fits of each output.
 
-        Private latents take the fitted widths. A shared latent takes their weighted geometric mean for all outputs,
-        because equal widths allow the strongest coupling; with very different widths no coupling can be learned. An
-        output that its separate fit explains as noise keeps its default values: at zero amplitude the gradient is zero
-        and a dependence on other outputs cannot be found.
+        Private latents take the fitted widths. A shared latent takes their weighted geometric mean
+        for all outputs, because equal widths allow the strongest coupling; with very different
+        widths no coupling can be learned. An output that its separate fit explains as noise keeps
+        its default values: at zero amplitude the gradient is zero and a dependence on other outputs
+        cannot be found.
         """
         total = np.sqrt((w**2).sum(axis=0))
         amplitude = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
         explained = amplitude > NOISE_AMPLITUDE * total
-        widths = np.where(explained[:, None], np.stack([s._value("length_scale")[0, 0] for s in singles]), lengths[-1])
+        widths = np.where(
+            explained[:, None],
+            np.stack([s._value("length_scale")[0, 0] for s in singles]),
+            lengths[-1],
+        )
         weight = w**2 / (w**2).sum(axis=1, keepdims=True)
         private = (weight == 1.0)[..., None]
         return {
@@ -280,7 +342,11 @@ class ConvolvedGaussian(MultiOutputKernel):
         }
 
     def coarse(self) -> MultiOutputKernel:
-        if self.covariance_type in ("diag", "full") and self.length_scale is None and self._widths_from_data():
+        if (
+            self.covariance_type in ("diag", "full")
+            and self.length_scale is None
+            and self._widths_from_data()
+        ):
             default = {"shear": 0.0, "shift": 0.0, "shear_bounds": None, "shift_bounds": "fixed"}
             return clone(self).set_params(covariance_type="tied", **default)
         return self
@@ -288,7 +354,9 @@ class ConvolvedGaussian(MultiOutputKernel):
     def single_output(self) -> MultiOutputKernel:
         kind = "spherical" if self.covariance_type == "spherical" else "diag"
         bounds = self.length_scale_bounds if self._widths_from_data() else None
-        return ConvolvedGaussian(0, covariance_type=kind, regressors=self.regressors, length_scale_bounds=bounds)
+        return ConvolvedGaussian(
+            0, covariance_type=kind, regressors=self.regressors, length_scale_bounds=bounds
+        )
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
@@ -314,7 +382,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             return Z
         chosen = np.tile(Z.mean(axis=0), (n, 1))
         if others.sum() == Z.shape[1] - 1:
-            chosen[:, ~others] = np.linspace(Z[:, ~others].min(axis=0), Z[:, ~others].max(axis=0), n)
+            chosen[:, ~others] = np.linspace(
+                Z[:, ~others].min(axis=0), Z[:, ~others].max(axis=0), n
+            )
         else:
             chosen[:, ~others] = cluster_centres(Z[:, ~others], column_scale(Z)[~others], n, 0)
         return chosen
@@ -323,7 +393,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         return rank_parts(self, X, scale, random_state)
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        return Waves.combine(draw_latents(self, n_paths, n_frequencies, random_state), range(self.n_outputs))
+        return Waves.combine(
+            draw_latents(self, n_paths, n_frequencies, random_state), range(self.n_outputs)
+        )
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]
@@ -334,7 +406,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return clone(self).set_params(amplitude=np.zeros_like(self._value("amplitude")))
 
     def peaks(self, i: int, j: int) -> Matrix:
-        # Terms of opposite sign may cancel at their centres: add points one to three widths away along each axis.
+        # Terms of opposite sign may cancel at their centres: add points one to three widths away
+        # along each axis.
         _, _, _, F, shift = self._pair(i, j)
         widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
         steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
@@ -353,21 +426,31 @@ class ConvolvedGaussian(MultiOutputKernel):
         width = latent if self.covariance_type == "tied" else filters
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         matters = ~self._without_effect(d)
-        shifted = feeds & (output != feeds.argmax(axis=1)[:, None])  # only differences between outputs matter
+        shifted = feeds & (
+            output != feeds.argmax(axis=1)[:, None]
+        )  # only differences between outputs matter
         length_bounds = None if self._widths_from_data() else self.length_scale_bounds
         lengths = renumber(width[..., None] * d + per_feature, feeds[..., None] & matters)
         shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
         free = [
-            FreeParameter("amplitude", renumber(filters, feeds), False, or_default(self.amplitude_bounds, (-1e3, 1e3))),
+            FreeParameter(
+                "amplitude",
+                renumber(filters, feeds),
+                False,
+                or_default(self.amplitude_bounds, (-1e3, 1e3)),
+            ),
             FreeParameter("length_scale", lengths, True, or_default(length_bounds, (1e-3, 1e3))),
             FreeParameter("shift", shifts, False, or_default(self.shift_bounds, (-1e2, 1e2))),
         ]
         if self.covariance_type == "full":
             index = renumber(filters[..., None] * pairs + np.arange(pairs), feeds[..., None])
-            free.append(FreeParameter("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0))))
+            free.append(
+                FreeParameter("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0)))
+            )
         return free
 
-    # -- parameters of the paper -----------------------------------------------------------------------
+    # -- parameters of the paper
+    # -----------------------------------------------------------------------
 
     @property
     def A(self) -> Array:
@@ -396,7 +479,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         C[..., *np.tril_indices(d, -1)] = self._value("shear")
         return C / lengths[..., :, None]
 
-    # -- the equations ---------------------------------------------------------------------------------
+    # -- the equations
+    # ---------------------------------------------------------------------------------
 
     def _pair(self, i, j):
         """Return the latents of both outputs, gains, c, F of Sigma = F F^T (or its diagonal), and mu_i - mu_j."""
@@ -449,7 +533,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         if self.covariance_type == "full":
             return super().pair_gradient(i, pairs, w)
         exponentials, columns = self.__dict__["_cache"]["exponentials", i], self._columns()
-        mass, first, second = np.zeros(len(exponentials)), *np.zeros((2, len(exponentials), self.n_features))
+        mass, first, second = (
+            np.zeros(len(exponentials)),
+            *np.zeros((2, len(exponentials), self.n_features)),
+        )
         for k, E in enumerate(exponentials):
             G = np.multiply(w, E, out=pairs.scratch)
             mass[k], second[k, columns] = G.sum(), pairs.squares[columns] @ G
@@ -466,7 +553,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Return the term of each common latent in the covariance, side by side, (n_i, n_j times their number)."""
         gains, shape = self._pair(i, j)[1], (len(Xi), len(Xj))
         exponents = self._exponents(i, j, Xi, Xj)
-        terms = [gain * e.exponential(slice(None), np.empty(shape)) for gain, e in zip(gains, exponents, strict=True)]
+        terms = [
+            gain * e.exponential(slice(None), np.empty(shape))
+            for gain, e in zip(gains, exponents, strict=True)
+        ]
         return np.hstack(terms) if terms else np.empty((len(Xi), 0))
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
@@ -486,7 +576,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             S = self._precision(i, j, k)
             E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
             E *= gains[k]
-            D -= E * (((Xi - middle - shift[k]) @ S).T[:, :, None] - ((Xj - middle) @ S).T[:, None, :])
+            D -= E * (
+                ((Xi - middle - shift[k]) @ S).T[:, :, None] - ((Xj - middle) @ S).T[:, None, :]
+            )
         return D
 
     def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
@@ -509,7 +601,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             return np.zeros(self.n_dims)
         return self.theta_gradient(self.entry_gradients(i, j, Xi, Xj, W))
 
-    def entry_gradients(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix, inputs: bool = False) -> Any:
+    def entry_gradients(
+        self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix, inputs: bool = False
+    ) -> Any:
         """Return sum(W * dK_ij) by each entry of the parameter arrays (by the logarithms of length scales).
 
         With ``inputs`` also return the derivatives by the rows of Xj, (n_j, d).
@@ -520,11 +614,16 @@ class ConvolvedGaussian(MultiOutputKernel):
         a = [Xi - (mu + middle) for mu in shift]
         sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, a, b, transposed=inputs)
         full = self.covariance_type == "full"
-        mass, first, second = (np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True))
+        mass, first, second = (
+            np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True)
+        )
         entries = self._gradients_from_moments(i, j, mass, first, second)
         if not inputs:
             return entries
-        by_input = [gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k) for k, G in enumerate(sums)]
+        by_input = [
+            gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k)
+            for k, G in enumerate(sums)
+        ]
         return entries, sum(by_input)
 
     def _gradients_from_moments(self, i, j, mass, first, second):
@@ -561,7 +660,9 @@ class ConvolvedGaussian(MultiOutputKernel):
 
 def _middle(X):
     """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
-    return np.add.reduce(X, axis=0) / max(len(X), 1)  # np.mean takes five times as long for few rows
+    return np.add.reduce(X, axis=0) / max(
+        len(X), 1
+    )  # np.mean takes five times as long for few rows
 
 
 def common_scale(scales, X: Matrix) -> np.ndarray:
@@ -575,22 +676,26 @@ def common_scale(scales, X: Matrix) -> np.ndarray:
     spread = column_scale(X)[varies]
     if spread.max() > MAX_SCALE_RATIO * spread.min():
         raise ValueError(
-            f"Got regressors with standard deviations from {spread.min():.2g} to {spread.max():.2g}, but "
-            "covariance_type='spherical' has one length scale for all of them. Scale the regressors (StandardScaler), "
+            f"Got regressors with standard deviations from {spread.min():.2g} to "
+            f"{spread.max():.2g}, but "
+            "covariance_type='spherical' has one length scale for all of them. Scale the "
+            "regressors (StandardScaler), "
             "or use covariance_type='diag'."
         )
     mean = np.exp(np.log(scales[:, :, varies]).mean(axis=2, keepdims=True))
     return np.broadcast_to(mean, scales.shape).copy()
 
 
-# -- starting values from the data ------------------------------------------------------------------------------------
+# -- starting values from the data
+# ------------------------------------------------------------------------------------
 
 
 def spacing(X, Y, matters):
     """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
 
-    n are the samples of the most observed output, at most ``MOST_COUNTED``, d the regressors that ``matters`` marks and
-    that are not constant. n samples spread evenly over d regressors are 3.5 times as far apart, in their deviations.
+    n are the samples of the most observed output, at most ``MOST_COUNTED``, d the regressors that
+    ``matters`` marks and that are not constant. n samples spread evenly over d regressors are 3.5
+    times as far apart, in their deviations.
     """
     n_axes = max(1, int(np.sum(matters & ~constant_columns(X))))
     n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, MOST_COUNTED)
@@ -600,9 +705,10 @@ def spacing(X, Y, matters):
 def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
 
-    ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the principal directions
-    of the correlation matrix of the outputs, so correlated outputs share a latent from the start. Latents start with
-    different widths: with equal widths they would have equal gradients and remain equal.
+    ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the
+    principal directions of the correlation matrix of the outputs, so correlated outputs share a
+    latent from the start. Latents start with different widths: with equal widths they would have
+    equal gradients and remain equal.
     """
     rng = check_random_state(random_state)
     M, P = feeds.shape
@@ -610,7 +716,9 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     x_scale, y_scale = column_scale(X), output_scale(Y)
     shared = feeds.sum(axis=1) > 1
     n_shared = int(shared.sum())
-    weight = np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
+    weight = (
+        np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
+    )
     directions = np.ones((M, P))
     directions[shared] = _directions(Y, n_shared, rng)
     weight *= directions**2
@@ -621,12 +729,20 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     varies = ~constant_columns(X)  # the others change nothing
     apart = np.zeros((M, 1, d))
     apart[..., varies] = 0.1 * shared[:, None, None] * rng.normal(size=(M, 1, varies.sum()))
-    lengths = width_factor * np.sqrt(max(1, varies.sum())) * spread[:, None, None] * x_scale * np.exp(apart)
+    lengths = (
+        width_factor
+        * np.sqrt(max(1, varies.sum()))
+        * spread[:, None, None]
+        * x_scale
+        * np.exp(apart)
+    )
     bounds = np.multiply.outer(x_scale, WIDTHS)
     return {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),
-        "amplitude_bounds": np.stack(np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1))), axis=-1),
+        "amplitude_bounds": np.stack(
+            np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1))), axis=-1
+        ),
         "length_scale_bounds": np.broadcast_to(bounds, (M, P, d, 2)).copy(),
     }
 
@@ -635,17 +751,21 @@ def _directions(Y, n_latent, rng):
     """Return directions (n_latent, P), first principal ones, then random ones; squares sum to one over the latents."""
     P = Y.shape[1]
     observed = np.isfinite(Y)
-    Z = np.where(observed, Y - np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0), 0.0) / column_scale(Y)
+    Z = np.where(
+        observed, Y - np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0), 0.0
+    ) / column_scale(Y)
     counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
     order = np.diag(TIE_BREAK * np.arange(P, 0, -1))
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
-    side = np.sqrt(np.arange(2, P + 2)) @ vectors  # the sign of an eigenvector depends on LAPACK: choose one
+    side = (
+        np.sqrt(np.arange(2, P + 2)) @ vectors
+    )  # the sign of an eigenvector depends on LAPACK: choose one
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
     principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:
         rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
-    # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of the amplitude, so
-    # that outputs of the other sign start, and end, as the same model.
+    # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
+    # the amplitude, so that outputs of the other sign start, and end, as the same model.
     rows = rows + 0.05 * rng.normal(size=rows.shape) * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows

@@ -19,7 +19,8 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels._pair import ExponentialRows
 from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, Waves, draw_latents
 
-JITTER = 1e-6  # variance of white noise in the inducing variables, over their variance; the bound remains a bound
+# variance of white noise in the inducing variables, over their variance; the bound remains a bound
+JITTER = 1e-6
 CANDIDATES = 2400  # candidates of each latent in a ranking
 CLUSTERED = 5000  # largest number of samples for k-means
 NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the required accuracy
@@ -28,7 +29,8 @@ NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the
 class Features(ABC):
     """K variables u that are jointly Gaussian with the outputs, with covariances Kuu (K, K) and Kfu.
 
-    ``theta`` holds the inducing inputs, one after another. They change the quality of the approximation, not the model.
+    ``theta`` holds the inducing inputs, one after another. They change the quality of the
+    approximation, not the model.
     """
 
     kernel: Any  # a MultiOutputKernel; its module imports this one
@@ -75,7 +77,9 @@ class Features(ABC):
         """Return the features of another kernel of the same shape, with other inducing inputs."""
 
     @abstractmethod
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state) -> tuple[PathBundle, Matrix]:
+    def prior_paths(
+        self, n_paths: int, n_frequencies: int, random_state
+    ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
     def rows(self) -> Callable[[Matrix], Matrix]:
@@ -95,7 +99,8 @@ class Features(ABC):
 class PointFeatures(Features):
     """The values of all outputs at inducing inputs Z (k, d), for any kernel.
 
-    An output covaries with the values of all outputs to which the kernel couples it, directly or through others.
+    An output covaries with the values of all outputs to which the kernel couples it, directly or
+    through others.
     """
 
     def __init__(self, kernel, Z):
@@ -120,11 +125,15 @@ class PointFeatures(Features):
         return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled[i]])
 
     def Kfu_derivative(self, i, X):
-        return np.concatenate([self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2)
+        return np.concatenate(
+            [self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2
+        )
 
     def gradient_fu(self, i, X, W):
         total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for j, w in zip(self._coupled[i], np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True):
+        for j, w in zip(
+            self._coupled[i], np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True
+        ):
             total += self.kernel.block_gradient(i, j, X, self.Z, w)
             dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
         return np.concatenate([total, dZ.ravel()])
@@ -136,7 +145,9 @@ class PointFeatures(Features):
             for j in self._coupled[i]:
                 w = W[self._slice(i), self._slice(j)]
                 total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
-                dZ += 2 * np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w)
+                dZ += 2 * np.einsum(
+                    "dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w
+                )
         return np.concatenate([total, dZ.ravel()])
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
@@ -156,14 +167,17 @@ class PointFeatures(Features):
 class LatentFeatures(Features):
     r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
-    Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances are those of a
-    ConvolvedGaussian with one further output for every block f of variables. There are two kinds of filter g_f:
+    Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances
+    are those of a ConvolvedGaussian with one further output for every block f of variables. There
+    are two kinds of filter g_f:
 
     - a window with length scales ``width`` (F, d): one block for all outputs of the latent;
-    - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to this output. One window
-      cannot represent outputs of different widths well, while this filter loses no information about its output.
+    - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to
+      this output. One window cannot represent outputs of different widths well, while this filter
+      loses no information about its output.
 
-    Either ``width`` or ``outputs`` is None. Block f is of latent ``latents[f]``, at the inducing inputs ``Z[f]``.
+    Either ``width`` or ``outputs`` is None. Block f is of latent ``latents[f]``, at the inducing
+    inputs ``Z[f]``.
     """
 
     def __init__(self, kernel, latents, Z, width=None, outputs=None):
@@ -179,7 +193,9 @@ class LatentFeatures(Features):
         self._block_pairs = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
     def __getstate__(self):
-        return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")}
+        return {
+            name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")
+        }
 
     def __setstate__(self, state):
         vars(self).update(vars(LatentFeatures(**state)))
@@ -194,17 +210,26 @@ class LatentFeatures(Features):
             elif self.outputs is not None:
                 extra = value[self.latents, self.outputs]
             else:
-                extra = self.width if name == "length_scale" else np.zeros((len(self.latents), value.shape[2]))
+                extra = (
+                    self.width
+                    if name == "length_scale"
+                    else np.zeros((len(self.latents), value.shape[2]))
+                )
             arrays[name] = np.concatenate(
-                [value, np.broadcast_to(extra, (len(value), *extra.shape[-value.ndim + 1 :]))], axis=1
+                [value, np.broadcast_to(extra, (len(value), *extra.shape[-value.ndim + 1 :]))],
+                axis=1,
             )
-        return type(kernel)(covariance_type="full" if kernel.covariance_type == "full" else "diag", **arrays)
+        return type(kernel)(
+            covariance_type="full" if kernel.covariance_type == "full" else "diag", **arrays
+        )
 
     def _slice(self, f):
         return slice(self._edges[f], self._edges[f + 1])
 
     def columns(self, i):
-        return np.concatenate([np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self._blocks[i])])
+        return np.concatenate(
+            [np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self._blocks[i])]
+        )
 
     def Kuu(self):
         P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
@@ -214,7 +239,9 @@ class LatentFeatures(Features):
         return K
 
     def Kfu(self, i, X):
-        blocks = [self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self._blocks[i]]
+        blocks = [
+            self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self._blocks[i]
+        ]
         return np.hstack([np.empty((len(X), 0)), *blocks])
 
     def Kfu_derivative(self, i, X):
@@ -224,11 +251,15 @@ class LatentFeatures(Features):
 
     def rows(self):
         P = self.kernel.n_outputs
-        return ExponentialRows(self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks])
+        return ExponentialRows(
+            self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks]
+        )
 
     def gradient_fu(self, i, X, W):
         P, blocks = self.kernel.n_outputs, self._blocks[i]
-        columns = [slice(*edges) for edges in pairwise(np.cumsum([0, *(len(self.Z[f]) for f in blocks)]))]
+        columns = [
+            slice(*edges) for edges in pairwise(np.cumsum([0, *(len(self.Z[f]) for f in blocks)]))
+        ]
         return self._collect(
             [
                 (f, self.joint.entry_gradients(i, P + f, X, self.Z[f], W[:, own], inputs=True))
@@ -241,14 +272,19 @@ class LatentFeatures(Features):
         parts = []
         for f, g in self._block_pairs:
             w = W[self._slice(f), self._slice(g)]
-            entries, by_input = self.joint.entry_gradients(P + f, P + g, self.Z[f], self.Z[g], w, inputs=True)
+            entries, by_input = self.joint.entry_gradients(
+                P + f, P + g, self.Z[f], self.Z[g], w, inputs=True
+            )
             parts.append((g, (entries, 2 * by_input)))
         return self._collect(parts)
 
     def _collect(self, parts):
         """Return the gradient by [kernel theta, Z] from those by entries of ``joint`` and inputs of a block each."""
         P, names = self.kernel.n_outputs, ("amplitude", "length_scale", "shift", "shear")
-        total, dZ = {name: np.zeros_like(self.joint._value(name)) for name in names}, [np.zeros_like(z) for z in self.Z]
+        total, dZ = (
+            {name: np.zeros_like(self.joint._value(name)) for name in names},
+            [np.zeros_like(z) for z in self.Z],
+        )
         for f, (entries, by_input) in parts:
             dZ[f] += by_input
             for name in names:
@@ -256,12 +292,19 @@ class LatentFeatures(Features):
         for f, i in enumerate(self.outputs or ()):  # blocks have the filters of these outputs
             for name in names[1:]:
                 total[name][self.latents[f], i] += total[name][self.latents[f], P + f]
-        by_kernel = self.kernel.theta_gradient({name: entries[:, :P] for name, entries in total.items()})
+        by_kernel = self.kernel.theta_gradient(
+            {name: entries[:, :P] for name, entries in total.items()}
+        )
         return np.concatenate([by_kernel, *(z.ravel() for z in dZ)])
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
-        P, latents = self.kernel.n_outputs, draw_latents(self.joint, n_paths, n_frequencies, random_state)
-        parts = [Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(self.Z)]
+        P, latents = (
+            self.kernel.n_outputs,
+            draw_latents(self.joint, n_paths, n_frequencies, random_state),
+        )
+        parts = [
+            Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(self.Z)
+        ]
         u = np.concatenate(parts, axis=1)
         u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
         return Waves.combine(latents, range(P)), u
@@ -293,8 +336,12 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        slope = self.kernel._value("slope_scale")  # (P, K); the columns of an output are [tau_0, tau_k (phi_k - c_k)]
-        constant = np.column_stack([self.kernel._value("intercept_scale"), -slope * self.kernel._value("center")])
+        slope = self.kernel._value(
+            "slope_scale"
+        )  # (P, K); the columns of an output are [tau_0, tau_k (phi_k - c_k)]
+        constant = np.column_stack(
+            [self.kernel._value("intercept_scale"), -slope * self.kernel._value("center")]
+        )
         slopes = np.zeros((slope.shape[1], *constant.shape))
         np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
         slopes, constant = slopes.reshape(len(slopes), -1), constant.ravel()
@@ -349,17 +396,26 @@ class SumFeatures(Features):
 
     def rows(self):
         first, second = self.first.rows(), self.second.rows()
-        sizes = [[len(term.columns(i)) for term in (self.first, self.second)] for i in range(self.n_outputs)]
-        place = np.repeat([0, 1] * len(sizes), np.ravel(sizes))  # for each output its columns of both terms
+        sizes = [
+            [len(term.columns(i)) for term in (self.first, self.second)]
+            for i in range(self.n_outputs)
+        ]
+        place = np.repeat(
+            [0, 1] * len(sizes), np.ravel(sizes)
+        )  # for each output its columns of both terms
         order = np.argsort(np.argsort(place, kind="stable"))
         return lambda X: np.take(np.hstack([first(X), second(X)]), order, axis=1)
 
     def Kfu_derivative(self, i, X):
-        return np.concatenate([self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2)
+        return np.concatenate(
+            [self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2
+        )
 
     def gradient_fu(self, i, X, W):
         n = len(self.first.columns(i))
-        return self._ordered(self.first.gradient_fu(i, X, W[:, :n]), self.second.gradient_fu(i, X, W[:, n:]))
+        return self._ordered(
+            self.first.gradient_fu(i, X, W[:, :n]), self.second.gradient_fu(i, X, W[:, n:])
+        )
 
     def gradient_uu(self, W):
         n = self.first.size
@@ -384,20 +440,24 @@ class SumFeatures(Features):
 
     def rebuild(self, kernel, theta):
         n = len(self.first.theta)
-        return SumFeatures(self.first.rebuild(kernel.k1, theta[:n]), self.second.rebuild(kernel.k2, theta[n:]))
+        return SumFeatures(
+            self.first.rebuild(kernel.k1, theta[:n]), self.second.rebuild(kernel.k2, theta[n:])
+        )
 
 
-# -- placement of inducing variables -------------------------------------------------------------------
+# -- placement of inducing variables
+# -------------------------------------------------------------------
 
 
 def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
     """Return a function n -> the best n inducing features.
 
-    Candidates are the contributions of the latents to every output at every sample, weighted by amplitude over
-    ``scale`` (P,), the required accuracy. A pivoted Cholesky factorisation of their covariance selects in each step the
-    candidate with the largest unexplained variance (Burt et al. 2020). The selection defines the number of variables of
-    each latent and output. These are then placed at centres of k-means in the length scales of that output, which
-    explain more variance than the pivots.
+    Candidates are the contributions of the latents to every output at every sample, weighted by
+    amplitude over ``scale`` (P,), the required accuracy. A pivoted Cholesky factorisation of their
+    covariance selects in each step the candidate with the largest unexplained variance (Burt et al.
+    2020). The selection defines the number of variables of each latent and output. These are then
+    placed at centres of k-means in the length scales of that output, which explain more variance
+    than the pivots.
     """
     seed = check_random_state(random_state).randint(2**31 - 1)
     random_state = np.random.RandomState(seed)
@@ -406,7 +466,9 @@ def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures
         x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
         K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
         weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
-        pivots, gain = pivoted_cholesky(np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE)
+        pivots, gain = pivoted_cholesky(
+            np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE
+        )
         gain[0] = np.inf  # every latent, and so every output, has at least one feature
         rankings.append((gain, outputs[pivots // len(x)]))
     order = np.sort(np.concatenate([gain for gain, _ in rankings]))[::-1]
@@ -416,11 +478,17 @@ def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures
         least = order[min(max(n, len(rankings)), len(order)) - 1]
         latents, outputs, Z = [], [], []
         for m, (gain, of_output) in enumerate(rankings):
-            for i, size in zip(*np.unique(of_output[gain >= least], return_counts=True), strict=True):
+            for i, size in zip(
+                *np.unique(of_output[gain >= least], return_counts=True), strict=True
+            ):
                 latents.append(m)
                 outputs.append(i)
                 lengths = kernel._value("length_scale")[m, i]
-                Z.append(subset if size >= len(subset) else cluster_centres(subset, lengths, size, seed, max_iter=30))
+                Z.append(
+                    subset
+                    if size >= len(subset)
+                    else cluster_centres(subset, lengths, size, seed, max_iter=30)
+                )
         return LatentFeatures(kernel, latents, Z, outputs=outputs)
 
     return best

@@ -1,7 +1,8 @@
 """The covariance of two Gaussian filters of one latent process, and its derivatives.
 
-Notation: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c is the maximum of the covariance for unit
-amplitudes. The first axis of all arrays runs over the latent processes, (m, ...).
+Notation: A = 2 R R^T, Sigma = A_i (A_i + A_j)^-1 A_j = F F^T, and c is the maximum of the
+covariance for unit amplitudes. The first axis of all arrays runs over the latent processes, (m,
+...).
 
 Exponentials of squared distances and their sums are computed in strips of rows that fit the cache.
 """
@@ -27,13 +28,16 @@ def diagonal_pair(li, lj):
 def full_pair(Ri, Rj):
     """Return c (m,) and F (m, d, d) for lower triangular roots (m, d, d).
 
-    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares. Their roots come from QR factorisations, which are stable for
-    length scales of very different size.
+    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares. Their roots come from QR factorisations,
+    which are stable for length scales of very different size.
     """
-    log_diagonals = (np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj)))
+    log_diagonals = (
+        np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj))
+    )
     log_i, log_j, log_sum = log_diagonals
     c = np.exp(0.5 * Ri.shape[-1] * np.log(2.0) + 0.5 * (log_i + log_j) - log_sum)
-    # Sigma = (A_i^-1 + A_j^-1)^-1 = U^-1 U^-T, where U^T U is the sum of the inverses, A^-1 = (R^-T R^-1) / 2.
+    # Sigma = (A_i^-1 + A_j^-1)^-1 = U^-1 U^-T, where U^T U is the sum of the inverses, A^-1 = (R^-T
+    # R^-1) / 2.
     inverses = (np.swapaxes(np.linalg.inv(R), -1, -2) / np.sqrt(2) for R in (Ri, Rj))
     return c, np.linalg.inv(_root_of_sum(*inverses))
 
@@ -51,7 +55,8 @@ def precision(R):
 def moments(sums, a, b, full):
     """Return sum G, sum G delta and sum G delta delta^T (or its diagonal) over delta = a_i - b_j.
 
-    Row sums, column sums and one matrix product are enough; the (n_i, n_j, d) array of separations is not needed.
+    Row sums, column sums and one matrix product are enough; the (n_i, n_j, d) array of separations
+    is not needed.
     """
     rows, columns, Gb, _ = sums
     first = rows @ a - columns @ b
@@ -65,7 +70,9 @@ def diagonal_slopes(mass, second, li, lj):
     """Return d/dlog l_i and d/dlog l_j of sum(W c exp(...)), from the moments of W c exp(...): (m, d) each."""
     total = li**2 + lj**2
     by_exponent = 2 * second / total**2  # derivative of the exponent -delta^2 / (li^2 + lj^2)
-    by_factor = 0.5 * mass[:, None] * (lj**2 - li**2) / total  # derivative of sqrt(2 li lj / (li^2 + lj^2))
+    by_factor = (
+        0.5 * mass[:, None] * (lj**2 - li**2) / total
+    )  # derivative of sqrt(2 li lj / (li^2 + lj^2))
     return by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor
 
 
@@ -77,11 +84,14 @@ def full_slopes(mass, second, F, R_both, R):
     inverse = np.linalg.inv(precision(R))
     T = inverse @ F @ np.swapaxes(F, -1, -2)
     G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
-    G += mass[:, None, None] * (0.25 * inverse - 0.5 * np.linalg.inv(sum(precision(r) for r in R_both)))
+    G += mass[:, None, None] * (
+        0.25 * inverse - 0.5 * np.linalg.inv(sum(precision(r) for r in R_both))
+    )
     return 4.0 * G @ R  # A = 2 R R^T
 
 
-# -- exponentials of squared distances --------------------------------------------------------------------------------
+# -- exponentials of squared distances
+# --------------------------------------------------------------------------------
 
 
 class Exponent(NamedTuple):
@@ -112,7 +122,9 @@ class Exponent(NamedTuple):
     def exponential(self, rows, out):
         """Return the exponentials of some rows, written to ``out``."""
         if self.far:
-            out[:] = self.shift - 0.5 * cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
+            out[:] = self.shift - 0.5 * cdist(
+                self.left[rows, :-2], self.right[:, :-2], "sqeuclidean"
+            )
         else:
             np.matmul(self.left[rows], self.right.T, out=out)
         return np.exp(out, out=out)
@@ -147,7 +159,11 @@ def exponential_times(exponent, B, n_rows) -> np.ndarray:
     buffer = np.empty(min(n_rows * len(B), STRIP + 8 * len(B)))
     for rows in strips(n_rows, len(B)):
         size = len(out[rows])
-        np.matmul(exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B))), B, out=out[rows])
+        np.matmul(
+            exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B))),
+            B,
+            out=out[rows],
+        )
     return out
 
 
@@ -179,22 +195,30 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[WeightedSums]:
             columns[k] += ones[rows] @ G
             if transposed:
                 lefts[k] += G.T @ a[k][rows]
-    return [WeightedSums(p[:, d], c, p[:, :d], left) for p, c, left in zip(products, columns, lefts, strict=True)]
+    return [
+        WeightedSums(p[:, d], c, p[:, :d], left)
+        for p, c, left in zip(products, columns, lefts, strict=True)
+    ]
 
 
 class ExponentialRows:
     """Covariances of the outputs of a convolved Gaussian with given values of other outputs, as columns.
 
-    ``columns`` lists for each output pairs (j, Z): another output and its inputs (k, d). Each latent shared by the two
-    has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x relative to a central point, the exponent is one
-    product: of squares, which are the same for all columns of a pair and latent, x and 1, with a matrix.
+    ``columns`` lists for each output pairs (j, Z): another output and its inputs (k, d). Each
+    latent shared by the two has separate columns gain * exp(-1/2 |F (x - mu - z)|^2). With x
+    relative to a central point, the exponent is one product: of squares, which are the same for all
+    columns of a pair and latent, x and 1, with a matrix.
     """
 
     def __init__(self, joint, columns):
         self.joint = joint
-        self.columns = columns = [(i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)]
+        self.columns = columns = [
+            (i, j, Z) for i, pairs in enumerate(columns) for j, Z in pairs if len(Z)
+        ]
         d = joint.n_features
-        self.middle = np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
+        self.middle = (
+            np.concatenate([Z for *_, Z in columns]).mean(axis=0) if columns else np.zeros(d)
+        )
         roots, slopes, constants, gains, sizes = [], [np.zeros((0, d))], [np.zeros(0)], [], []
         for i, j, Z in columns:
             _, gain, _, F, shifts = joint._pair(i, j)
@@ -206,23 +230,41 @@ class ExponentialRows:
                 constants.append(-0.5 * np.einsum("kd,kd->k", b, b))
             gains.extend(gain)
             sizes.extend([len(Z)] * len(gain))
-        constant, counts, self.n_terms = np.concatenate(constants), np.array(sizes, dtype=int), len(roots)
+        constant, counts, self.n_terms = (
+            np.concatenate(constants),
+            np.array(sizes, dtype=int),
+            len(roots),
+        )
         self.far = -constant.min(initial=0.0) > FAR
         self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
         self.roots = np.hstack([np.zeros((d, 0)), *roots])
-        squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T if self.diagonal else np.eye(len(roots))
+        squares = (
+            np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T
+            if self.diagonal
+            else np.eye(len(roots))
+        )
         with np.errstate(divide="ignore"):  # a gain of zero
             constant += np.repeat(np.log(np.abs(gains)), counts)
-        self.matrix = np.vstack([-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant])
+        self.matrix = np.vstack(
+            [-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant]
+        )
         ends = np.cumsum(counts)
-        self.negative = [slice(b - n, b) for gain, n, b in zip(gains, counts, ends, strict=True) if gain < 0]
+        self.negative = [
+            slice(b - n, b) for gain, n, b in zip(gains, counts, ends, strict=True) if gain < 0
+        ]
 
     def __call__(self, X) -> np.ndarray:
         """Return all columns at X (n, d), (n, C)."""
         if self.far:
-            return np.hstack([np.empty((len(X), 0)), *(self.joint.terms(i, j, X, Z) for i, j, Z in self.columns)])
+            return np.hstack(
+                [np.empty((len(X), 0)), *(self.joint.terms(i, j, X, Z) for i, j, Z in self.columns)]
+            )
         x = X - self.middle
-        squares = x * x if self.diagonal else ((x @ self.roots).reshape(len(x), self.n_terms, -1) ** 2).sum(axis=2)
+        squares = (
+            x * x
+            if self.diagonal
+            else ((x @ self.roots).reshape(len(x), self.n_terms, -1) ** 2).sum(axis=2)
+        )
         E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix
         np.exp(E, out=E)
         for columns in self.negative:

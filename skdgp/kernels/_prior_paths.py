@@ -18,7 +18,8 @@ TILE = 512  # values in one block of covariances
 class PathBundle(ABC):
     """S functions of the regressors with P values, evaluated together.
 
-    Inputs are (S, n, d), with different points for each function, or (1, n, d), with the same points for all.
+    Inputs are (S, n, d), with different points for each function, or (1, n, d), with the same
+    points for all.
     """
 
     @abstractmethod
@@ -59,7 +60,9 @@ def _in_chunks(function, X, doubles):
     step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
     if X.shape[1] <= step:
         return function(X)
-    return np.concatenate([function(X[:, a : a + step]) for a in range(0, X.shape[1], step)], axis=1)
+    return np.concatenate(
+        [function(X[:, a : a + step]) for a in range(0, X.shape[1], step)], axis=1
+    )
 
 
 class SumPaths(PathBundle):
@@ -86,8 +89,8 @@ class SumPaths(PathBundle):
 class MixedPaths(PathBundle):
     """Functions whose outputs are those of one of several bundles.
 
-    ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A bundle holds the
-    functions that need it, in their order, whose numbers are ``rows``.
+    ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A
+    bundle holds the functions that need it, in their order, whose numbers are ``rows``.
     """
 
     def __init__(self, bundles: list[PathBundle], member: np.ndarray):
@@ -104,7 +107,11 @@ class MixedPaths(PathBundle):
         return MixedPaths(bundles, self.member[index])
 
     def doubles(self, same_points):
-        return max(b.doubles(same_points) for b, rows in zip(self.bundles, self.rows, strict=True) if len(rows))
+        return max(
+            b.doubles(same_points)
+            for b, rows in zip(self.bundles, self.rows, strict=True)
+            if len(rows)
+        )
 
     def each(self, X):
         return self._assembled(X, (), "each")
@@ -144,7 +151,9 @@ class TrendPaths(PathBundle):
         return values
 
     def gradient(self, X):
-        slopes = self.kernel.column_slopes(_flatten_points(X))  # (d, S n, K), or the same everywhere
+        slopes = self.kernel.column_slopes(
+            _flatten_points(X)
+        )  # (d, S n, K), or the same everywhere
         slopes = np.broadcast_to(slopes, (len(slopes), X.shape[0] * X.shape[1], slopes.shape[2]))
         return np.moveaxis(_unflatten_points(slopes, X) @ self._slope, 0, -1)
 
@@ -154,7 +163,10 @@ class FeaturePaths(PathBundle):
 
     def __init__(self, features, coefficients):
         self.features, self.coefficients = features, coefficients
-        self._rows, columns = features.rows(), [features.columns(i) for i in range(features.n_outputs)]
+        self._rows, columns = (
+            features.rows(),
+            [features.columns(i) for i in range(features.n_outputs)],
+        )
         self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *map(len, columns)]))]
         self._weights = [np.ascontiguousarray(coefficients[:, c]) for c in columns]
 
@@ -169,7 +181,10 @@ class FeaturePaths(PathBundle):
 
     def each(self, X):
         A = _unflatten_points(self._rows(_flatten_points(X)), X)
-        values = [contract(A[..., columns], c) for columns, c in zip(self._own, self._weights, strict=True)]
+        values = [
+            contract(A[..., columns], c)
+            for columns, c in zip(self._own, self._weights, strict=True)
+        ]
         return np.stack(values, axis=-1)
 
     def gradient(self, X):
@@ -223,10 +238,14 @@ class ValuePaths(KernelPaths):
         self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in others] for others in coupled])
         empty = np.empty((len(coefficients[0]), 0))
         self._weights = [
-            np.hstack([empty, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in others)])
+            np.hstack(
+                [empty, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in others)]
+            )
             for i, others in enumerate(coupled)
         ]
-        self._slices = [slice(a, b) for a, b in pairwise(np.cumsum([0, *(w.shape[1] for w in self._weights)]))]
+        self._slices = [
+            slice(a, b) for a, b in pairwise(np.cumsum([0, *(w.shape[1] for w in self._weights)]))
+        ]
 
     def __reduce__(self):
         # Pickle the coefficients only: they are smaller than the weights of all latents.
@@ -237,7 +256,10 @@ class ValuePaths(KernelPaths):
 
     def each(self, X):
         A = _unflatten_points(self._rows(_flatten_points(X)), X)
-        values = [contract(A[..., columns], c) for columns, c in zip(self._slices, self._weights, strict=True)]
+        values = [
+            contract(A[..., columns], c)
+            for columns, c in zip(self._slices, self._weights, strict=True)
+        ]
         return np.stack(values, axis=-1)
 
 
@@ -256,13 +278,15 @@ def contract(A, c):
     return c @ A[..., 0, :, :].swapaxes(-2, -1) if A.shape[-3] == 1 else (A @ c[..., None])[..., 0]
 
 
-# -- samples of the prior: sums of waves with random frequencies --------------------------------------------
+# -- samples of the prior: sums of waves with random frequencies
+# --------------------------------------------
 
 
 class LatentWaves(NamedTuple):
     """The contribution of a latent to its outputs: sums of gain * cos(omega . (s - shift) + phase).
 
-    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and for these outputs ``gain`` (S, F, c), ``shift`` (c, d).
+    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and for these outputs ``gain`` (S, F,
+    c), ``shift`` (c, d).
     """
 
     omega: np.ndarray
@@ -275,10 +299,10 @@ class LatentWaves(NamedTuple):
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private latents are summed
-    separately, which avoids products with zero weights. ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``shared``
-    (S, c, P) holds the weights of the first c waves, ``own`` (S, 1, m, F) those of m private latents, and ``fed``
-    (m, P) is one for the output of each.
+    Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private
+    latents are summed separately, which avoids products with zero weights. ``omega`` is (S, d, C),
+    ``phase`` (S, 1, C), ``shared`` (S, c, P) holds the weights of the first c waves, ``own`` (S, 1,
+    m, F) those of m private latents, and ``fed`` (m, P) is one for the output of each.
     """
 
     def __init__(self, omega, phase, shared, own, fed):
@@ -296,7 +320,10 @@ class Waves(PathBundle):
             if len(place) == 0:
                 continue
             turn = latent.omega @ latent.shift[selected].T
-            phase, turn = latent.phase - turn[..., 0], turn - turn[..., :1]  # of the first output, and differences
+            phase, turn = (
+                latent.phase - turn[..., 0],
+                turn - turn[..., :1],
+            )  # of the first output, and differences
             gain = latent.gain[..., selected]
             if len(place) == 1:
                 own.append((latent.omega, phase, gain))
@@ -317,7 +344,9 @@ class Waves(PathBundle):
         )
 
     def take(self, index):
-        return Waves(self.omega[index], self.phase[index], self.shared[index], self.own[index], self.fed)
+        return Waves(
+            self.omega[index], self.phase[index], self.shared[index], self.own[index], self.fed
+        )
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
@@ -357,23 +386,36 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
               \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
               \quad g_k, g'_k \sim N(0, 1).
 
-    These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the mixture of the N_i of
-    all c outputs of the latent. Frequencies are stratified over its components, so the weights are bounded (the balance
-    heuristic of Veach & Guibas 1995). Every path has new frequencies, so moments over paths are those of the prior for
-    any number of frequencies, at least c.
+    These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the
+    mixture of the N_i of all c outputs of the latent. Frequencies are stratified over its
+    components, so the weights are bounded (the balance heuristic of Veach & Guibas 1995). Every
+    path has new frequencies, so moments over paths are those of the prior for any number of
+    frequencies, at least c.
     """
     feeds, latents = kernel._value("feeds"), []
     S, F = n_paths, max(n_frequencies, int(feeds.sum(axis=1).max()))
     for m, i in enumerate(map(np.flatnonzero, feeds)):
-        amplitude, shift, lengths = (kernel._value(name)[m, i] for name in ("amplitude", "shift", "length_scale"))
+        amplitude, shift, lengths = (
+            kernel._value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
+        )
         c, d = shift.shape
-        roots = kernel._roots()[m, i] if kernel.covariance_type == "full" else np.eye(d) / lengths[..., None]
+        roots = (
+            kernel._roots()[m, i]
+            if kernel.covariance_type == "full"
+            else np.eye(d) / lengths[..., None]
+        )
         component = np.arange(F) % c
         omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
         white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
         log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
-        log_mixture = logsumexp(log_density, axis=2, b=np.bincount(component), keepdims=True)  # log(F q)
+        log_mixture = logsumexp(
+            log_density, axis=2, b=np.bincount(component), keepdims=True
+        )  # log(F q)
         gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
-        gain *= random_state.rayleigh(size=(S, F, 1))  # the length of (g, g'); the phase is its direction
-        latents.append(LatentWaves(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), i, gain, shift))
+        gain *= random_state.rayleigh(
+            size=(S, F, 1)
+        )  # the length of (g, g'); the phase is its direction
+        latents.append(
+            LatentWaves(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), i, gain, shift)
+        )
     return latents

@@ -1,4 +1,7 @@
-"""Trends: functions that are linear in weights with a Gaussian prior. The weights are integrated out."""
+"""Trends: functions that are linear in weights with a Gaussian prior.
+
+The weights are integrated out.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +23,23 @@ BASIS_STEP = 1e-3  # step of numerical derivatives, in standard deviations of th
 SLOPE_BOUNDS = 0.05, 1e2
 """Bounds on ``slope_scale``, over the standard deviation of the output for one of the column.
 
-With few rows the likelihood takes a weight for zero that is not, and bands become narrow. Of 60 rows in 40 regressors
-that all matter, 88 % of new values are inside 95 % bands from a least scale of 0.001, 92 % from 0.05, at an error of
-0.27 and 0.15 standard deviations. Where five matter, the error of the trend is 0.07 and 0.11, and 85 % and 94 % are
-inside (0.03: 0.09 and 93 %, but 90 % where all matter).
+With few rows the likelihood takes a weight for zero that is not, and bands become narrow. Of 60
+rows in 40 regressors that all matter, 88 % of new values are inside 95 % bands from a least scale
+of 0.001, 92 % from 0.05, at an error of 0.27 and 0.15 standard deviations. Where five matter, the
+error of the trend is 0.07 and 0.11, and 85 % and 94 % are inside (0.03: 0.09 and 93 %, but 90 %
+where all matter).
 """
 
 
 def check_transformer(transformer: Any) -> None:
     """Raise a TypeError unless the object is an instance of a scikit-learn transformer."""
-    methods = all(callable(getattr(transformer, name, None)) for name in ("fit", "transform", "get_params"))
+    methods = all(
+        callable(getattr(transformer, name, None)) for name in ("fit", "transform", "get_params")
+    )
     if isinstance(transformer, type) or not methods:
         raise TypeError(
-            f"Got {transformer!r} for a trend, but expected an instance of a scikit-learn transformer, such as "
+            f"Got {transformer!r} for a trend, but expected an instance of a scikit-learn "
+            f"transformer, such as "
             "PolynomialFeatures(2) or make_pipeline(StandardScaler(), SplineTransformer())."
         )
 
@@ -40,14 +47,17 @@ def check_transformer(transformer: Any) -> None:
 class FittedBasis:
     """A fitted transformer with K columns; clones of a kernel share it, since hyperparameters do not change it.
 
-    It is a clone that is fitted to X (n, d). ``step`` (d,) is that of numerical slopes in each regressor.
+    It is a clone that is fitted to X (n, d). ``step`` (d,) is that of numerical slopes in each
+    regressor.
     """
 
     def __init__(self, transformer: Any, X: Matrix) -> None:
         check_transformer(transformer)
         self.transformer = clone(transformer).fit(X)
         self.step = BASIS_STEP * column_scale(X)
-        self.n_columns = as_columns(self.transformer.transform(X), len(X), self.transformer).shape[1]
+        self.n_columns = as_columns(self.transformer.transform(X), len(X), self.transformer).shape[
+            1
+        ]
 
     def __sklearn_clone__(self):
         return self
@@ -76,7 +86,9 @@ class FittedBasis:
         X = np.asarray(X, dtype=float)
         unit = np.diag(self.step)[:, None, :]
         points = np.stack([X + times * unit for times in (-2, -1, 1, 2)])  # (4, d, n, d)
-        phi = self.columns(points.reshape(-1, X.shape[1])).reshape(*points.shape[:3], self.n_columns)
+        phi = self.columns(points.reshape(-1, X.shape[1])).reshape(
+            *points.shape[:3], self.n_columns
+        )
         return np.tensordot([1.0, -8.0, 8.0, -1.0], phi, axes=1) / (12 * self.step[:, None, None])
 
 
@@ -85,8 +97,10 @@ def as_columns(phi, n: int, transformer: Any) -> np.ndarray:
     phi = np.asarray(phi.toarray() if hasattr(phi, "toarray") else phi, dtype=float)
     if phi.ndim != 2 or len(phi) != n or phi.shape[1] == 0 or not np.isfinite(phi).all():
         raise ValueError(
-            f"Got columns of shape {phi.shape} from {transformer!r} for {n} samples, but expected finite ones, "
-            f"({n}, K) with K > 0: choose a transformer whose columns are functions of the regressors."
+            f"Got columns of shape {phi.shape} from {transformer!r} for {n} samples, but expected "
+            f"finite ones, "
+            f"({n}, K) with K > 0: choose a transformer whose columns are functions of the "
+            f"regressors."
         )
     return phi
 
@@ -94,8 +108,8 @@ def as_columns(phi, n: int, transformer: Any) -> np.ndarray:
 class Trend(MultiOutputKernel):
     """Base class of trends, with the covariance tau_i0^2 + sum_k tau_ik^2 (phi_k(s) - c_k)(phi_k(s') - c_k).
 
-    A subclass defines phi by ``columns`` and ``column_slopes``. The parameters of all trends are ``intercept_scale``
-    (P,), ``slope_scale`` (P, K), ``center`` (K,) and bounds of the first two.
+    A subclass defines phi by ``columns`` and ``column_slopes``. The parameters of all trends are
+    ``intercept_scale`` (P,), ``slope_scale`` (P, K), ``center`` (K,) and bounds of the first two.
     """
 
     def __init__(
@@ -141,7 +155,8 @@ class Trend(MultiOutputKernel):
     def _arrays(self):
         if not self.has_values():
             raise ValueError(
-                f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, or let "
+                f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, "
+                f"or let "
                 "DependentGPRegressor.fit estimate them from the data."
             )
         slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
@@ -164,7 +179,8 @@ class Trend(MultiOutputKernel):
         ready = self.prepared(X)
         phi = ready.columns(X)
         P, K = Y.shape[1], phi.shape[1]
-        # With many columns each weight starts smaller, so that the total variance is that of a linear trend.
+        # With many columns each weight starts smaller, so that the total variance is that of a
+        # linear trend.
         unit = min(1.0, np.sqrt(X.shape[1] / K)) * column_scale(Y)[:, None] / column_scale(phi)
         intercept, slope = column_scale(Y), unit
         if singles:
@@ -192,7 +208,9 @@ class Trend(MultiOutputKernel):
 
     def basis_slopes(self, i: int, X: Matrix) -> Array:
         """Return dbasis / dX, (d, n, K + 1), or (d, 1, K + 1) if it is constant."""
-        return np.pad(self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)])
+        return np.pad(
+            self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)]
+        )
 
     def basis_gradient(self, i: int, X: Matrix, W: Matrix) -> Vector:
         """Return sum(W * dbasis / dtheta), (n_theta,)."""
@@ -211,7 +229,9 @@ class Trend(MultiOutputKernel):
         return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]
 
     def paths(self, X: Matrix, coefficients: Any) -> Any:
-        weights = [c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))]
+        weights = [
+            c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))
+        ]
         return TrendPaths(self, np.stack(weights, axis=1))
 
     def column_regressors(self) -> list[tuple[int, ...]]:
@@ -224,13 +244,17 @@ class Trend(MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         kept = np.array([columns == regressors for columns in self.column_regressors()])
         intercept, slope = self._value("intercept_scale"), self._value("slope_scale")
-        return clone(self).set_params(intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept)
+        return clone(self).set_params(
+            intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept
+        )
 
     def _by_weight(self, i, slopes):
         """Return d/dtheta from derivatives (K + 1,) by the logarithms of the scales of output i."""
         entries = np.zeros((self.n_outputs, self.n_weights))
         entries[i] = slopes
-        return self.theta_gradient({"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]})
+        return self.theta_gradient(
+            {"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]}
+        )
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         phi = self.columns(X)
@@ -270,15 +294,26 @@ class Trend(MultiOutputKernel):
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)
-        return self._by_weight(i, 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj)))
+        return self._by_weight(
+            i, 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj))
+        )
 
     def free_parameters(self) -> list[FreeParameter]:
         return self._cached("free", self._free_parameters)
 
     def _free_parameters(self):
-        bounds = {"intercept_scale": self.intercept_scale_bounds, "slope_scale": self.slope_scale_bounds}
-        index = {name: np.arange(self._value(name).size).reshape(self._value(name).shape) for name in bounds}
-        return [FreeParameter(name, index[name], True, or_default(bounds[name], (1e-5, 1e5))) for name in bounds]
+        bounds = {
+            "intercept_scale": self.intercept_scale_bounds,
+            "slope_scale": self.slope_scale_bounds,
+        }
+        index = {
+            name: np.arange(self._value(name).size).reshape(self._value(name).shape)
+            for name in bounds
+        }
+        return [
+            FreeParameter(name, index[name], True, or_default(bounds[name], (1e-5, 1e5)))
+            for name in bounds
+        ]
 
 
 class LinearTrend(Trend):
@@ -287,16 +322,17 @@ class LinearTrend(Trend):
     .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
               + \sum_k \tau_{ik}^2 (s_k - c_k)(s'_k - c_k) \right)
 
-    which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights. The weights are
-    integrated out, so mean, variance and likelihood include the uncertainty of the trend.
+    which is equation 2.41 of Rasmussen & Williams (2006) with a diagonal prior on the weights. The
+    weights are integrated out, so mean, variance and likelihood include the uncertainty of the
+    trend.
 
     Parameters
     ----------
     intercept_scale : array (P,) or None
         Prior standard deviation of the intercept, in the unit of the output. None: from the data.
     slope_scale : array (P, d) or None
-        Prior standard deviation of the slopes, unit of the output per unit of the regressor. None: from the
-        data.
+        Prior standard deviation of the slopes, unit of the output per unit of the regressor. None:
+        from the data.
     center : array (d,) or None
         Point of the intercept. None: the mean of the data, or the origin without data.
     intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
@@ -335,17 +371,19 @@ class BasisTrend(Trend):
               + \sum_k \tau_{ik}^2 (\varphi_k(s) - c_k)(\varphi_k(s') - c_k) \right)
 
     The trend of output i is :math:`w_{i0} + \sum_k w_{ik} (\varphi_k(s) - c_k)` with weights
-    :math:`w_{ik} \sim N(0, \tau_{ik}^2)`, which are integrated out (Rasmussen & Williams 2006, equations 2.37 to 2.42).
-    ``LinearTrend`` is the case :math:`\varphi(s) = s`. Slopes are central differences of fourth order.
+    :math:`w_{ik} \sim N(0, \tau_{ik}^2)`, which are integrated out (Rasmussen & Williams 2006,
+    equations 2.37 to 2.42). ``LinearTrend`` is the case :math:`\varphi(s) = s`. Slopes are central
+    differences of fourth order.
 
     Parameters
     ----------
     transformer : scikit-learn transformer
-        phi: ``PolynomialFeatures(2)``, ``SplineTransformer()`` or a pipeline. ``initialize`` fits a clone of it to X,
-        an array without column names. A constant column has no effect, since the intercept is a separate term.
+        phi: ``PolynomialFeatures(2)``, ``SplineTransformer()`` or a pipeline. ``initialize`` fits a
+        clone of it to X, an array without column names. A constant column has no effect, since the
+        intercept is a separate term.
     intercept_scale, slope_scale, center, intercept_scale_bounds, slope_scale_bounds
-        As of :class:`LinearTrend`, of the K columns in place of the regressors; the total variance from the data is
-        that of a linear trend.
+        As of :class:`LinearTrend`, of the K columns in place of the regressors; the total variance
+        from the data is that of a linear trend.
 
     Raises
     ------
@@ -376,7 +414,10 @@ class BasisTrend(Trend):
         intercept_scale_bounds: Any = None,
         slope_scale_bounds: Any = None,
     ) -> None:
-        bounds = {"intercept_scale_bounds": intercept_scale_bounds, "slope_scale_bounds": slope_scale_bounds}
+        bounds = {
+            "intercept_scale_bounds": intercept_scale_bounds,
+            "slope_scale_bounds": slope_scale_bounds,
+        }
         super().__init__(intercept_scale, slope_scale, center, **bounds)
         self.transformer = transformer
 
@@ -390,7 +431,8 @@ class BasisTrend(Trend):
             return self.transformer
         check_transformer(self.transformer)
         raise ValueError(
-            f"The transformer of {self!r} is not fitted yet: call initialize(X, Y, random_state), or let "
+            f"The transformer of {self!r} is not fitted yet: call initialize(X, Y, random_state), "
+            f"or let "
             "DependentGPRegressor.fit do it."
         )
 

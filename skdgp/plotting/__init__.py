@@ -1,9 +1,10 @@
 """Pictures in scikit-learn's manner: a Display holds the data, draws them, and keeps its artists.
 
-Make a display with one of its methods ``from_...``, which raise ValueError if shapes, names, columns or values are
-wrong. Draw it again with ``plot``. The parameters of the constructor, the panels ``axes_`` (or ``ax_``) and ``figure_``
-are attributes, and the artists: lists with one per panel, None where there is nothing to draw. Colours are safe for
-colour-blind readers. Needs matplotlib: ``pip install "skdgp[plot]"``.
+Make a display with one of its methods ``from_...``, which raise ValueError if shapes, names,
+columns or values are wrong. Draw it again with ``plot``. The parameters of the constructor, the
+panels ``axes_`` (or ``ax_``) and ``figure_`` are attributes, and the artists: lists with one per
+panel, None where there is nothing to draw. Colours are safe for colour-blind readers. Needs
+matplotlib: ``pip install "skdgp[plot]"``.
 
 Options that the displays share:
 

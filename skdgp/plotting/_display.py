@@ -23,7 +23,17 @@ class Display:
     figure_: Any
 
     def _draw_panels(
-        self, ax, draw, keys, n_cols, figsize, *, xlabel=None, by_column=False, legend=False, **subplots
+        self,
+        ax,
+        draw,
+        keys,
+        n_cols,
+        figsize,
+        *,
+        xlabel=None,
+        by_column=False,
+        legend=False,
+        **subplots,
     ) -> list[list]:
         """Draw a tidy panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
 
@@ -46,11 +56,13 @@ class Display:
         return [list(kind) for kind in zip(*artists, strict=True)]
 
 
-def panels(ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], **subplots: Any) -> np.ndarray:
+def panels(
+    ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], **subplots: Any
+) -> np.ndarray:
     """Return an ``(n_rows, n_cols)`` array of axes.
 
-    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), an array of as many axes as panels,
-    or one Axes, which is divided when there are several panels.
+    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), an array of as many axes
+    as panels, or one Axes, which is divided when there are several panels.
     """
     check_matplotlib("skdgp.plotting")
     from matplotlib.axes import Axes
@@ -59,21 +71,25 @@ def panels(ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], *
     if ax is None:
         import matplotlib.pyplot as plt
 
-        return plt.subplots(*shape, figsize=figsize, layout="constrained", squeeze=False, **subplots)[1]
+        return plt.subplots(
+            *shape, figsize=figsize, layout="constrained", squeeze=False, **subplots
+        )[1]
     if hasattr(ax, "subplots"):
         return ax.subplots(*shape, squeeze=False, **subplots)
     if isinstance(ax, Axes) and shape != (1, 1):
         ax.set_axis_off()
         if (spec := ax.get_subplotspec()) is None:
             raise ValueError(
-                f"Got one free-standing Axes for {n_rows} x {n_cols} panels, but expected one made by subplots, "
+                f"Got one free-standing Axes for {n_rows} x {n_cols} panels, but expected one "
+                f"made by subplots, "
                 "which can be divided: give a Figure instead."
             )
         return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
     given = np.asarray(ax, dtype=object)
     if given.size != n_rows * n_cols or not all(isinstance(one, Axes) for one in given.flat):
         raise ValueError(
-            f"Got {given.size} axes, but expected {n_rows * n_cols} (or one Axes, a Figure, or None): "
+            f"Got {given.size} axes, but expected {n_rows * n_cols} (or one Axes, a Figure, or "
+            f"None): "
             f"use fig, axes = plt.subplots({n_rows}, {n_cols})."
         )
     return given.reshape(shape)
@@ -84,10 +100,13 @@ def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = Non
     values = np.asarray(values, dtype=float)
     values = values[:, np.newaxis] if values.ndim == 1 else values
     if values.ndim != 2:
-        raise ValueError(f"Got {what} of shape {values.shape}, but expected (n_samples, n_outputs).")
+        raise ValueError(
+            f"Got {what} of shape {values.shape}, but expected (n_samples, n_outputs)."
+        )
     if shape is not None and values.shape != shape:
         raise ValueError(
-            f"Got {what} of shape {values.shape}, but expected {shape}, like the values it is compared with."
+            f"Got {what} of shape {values.shape}, but expected {shape}, like the values it is "
+            f"compared with."
         )
     return values
 
@@ -98,18 +117,24 @@ def check_std(std: Any, shape: tuple[int, ...]) -> Any:
         return None
     std = as_columns(std, "std", shape)
     if np.any(std < 0):
-        raise ValueError(f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0.")
+        raise ValueError(
+            f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
+        )
     return std
 
 
-def names_of(values: object, n_outputs: int, given: Any = None, default: Sequence[str] = ()) -> tuple[str, ...]:
+def names_of(
+    values: object, n_outputs: int, given: Any = None, default: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return the outputs' names: given, else the DataFrame's columns, else ``default``, else y0, y1, ..."""
     if given is None:
         columns = getattr(values, "columns", None)
         given = default if columns is None and len(default) == n_outputs else columns
     names = [f"y{i}" for i in range(n_outputs)] if given is None else [str(name) for name in given]
     if len(names) != n_outputs or len(set(names)) != n_outputs:
-        raise ValueError(f"Got the names {names} for {n_outputs} outputs: give each output one name of its own.")
+        raise ValueError(
+            f"Got the names {names} for {n_outputs} outputs: give each output one name of its own."
+        )
     return tuple(names)
 
 
@@ -131,7 +156,9 @@ def predicted(estimator: Any, X: Any, Y: Any, include_noise: bool) -> tuple[Any,
     """Return mean and std of a fitted estimator, and its names of outputs where Y has none."""
     check_matplotlib("skdgp.plotting")
     names = None if hasattr(Y, "columns") else getattr(estimator, "output_names_", None)
-    moments = predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)
+    moments = (
+        predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)
+    )
     return *moments, names
 
 
@@ -146,7 +173,9 @@ def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
     return np.flatnonzero(np.concatenate([[True], cut]))
 
 
-def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> tuple[Indices, Indices, Indices]:
+def _slices(
+    time: Vector, finite: Mask, starts: Indices | None, n_bins: int
+) -> tuple[Indices, Indices, Indices]:
     """Return indices of finite samples; which of these begin a time slice; and of each the number of its line."""
     starts = segment_starts(time) if starts is None else starts
     sample = np.flatnonzero(finite)
@@ -164,7 +193,9 @@ def _slices(time: Vector, finite: Mask, starts: Indices | None, n_bins: int) -> 
     return sample, first, np.cumsum(new_line)
 
 
-def line_points(time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None) -> tuple[Vector, Vector]:
+def line_points(
+    time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None
+) -> tuple[Vector, Vector]:
     """Return the lowest and the highest sample of each of ``n_bins`` time slices, with NaN where the line breaks.
 
     It breaks at ``starts``, by default after gaps in time, and at values that are not finite.
@@ -203,7 +234,9 @@ def band_points(
         return np.empty(0), np.empty(0), np.empty(0)
     low, high = np.minimum.reduceat(lower[sample], first), np.maximum.reduceat(upper[sample], first)
     last = np.append(first[1:], len(sample)) - 1
-    ends = first[:, None] if np.array_equal(first, last) else np.column_stack([first, last])  # of each slice
+    ends = (
+        first[:, None] if np.array_equal(first, last) else np.column_stack([first, last])
+    )  # of each slice
     n = ends.shape[1]
     gaps = n * (np.flatnonzero(np.diff(line[first])) + 1)
     edges = time[sample][ends.ravel()], np.repeat(low, n), np.repeat(high, n)

@@ -13,11 +13,25 @@ from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import PALETTE, axis_label, check_matplotlib, display_unit, legend_of_figure, units_shown
+from skdgp._display.style import (
+    PALETTE,
+    axis_label,
+    check_matplotlib,
+    display_unit,
+    legend_of_figure,
+    units_shown,
+)
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display, Names, choose
 
-PAIRS = (("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q"), ("beta", "r"), ("beta", "rudder"), ("p", "aileron"))
+PAIRS = (
+    ("alpha", "beta"),
+    ("alpha", "elevator"),
+    ("alpha", "q"),
+    ("beta", "r"),
+    ("beta", "rudder"),
+    ("p", "aileron"),
+)
 """Default panels; a rate may be the non-dimensional one."""
 LEVELS = (0.25, 0.5, 0.75)
 """Relative standard deviations of the contour lines; the panel is hatched above the middle one."""
@@ -25,23 +39,26 @@ SHARES = (0.95, 0.5)  # shares of the samples inside the light and the dark area
 MARGIN = 0.2  # margin of the panels around the flown range, relative to it
 MAX_ROWS = 500  # samples for the variance of the function as flown
 N_BINS = 48
-N_CELLS = 64  # cells along an axis, each with one dot of another flight, so that isolated samples remain
+N_CELLS = (
+    64  # cells along an axis, each with one dot of another flight, so that isolated samples remain
+)
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class EnvelopeDisplay(Display):
     r"""Pairs of regressors: the training samples, the uncertainty of the model there, and another flight.
 
-    Grey areas hold 95 % and 50 % of the training samples. Lines and hatches show the relative uncertainty, the
-    posterior standard deviation over that of the function as it was flown,
+    Grey areas hold 95 % and 50 % of the training samples. Lines and hatches show the relative
+    uncertainty, the posterior standard deviation over that of the function as it was flown,
 
     .. math::
         \rho(s) = \sqrt{\frac{1}{P} \sum_i \frac{\operatorname{var} f_i(s)}{V_i}}, \quad
-        V_i = \operatorname{var}_n[\operatorname{E} f_i(s_n)] + \operatorname{E}_n[\operatorname{var} f_i(s_n)]
+        V_i = \operatorname{var}_n[\operatorname{E} f_i(s_n)] +
+        \operatorname{E}_n[\operatorname{var} f_i(s_n)]
 
-    over the training samples s_n (the law of total variance) and the P outputs drawn. At 0 the function is known; at 1
-    the expected normalised RMSE is 1, as of predicting the mean. Regressors that a panel does not show have their
-    medians.
+    over the training samples s_n (the law of total variance) and the P outputs drawn. At 0 the
+    function is known; at 1 the expected normalised RMSE is 1, as of predicting the mean. Regressors
+    that a panel does not show have their medians.
 
     The artists are ``density_``, ``contours_``, ``hatches_``, ``paths_`` and ``legend_``.
 
@@ -83,7 +100,9 @@ class EnvelopeDisplay(Display):
         chosen = choose(self.output_names, outputs)
         return np.sqrt((self.variance[..., chosen] / self.flown_variance[chosen]).mean(axis=-1))
 
-    def plot(self, ax: Any = None, *, outputs: Names = None, legend: bool = True, pairs: Any = None) -> Self:
+    def plot(
+        self, ax: Any = None, *, outputs: Names = None, legend: bool = True, pairs: Any = None
+    ) -> Self:
         """Draw a panel for each of ``pairs``, default all; other options are those of :mod:`skdgp.plotting`."""
         wanted = self.pairs if pairs is None else [tuple(pair) for pair in pairs]
         unknown = [pair for pair in wanted if pair not in self.pairs]
@@ -92,7 +111,11 @@ class EnvelopeDisplay(Display):
         chosen = [self.pairs.index(pair) for pair in wanted]
         relative = self.relative_std(outputs)
         artists = self._draw_panels(
-            ax, lambda a, k: self._draw_panel(a, k, relative[k]), chosen, min(len(chosen), 3), (3.3, 2.9)
+            ax,
+            lambda a, k: self._draw_panel(a, k, relative[k]),
+            chosen,
+            min(len(chosen), 3),
+            (3.3, 2.9),
         )
         self.density_, self.contours_, self.hatches_, self.paths_ = artists
         self.legend_ = _legend(self.axes_.flat[0], self.path is not None) if legend else None
@@ -108,47 +131,78 @@ class EnvelopeDisplay(Display):
         x, y = (np.linspace(axis[0], axis[-1], N_BINS) for axis in (x, y))
         relative = spline(y, x)
         top = max(relative.max(), 1.0)
-        hatches = ax.contourf(x, y, relative, levels=[LEVELS[1], top + 1], colors="none", hatches=["////"])
+        hatches = ax.contourf(
+            x, y, relative, levels=[LEVELS[1], top + 1], colors="none", hatches=["////"]
+        )
         hatches.set(edgecolor=PALETTE["grey"], linewidth=0.0)
-        lines = ax.contour(x, y, relative, levels=LEVELS, colors=PALETTE["blue"], linewidths=(0.7, 1.3, 0.7))
+        lines = ax.contour(
+            x, y, relative, levels=LEVELS, colors=PALETTE["blue"], linewidths=(0.7, 1.3, 0.7)
+        )
         ax.clabel(lines, fmt="%.2g", fontsize="small", inline_spacing=2)
         path = None
         if self.path is not None:
-            dots, low, high = factors * self.path[list(names)].to_numpy(), (x[0], y[0]), (x[-1], y[-1])
+            dots, low, high = (
+                factors * self.path[list(names)].to_numpy(),
+                (x[0], y[0]),
+                (x[-1], y[-1]),
+            )
             cells = np.floor(N_CELLS * (dots - low) / np.subtract(high, low))
             one_per_cell = np.sort(np.unique(cells, axis=0, return_index=True)[1])
             (path,) = ax.plot(
-                *dots[one_per_cell].T, ".", color=PALETTE["vermillion"], markersize=1.8, markeredgewidth=0
+                *dots[one_per_cell].T,
+                ".",
+                color=PALETTE["vermillion"],
+                markersize=1.8,
+                markeredgewidth=0,
             )
-        ax.set(xlabel=axis_label(names[0]), ylabel=axis_label(names[1]), xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+        ax.set(
+            xlabel=axis_label(names[0]),
+            ylabel=axis_label(names[1]),
+            xlim=(x[0], x[-1]),
+            ylim=(y[0], y[-1]),
+        )
         return density, lines, hatches, path
 
     @classmethod
     def from_estimator(
-        cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16, **plot_options: Any
+        cls,
+        estimator: Any,
+        X: Any,
+        *,
+        flight: Any = None,
+        pairs: Any = None,
+        n_grid: int = 16,
+        **plot_options: Any,
     ) -> Self:
         """Compute the uncertainty of an estimator around its data, and draw; see :meth:`compute` and :meth:`plot`."""
         check_matplotlib(cls.__name__)
         with units_shown(getattr(estimator, "control_units_", {})):
-            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(**plot_options)
+            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(
+                **plot_options
+            )
 
     @classmethod
-    def compute(cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16) -> Self:
+    def compute(
+        cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16
+    ) -> Self:
         """Compute the uncertainty of a fitted estimator around its training data X, without drawing it.
 
-        The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of regressors; it ends in
-        a ``DependentGPRegressor``, or in another whose ``predict`` takes ``return_std``. X and ``flight``, another one
-        to draw, are tables like its training data. The regressors of the panels, ``pairs``, are by default alpha with
-        beta, elevator and q, beta with r and rudder, p with aileron, where present, or else neighbouring columns. Grids
+        The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of
+        regressors; it ends in a ``DependentGPRegressor``, or in another whose ``predict`` takes
+        ``return_std``. X and ``flight``, another one to draw, are tables like its training data.
+        The regressors of the panels, ``pairs``, are by default alpha with beta, elevator and q,
+        beta with r and rudder, p with aileron, where present, or else neighbouring columns. Grids
         have ``n_grid`` points along each axis.
         """
         selection, scaling, last = _split_steps(estimator)
         flown, path = (
-            table if table is None or selection is None else selection.transform(table) for table in (X, flight)
+            table if table is None or selection is None else selection.transform(table)
+            for table in (X, flight)
         )
         if not all(hasattr(table, "columns") for table in (flown, path) if table is not None):
             raise ValueError(
-                "Got regressors without names, but expected a DataFrame: put RegressorSelector([...]) into the "
+                "Got regressors without names, but expected a DataFrame: put "
+                "RegressorSelector([...]) into the "
                 "pipeline, or give X as a DataFrame of regressors."
             )
         pairs = _check_pairs(pairs, list(flown.columns))
@@ -162,7 +216,9 @@ class EnvelopeDisplay(Display):
             points=points,
             variance=variance.reshape(len(pairs), n_grid, n_grid, -1),
             flown_variance=means.var(axis=0) + variances.mean(axis=0),
-            output_names=tuple(getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])),
+            output_names=tuple(
+                getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])
+            ),
             path=path,
         )
 
@@ -171,9 +227,19 @@ def _split_steps(estimator: Any) -> tuple[Any, Any, Any]:
     """Return the steps up to the selection of regressors, those before the last step, and the last step."""
     if not hasattr(estimator, "steps"):
         return None, None, estimator
-    place = max((k for k, (_, step) in enumerate(estimator.steps) if hasattr(step, "regressors_")), default=-1) + 1
+    place = (
+        max(
+            (k for k, (_, step) in enumerate(estimator.steps) if hasattr(step, "regressors_")),
+            default=-1,
+        )
+        + 1
+    )
     last = len(estimator.steps) - 1
-    return estimator[:place] if place else None, estimator[place:-1] if place < last else None, estimator[-1]
+    return (
+        estimator[:place] if place else None,
+        estimator[place:-1] if place < last else None,
+        estimator[-1],
+    )
 
 
 def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
@@ -183,7 +249,9 @@ def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
         pairs = known or list(pairwise(names))
     pairs = [tuple(pair) for pair in pairs]
     if not pairs or any(len(set(pair)) != 2 for pair in pairs):
-        raise ValueError(f"Got pairs={pairs}, but expected pairs of two different regressors out of {names}.")
+        raise ValueError(
+            f"Got pairs={pairs}, but expected pairs of two different regressors out of {names}."
+        )
     check_names(sorted({name for pair in pairs for name in pair}), names, "regressors of the model")
     return pairs
 
@@ -196,32 +264,52 @@ def _grid(flown: pd.DataFrame, path: pd.DataFrame | None, name: str, n_grid: int
     return np.linspace(low - room, high + room, n_grid)
 
 
-def _slice(flown: pd.DataFrame, pair: tuple[str, str], points: tuple[Vector, Vector]) -> pd.DataFrame:
+def _slice(
+    flown: pd.DataFrame, pair: tuple[str, str], points: tuple[Vector, Vector]
+) -> pd.DataFrame:
     """Return the grid of one panel as rows of regressors, with the medians of the others."""
     grid = np.meshgrid(*points)
     columns = {name: np.full(grid[0].size, values.median()) for name, values in flown.items()}
-    return pd.DataFrame(columns | {name: values.ravel() for name, values in zip(pair, grid, strict=True)})
+    return pd.DataFrame(
+        columns | {name: values.ravel() for name, values in zip(pair, grid, strict=True)}
+    )
 
 
 def _moments(last: Any, scaling: Any, rows: pd.DataFrame) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the outputs at rows of regressors, (n, P) each."""
     exact = {"include_input_noise": False} if accepts(last, "include_input_noise") else {}
-    mean, std = last.predict(rows if scaling is None else scaling.transform(rows), return_std=True, **exact)
+    mean, std = last.predict(
+        rows if scaling is None else scaling.transform(rows), return_std=True, **exact
+    )
     return mean.reshape(len(rows), -1), std.reshape(len(rows), -1) ** 2
 
 
 def _draw_density(ax, flown, points):
     """Fill the smallest areas that hold the shares of the samples (highest density regions, Hyndman 1996)."""
     edges = [np.linspace(axis[0], axis[-1], N_BINS + 1) for axis in points]
-    counts = gaussian_filter(np.histogram2d(flown[:, 0], flown[:, 1], bins=edges)[0], 1.0, mode="constant")
+    counts = gaussian_filter(
+        np.histogram2d(flown[:, 0], flown[:, 1], bins=edges)[0], 1.0, mode="constant"
+    )
     centres = [0.5 * (edge[1:] + edge[:-1]) for edge in edges]
     order = np.sort(counts, axis=None)[::-1]
     held = np.cumsum(order) / order.sum()
-    levels = order[np.searchsorted(held, SHARES)] * (1 - 1e-9 * np.array([2, 1]))  # rising, where both are one cell's
-    filled = ax.contourf(*centres, counts.T, levels=[*levels, np.inf], colors=[PALETTE["grey"]], extend="neither")
+    levels = order[np.searchsorted(held, SHARES)] * (
+        1 - 1e-9 * np.array([2, 1])
+    )  # rising, where both are one cell's
+    filled = ax.contourf(
+        *centres, counts.T, levels=[*levels, np.inf], colors=[PALETTE["grey"]], extend="neither"
+    )
     filled.set(alpha=[0.3, 0.65])
     # Above the dots of another flight.
-    ax.contour(*centres, counts.T, levels=levels[:1], colors="#333333", linewidths=0.9, linestyles="--", zorder=2.5)
+    ax.contour(
+        *centres,
+        counts.T,
+        levels=levels[:1],
+        colors="#333333",
+        linewidths=0.9,
+        linestyles="--",
+        zorder=2.5,
+    )
     return filled
 
 
@@ -233,8 +321,23 @@ def _legend(ax, with_path: bool):
         Patch(color=PALETTE["grey"], alpha=0.65, label="half the samples"),
         Patch(facecolor="#8A8A8A4D", edgecolor="#333333", linestyle="--", label="95 % of them"),
         Line2D([], [], color=PALETTE["blue"], linewidth=1.3, label="relative uncertainty"),
-        Patch(facecolor="none", edgecolor=PALETTE["grey"], hatch="////", linewidth=0, label="hardly known"),
+        Patch(
+            facecolor="none",
+            edgecolor=PALETTE["grey"],
+            hatch="////",
+            linewidth=0,
+            label="hardly known",
+        ),
     ]
     if with_path:
-        handles.append(Line2D([], [], label="other flight", color=PALETTE["vermillion"], marker=".", linestyle="none"))
+        handles.append(
+            Line2D(
+                [],
+                [],
+                label="other flight",
+                color=PALETTE["vermillion"],
+                marker=".",
+                linestyle="none",
+            )
+        )
     return legend_of_figure(ax, handles)

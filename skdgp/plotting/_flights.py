@@ -36,8 +36,8 @@ DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
 class FlightDisplay(Display):
     """Inputs against time (the paper's figure 4) or the path over the ground (its figure 5).
 
-    Panels are inputs by rows and flights by columns. The artists are ``lines_``, flight by flight, and of paths
-    ``starts_``, the first points, and ``colorbar_``, the scale of altitude or time.
+    Panels are inputs by rows and flights by columns. The artists are ``lines_``, flight by flight,
+    and of paths ``starts_``, the first points, and ``colorbar_``, the scale of altitude or time.
 
     Parameters
     ----------
@@ -62,16 +62,24 @@ class FlightDisplay(Display):
     def plot(self, ax: Any = None, *, kind: str = "inputs", **options: Any) -> Self:
         """Draw the inputs or the path (``kind="path"``); options as in :meth:`plot_inputs` or :meth:`plot_path`."""
         check_choice("kind", kind, ("inputs", "path"))
-        return self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
+        return (
+            self.plot_inputs(ax, **options) if kind == "inputs" else self.plot_path(ax, **options)
+        )
 
     def plot_inputs(self, ax: Any = None, *, n_bins: int = 2000, channels: Names = None) -> Self:
         """Draw the inputs against time, one row per input and one column per flight; see :mod:`skdgp.plotting`.
 
-        ``channels`` are by default throttle, elevator, aileron and rudder, those that some flight has, or the elevons
-        where no flight has an elevator.
+        ``channels`` are by default throttle, elevator, aileron and rudder, those that some flight
+        has, or the elevons where no flight has an elevator.
         """
         names = list(self.flights)
-        channels = self.inputs if channels is None else [channels] if isinstance(channels, str) else list(channels)
+        channels = (
+            self.inputs
+            if channels is None
+            else [channels]
+            if isinstance(channels, str)
+            else list(channels)
+        )
 
         def draw(ax, key):
             name, channel = key
@@ -81,49 +89,79 @@ class FlightDisplay(Display):
                 ax.set_title(plain(name), fontsize="medium", loc="left")
             table = self.flights[name]
             if channel not in table.columns:
-                ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", fontsize="small")
+                ax.text(
+                    0.5,
+                    0.5,
+                    "not recorded",
+                    transform=ax.transAxes,
+                    ha="center",
+                    va="center",
+                    fontsize="small",
+                )
                 return (None,)
             values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
             points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
             color = CYCLE[names.index(name) % len(CYCLE)]
             return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))
 
-        keys, size = [(name, channel) for name in names for channel in channels], (4 + 2 / len(names), 1.3)
+        keys, size = (
+            [(name, channel) for name in names for channel in channels],
+            (4 + 2 / len(names), 1.3),
+        )
         options = {"xlabel": "time [s]", "by_column": True, "sharex": "col", "sharey": "row"}
         (self.lines_,) = self._draw_panels(ax, draw, keys, len(names), size, **options)
         self.colorbar_ = None
         return self
 
-    def plot_path(self, ax: Any = None, *, legend: bool = True, color_by: str | None = None) -> Self:
+    def plot_path(
+        self, ax: Any = None, *, legend: bool = True, color_by: str | None = None
+    ) -> Self:
         """Draw the path over the ground, north up, both axes to one scale; see :mod:`skdgp.plotting`.
 
-        Positions are the columns ``north`` and ``east``, else integrals of ``v_north`` and ``v_east``. The colour is
-        that of "flight", "altitude" or "time"; by default of the flight when there are several, else of the altitude or
-        the time.
+        Positions are the columns ``north`` and ``east``, else integrals of ``v_north`` and
+        ``v_east``. The colour is that of "flight", "altitude" or "time"; by default of the flight
+        when there are several, else of the altitude or the time.
         """
         altitude = all("altitude" in table for table in self.flights.values())
         if color_by is None:
             color_by = "flight" if len(self.flights) > 1 else "altitude" if altitude else "time"
         check_choice("color_by", color_by, ("flight", "altitude", "time"))
         if color_by == "altitude" and not altitude:
-            raise ValueError("Got color_by='altitude' for a flight without that column: use 'flight' or 'time'.")
+            raise ValueError(
+                "Got color_by='altitude' for a flight without that column: use 'flight' or 'time'."
+            )
         paths = {name: ground_path(table, name) for name, table in self.flights.items()}
         self.axes_ = panels(ax, 1, 1, figsize=(6.0, 5.4))
         ax, self.colorbar_ = self.axes_[0, 0], None
         self.figure_ = ax.figure
         if color_by == "flight":
             self.lines_ = [
-                ax.plot(path["east"], path["north"], color=CYCLE[k % len(CYCLE)], linewidth=1.2, label=plain(name))[0]
+                ax.plot(
+                    path["east"],
+                    path["north"],
+                    color=CYCLE[k % len(CYCLE)],
+                    linewidth=1.2,
+                    label=plain(name),
+                )[0]
                 for k, (name, path) in enumerate(paths.items())
             ]
         else:
             self.lines_ = _draw_coloured(ax, paths, color_by)
         self.starts_ = []
         for k, (name, path) in enumerate(paths.items()):
-            style = {"marker": start_marker(k), "markeredgecolor": "white", "linestyle": "none", "zorder": 3}
-            style["markersize"] = max(5, 12 - 5 * k)  # so that two markers at one point are both visible
+            style = {
+                "marker": start_marker(k),
+                "markeredgecolor": "white",
+                "linestyle": "none",
+                "zorder": 3,
+            }
+            style["markersize"] = max(
+                5, 12 - 5 * k
+            )  # so that two markers at one point are both visible
             first, label = path.iloc[:1], plain(f"{name}: start")
-            self.starts_ += ax.plot(first["east"], first["north"], color=CYCLE[k % len(CYCLE)], label=label, **style)
+            self.starts_ += ax.plot(
+                first["east"], first["north"], color=CYCLE[k % len(CYCLE)], label=label, **style
+            )
         tidy(ax)
         ax.margins(0.05)
         ax.set_aspect("equal", adjustable="datalim")
@@ -141,11 +179,16 @@ class FlightDisplay(Display):
         wanted = INPUTS if "elevator" in columns else ("throttle", *ELEVONS, "rudder")
         found = [name for name in wanted if name in columns]
         if not found:
-            raise ValueError(f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as channels=...")
+            raise ValueError(
+                f"Got flights without any of {[*INPUTS, *ELEVONS]}: name the columns as "
+                f"channels=..."
+            )
         return found
 
     @classmethod
-    def from_flights(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any) -> Self:
+    def from_flights(
+        cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], **plot_options: Any
+    ) -> Self:
         """Draw one flight table, divided by its column ``flight``, or several by name; options of :meth:`plot`."""
         return cls(flights=named_flights(flights)).plot(**plot_options)
 
@@ -157,11 +200,22 @@ def _draw_coloured(ax, paths, color_by):
     low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
     lines = []
     for name, path in paths.items():
-        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on white ones.
+        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on
+        # white ones.
         ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
         points, along = path[["east", "north"]].to_numpy(), path[color_by].to_numpy()
-        pieces, shades = list(np.stack([points[:-1], points[1:]], axis=1)), 0.5 * (along[:-1] + along[1:])
-        line = LineCollection(pieces, array=shades, cmap="viridis", linewidths=1.6, capstyle="round", label=plain(name))
+        pieces, shades = (
+            list(np.stack([points[:-1], points[1:]], axis=1)),
+            0.5 * (along[:-1] + along[1:]),
+        )
+        line = LineCollection(
+            pieces,
+            array=shades,
+            cmap="viridis",
+            linewidths=1.6,
+            capstyle="round",
+            label=plain(name),
+        )
         line.set_clim(low, high)
         lines.append(ax.add_collection(line))
     ax.autoscale_view()
@@ -172,17 +226,18 @@ def _draw_coloured(ax, paths, color_by):
 class TrajectoryDisplay(Display):
     r"""Trajectories of :func:`skdgp.dynamics.simulate`: one with standard deviations, or an ensemble.
 
-    Of an ensemble the band holds the central share of the paths at each time, and the line is the trajectory ``mean``
-    where it is given, else the median of the paths, which no aircraft flies. Of one trajectory with ``return_std=True``
-    the band is that of a normal distribution.
+    Of an ensemble the band holds the central share of the paths at each time, and the line is the
+    trajectory ``mean`` where it is given, else the median of the paths, which no aircraft flies. Of
+    one trajectory with ``return_std=True`` the band is that of a normal distribution.
 
-    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, marks on the upper edge where a path leaves the
-    range of the training data.
+    The artists are ``lines_``, ``bands_``, ``truth_`` and ``beyond_``, marks on the upper edge
+    where a path leaves the range of the training data.
 
     Parameters
     ----------
     time, values, names : (n,), (n_paths, n, k), k names
-        Time [s]; states, columns of a flight table in SI units and radians, NaN after the end of a path.
+        Time [s]; states, columns of a flight table in SI units and radians, NaN after the end of a
+        path.
     std : (n, k), optional
         Standard deviations, of one path.
     mean, truth : (n, k), optional
@@ -212,7 +267,10 @@ class TrajectoryDisplay(Display):
     beyond: Vector | None = None
 
     def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
-        """Draw the panels. See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band."""
+        """Draw the panels.
+
+        See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band.
+        """
         z = half_width(level)
 
         def draw(ax, k):
@@ -230,7 +288,9 @@ class TrajectoryDisplay(Display):
             band, truth = None, None
             if low is not None:
                 held = f"{100 * level:.4g} % " + ("of the paths" if self.std is None else "band")
-                band = ax.fill_between(self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=held)
+                band = ax.fill_between(
+                    self.time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0, label=held
+                )
             (line,) = ax.plot(self.time, middle, color=ROLES["mean"], linewidth=1.2, label=label)
             if self.truth is not None:
                 style = {"color": ROLES["truth"], "linewidth": 1.2, "label": "flown"}
@@ -251,7 +311,12 @@ class TrajectoryDisplay(Display):
         if self.beyond is None or not (self.beyond > 0).any():
             return None
         marks = np.where(self.beyond > 0, 1.0, np.nan)
-        style = {"color": PALETTE["orange"], "linewidth": 4, "transform": ax.get_xaxis_transform(), "clip_on": False}
+        style = {
+            "color": PALETTE["orange"],
+            "linewidth": 4,
+            "transform": ax.get_xaxis_transform(),
+            "clip_on": False,
+        }
         return ax.plot(self.time, marks, label="outside the training data", **style)[0]
 
     @classmethod
@@ -261,9 +326,10 @@ class TrajectoryDisplay(Display):
     ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
 
-        ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start`` is the one to draw,
-        by default the first. ``truth`` is the recorded flight, interpolated to the times of the simulation. ``mean``,
-        beside paths, is the trajectory that the mean of the model flies, the line.
+        ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start``
+        is the one to draw, by default the first. ``truth`` is the recorded flight, interpolated to
+        the times of the simulation. ``mean``, beside paths, is the trajectory that the mean of the
+        model flies, the line.
         """
         names = list(columns)
         check_columns(trajectories, ["time", *names], what="trajectory")
@@ -275,11 +341,15 @@ class TrajectoryDisplay(Display):
             trajectories = trajectories[trajectories["start"] == start]
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
-        values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), len(names))
+        values = (
+            trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), len(names))
+        )
         if mean is not None:
             check_columns(mean, names, what="mean")
             if len(mean) != len(time):
-                raise ValueError(f"Got a mean of {len(mean)} rows, but expected the {len(time)} of each path.")
+                raise ValueError(
+                    f"Got a mean of {len(mean)} rows, but expected the {len(time)} of each path."
+                )
             values = np.concatenate([mean[names].to_numpy(float)[None], values])
         for k in (k for k, name in enumerate(names) if name in EULER):
             values[:, :, k] = unwrapped_paths(values[:, :, k])
@@ -289,7 +359,9 @@ class TrajectoryDisplay(Display):
             time=time,
             values=values if mean is None else values[1:],
             mean=None if mean is None else values[0],
-            std=trajectories[bands].to_numpy(float) if n_paths == 1 and set(bands) <= set(trajectories) else None,
+            std=trajectories[bands].to_numpy(float)
+            if n_paths == 1 and set(bands) <= set(trajectories)
+            else None,
             truth=None if truth is None else _interpolated(truth, time, names, values[0, 0]),
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
             names=tuple(names),
@@ -302,7 +374,9 @@ def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str], start: Ve
     clock, columns = truth["time"].to_numpy(float), []
     for name, first in zip(names, start, strict=True):
         column = truth[name].to_numpy(float)
-        column = np.interp(time, clock, np.unwrap(column) if name in EULER else column, left=np.nan, right=np.nan)
+        column = np.interp(
+            time, clock, np.unwrap(column) if name in EULER else column, left=np.nan, right=np.nan
+        )
         turns = np.round((first - column[0]) / (2 * np.pi)) if name in EULER else 0.0
         columns.append(column + 2 * np.pi * turns)
     return np.stack(columns, axis=-1)

@@ -33,7 +33,9 @@ from skdgp.plotting._display import Display, Names, choose, names_of, panels
 OTHERS = ""  # key of the column of terms of several regressors
 N_LEVELS = 3  # contours of the standard deviation
 N_PAIRS = 2
-"""Tables of two regressors of each coefficient: those with the largest effect, root mean square over the samples."""
+"""Tables of two regressors of each coefficient: those with the largest effect, root mean square
+over the samples.
+"""
 DEFAULT_DERIVATIVES = (
     "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
     "Cl_aileron", "Cn_rudder",
@@ -58,16 +60,17 @@ def _draw_effect(display: EffectsDisplay | BuildUpDisplay, ax, i, name, level, n
 class EffectsDisplay(Display):
     r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
 
-    Panels of a row have the same vertical axis. Short lines at their bottom are quantiles of the samples, each 4 %.
-    Bars in the last column are terms of several regressors: the range that holds the given probability of their values
-    over the samples, if these are normally distributed.
+    Panels of a row have the same vertical axis. Short lines at their bottom are quantiles of the
+    samples, each 4 %. Bars in the last column are terms of several regressors: the range that holds
+    the given probability of their values over the samples, if these are normally distributed.
 
     The artists are ``lines_``, ``bands_`` and ``bars_``.
 
     Parameters
     ----------
     curves : dict of str to Curve
-        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation (n, P).
+        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation
+        (n, P).
     importance : DataFrame (n_terms, P)
         Standard deviation of each term over the samples; the columns are the outputs.
     samples : DataFrame (n, d)
@@ -91,7 +94,9 @@ class EffectsDisplay(Display):
     importance: pd.DataFrame
     samples: pd.DataFrame
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
+    def plot(
+        self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True
+    ) -> Self:
         """Draw the panels; see :mod:`skdgp.plotting`."""
         z = half_width(level)
         names = list(self.importance.columns)
@@ -125,7 +130,9 @@ class EffectsDisplay(Display):
         return self
 
     @classmethod
-    def from_model(cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any) -> Self:
+    def from_model(
+        cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any
+    ) -> Self:
         """Compute the :func:`skdgp.effects` of a model, and draw them with the options of :meth:`plot`."""
         check_matplotlib(cls.__name__)
         with units_shown(getattr(model, "control_units_", {})):
@@ -142,18 +149,20 @@ class EffectsDisplay(Display):
 class BuildUpDisplay(Display):
     r"""A row for each coefficient: the effect of each regressor with its band, then its largest tables of two.
 
-    An effect is the derivative and the table of a regressor; it is drawn as by `EffectsDisplay`. Maps are tables of two
-    regressors; their contours are standard deviations. Effects and maps have mean zero over the samples.
+    An effect is the derivative and the table of a regressor; it is drawn as by `EffectsDisplay`.
+    Maps are tables of two regressors; their contours are standard deviations. Effects and maps have
+    mean zero over the samples.
 
     The artists are ``lines_``, ``bands_`` and ``meshes_``, the maps.
 
     Parameters
     ----------
     curves : dict of str to Curve
-        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation (n, P).
+        Effect of each regressor: its values (n,), SI units and radians, mean and standard deviation
+        (n, P).
     maps : dict of str to list
-        Largest tables of two of each coefficient: names and values (n,), (m,) of both regressors, mean and standard
-        deviation (n, m).
+        Largest tables of two of each coefficient: names and values (n,), (m,) of both regressors,
+        mean and standard deviation (n, m).
     samples : DataFrame (n, d)
         Regressors of the samples.
 
@@ -178,7 +187,9 @@ class BuildUpDisplay(Display):
     maps: dict[str, list[tuple[tuple[str, str], Matrix, Matrix, Matrix, Matrix]]]
     samples: pd.DataFrame
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True) -> Self:
+    def plot(
+        self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True
+    ) -> Self:
         """Draw the panels; see :mod:`skdgp.plotting`."""
         z = half_width(level)
         names, regressors = list(self.maps), list(self.curves)
@@ -210,15 +221,21 @@ class BuildUpDisplay(Display):
 
     def _range(self, i, z):
         """Return the limits of the vertical axis of a coefficient."""
-        low = min(float(np.min((curve.mean - z * curve.std)[:, i])) for curve in self.curves.values())
-        high = max(float(np.max((curve.mean + z * curve.std)[:, i])) for curve in self.curves.values())
+        low = min(
+            float(np.min((curve.mean - z * curve.std)[:, i])) for curve in self.curves.values()
+        )
+        high = max(
+            float(np.max((curve.mean + z * curve.std)[:, i])) for curve in self.curves.values()
+        )
         edge = 0.08 * (high - low) or 1.0
         return low - edge, high + edge
 
     def _draw_map(self, ax, regressors, rows, columns, mean, std):
         (first, second), largest = regressors, np.abs(mean).max()
         x, y = display_unit(second)[0] * columns, display_unit(first)[0] * rows
-        mesh = ax.pcolormesh(x, y, mean, cmap="RdBu_r", vmin=-largest, vmax=largest, shading="gouraud")
+        mesh = ax.pcolormesh(
+            x, y, mean, cmap="RdBu_r", vmin=-largest, vmax=largest, shading="gouraud"
+        )
         if np.ptp(std) > 0:
             lines = ax.contour(x, y, std, levels=N_LEVELS, colors=ROLES["measured"], linewidths=0.6)
             ax.clabel(lines, fmt="%.1g", fontsize=5)
@@ -239,7 +256,13 @@ class BuildUpDisplay(Display):
         if n_grid < 2:
             raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2.")
         samples = pd.DataFrame(build.samples, columns=list(build.regressors))
-        at = dict(zip(build.regressors, np.linspace(build.limits[0], build.limits[1], n_grid).T, strict=True))
+        at = dict(
+            zip(
+                build.regressors,
+                np.linspace(build.limits[0], build.limits[1], n_grid).T,
+                strict=True,
+            )
+        )
         terms = {name: build.effects(name) for name in build.tables}
         curves = {}
         for regressor, points in at.items():
@@ -247,7 +270,11 @@ class BuildUpDisplay(Display):
             curves[regressor] = Curve(points, *np.stack(moments, axis=-1))
         maps: dict[str, list] = {name: [] for name in terms}
         for name, tables in build.tables.items():
-            sizes = {t.regressors: t(samples[list(t.regressors)]).std() for t in tables if len(t.regressors) == 2}
+            sizes = {
+                t.regressors: t(samples[list(t.regressors)]).std()
+                for t in tables
+                if len(t.regressors) == 2
+            }
             for pair in sorted(sizes, key=lambda pair: -sizes[pair])[:N_PAIRS]:
                 first, second = (at[regressor] for regressor in pair)
                 grid = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -262,7 +289,8 @@ class BuildUpDisplay(Display):
 class CouplingDisplay:
     """Heat map of the correlations between outputs, with their values.
 
-    The artists are ``image_``, the coloured cells, ``text_`` (P, P), the written values, and ``colorbar_``.
+    The artists are ``image_``, the coloured cells, ``text_`` (P, P), the written values, and
+    ``colorbar_``.
 
     Parameters
     ----------
@@ -291,7 +319,11 @@ class CouplingDisplay:
         self.text_ = np.empty(self.correlation.shape, dtype=object)
         for (i, j), value in np.ndenumerate(self.correlation):
             text = f"{value:z.2f}".replace("-", "−") if np.isfinite(value) else "–"
-            style = {"ha": "center", "va": "center", "color": "white" if abs(value) > 0.6 else "black"}
+            style = {
+                "ha": "center",
+                "va": "center",
+                "color": "white" if abs(value) > 0.6 else "black",
+            }
             self.text_[i, j] = ax.text(j, i, text, fontsize="small", **style)
         labels = [symbol(name) for name in self.output_names]
         ax.set_xticks(range(len(labels)), labels)
@@ -304,7 +336,9 @@ class CouplingDisplay:
         return self
 
     @classmethod
-    def from_correlation(cls, correlation: Any, *, output_names: Any = None, **plot_options: Any) -> Self:
+    def from_correlation(
+        cls, correlation: Any, *, output_names: Any = None, **plot_options: Any
+    ) -> Self:
         """Draw a correlation matrix (P, P), or what ``output_correlation()`` returns; options of :meth:`plot`."""
         if hasattr(correlation, "correlation"):
             output_names = correlation.output_names if output_names is None else output_names
@@ -315,7 +349,8 @@ class CouplingDisplay:
         largest = np.max(np.abs(matrix), where=np.isfinite(matrix), initial=0.0)
         if largest > 1 + 1e-6:
             raise ValueError(
-                f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a covariance by the "
+                f"Got correlations up to {largest:.4g} in size, but expected at most 1: divide a "
+                f"covariance by the "
                 "standard deviations first."
             )
         names = names_of(correlation, len(matrix), output_names, COEFFICIENTS)
@@ -371,35 +406,60 @@ class DerivativeDisplay(Display):
 
         def draw(ax, k):
             ax.set_ylabel(_label(self.names[k]))
-            return draw_curve(ax, at, self.values[:, k], None if self.std is None else self.std[:, k], level, "model")
+            return draw_curve(
+                ax,
+                at,
+                self.values[:, k],
+                None if self.std is None else self.std[:, k],
+                level,
+                "model",
+            )
 
-        keys, options = range(len(self.names)), {"xlabel": axis_label(self.over), "legend": legend, "sharex": True}
+        keys, options = (
+            range(len(self.names)),
+            {"xlabel": axis_label(self.over), "legend": legend, "sharex": True},
+        )
         artists = self._draw_panels(ax, draw, keys, min(3, len(keys)), (3.2, 1.9), **options)
         self.lines_, self.bands_ = artists
         return self
 
     @classmethod
     def from_sweep(
-        cls, sweep: pd.DataFrame, *, over: str = "airspeed", derivatives: Names = None, **plot_options: Any
+        cls,
+        sweep: pd.DataFrame,
+        *,
+        over: str = "airspeed",
+        derivatives: Names = None,
+        **plot_options: Any,
     ) -> Self:
         """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
 
-        ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The derivatives are by default
-        the most common ones of the table.
+        ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The
+        derivatives are by default the most common ones of the table.
         """
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(
-                "Got derivatives of a single point, but expected those of several: stability_derivatives(model, "
+                "Got derivatives of a single point, but expected those of several: "
+                "stability_derivatives(model, "
                 "aircraft, [trim, ...])."
             )
         check_choice("over", over, ("airspeed", "alpha", "beta"))
         known = sweep.index.unique(level=1)
-        names = [name for name in DEFAULT_DERIVATIVES if name in known] if derivatives is None else list(derivatives)
+        names = (
+            [name for name in DEFAULT_DERIVATIVES if name in known]
+            if derivatives is None
+            else list(derivatives)
+        )
         choose(tuple(known), names)
         at = sweep[over].groupby(level=0).first().sort_values()
 
         def columns(column):
-            return sweep[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(dtype=float)
+            return (
+                sweep[column]
+                .unstack(1)
+                .reindex(index=at.index, columns=names)
+                .to_numpy(dtype=float)
+            )
 
         return cls(
             at=at.to_numpy(dtype=float), values=columns("value"), std=columns("std") if "std" in sweep else None,
@@ -414,5 +474,9 @@ def _label(name: str) -> str:
     if not regressor:
         return f"$C_{below}$"
     sign = symbol(regressor)
-    index = sign.strip("$") if sign.startswith("$") else rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
+    index = (
+        sign.strip("$")
+        if sign.startswith("$")
+        else rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
+    )
     return f"$C_{{{below}_{{{index}}}}}$"

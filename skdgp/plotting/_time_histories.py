@@ -30,7 +30,9 @@ from skdgp.plotting._display import (
     segment_starts,
 )
 
-MAX_BAND = 0.6  # a band widens the vertical axis by at most this part of the lines' range, so that lines stay readable
+# a band widens the vertical axis by at most this part of the lines' range, so that lines stay
+# readable
+MAX_BAND = 0.6
 MAX_MARKS = 150  # restarts; more would be a grey bar
 
 
@@ -43,7 +45,8 @@ class CoefficientDisplay(Display):
     Parameters
     ----------
     time : (n,)
-        Time of the samples [s]. No line is drawn across a gap, nor where time goes back (a new flight).
+        Time of the samples [s]. No line is drawn across a gap, nor where time goes back (a new
+        flight).
     measured, mean : (n, P)
         Measured outputs, NaN = not observed; estimated outputs.
     std, truth : (n, P), optional
@@ -80,9 +83,13 @@ class CoefficientDisplay(Display):
         zero, less = (self.mean, " less estimate") if kind == "residuals" else (0.0, "")
         truth = None if self.truth is None else self.truth - zero
         columns = self.measured - zero, self.mean - zero, self.std, truth
-        draw = _drawing(self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less=less)
+        draw = _drawing(
+            self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less=less
+        )
         options = {"xlabel": "time [s]", "legend": legend, "by_column": True, "sharex": True}
-        artists = self._draw_panels(ax, draw, chosen, grid_columns(len(chosen)), (5, 1.7), **options)
+        artists = self._draw_panels(
+            ax, draw, chosen, grid_columns(len(chosen)), (5, 1.7), **options
+        )
         self.measured_, self.mean_, self.bands_, self.truth_, _ = artists
         return self
 
@@ -109,23 +116,29 @@ class CoefficientDisplay(Display):
     ) -> Self:  # fmt: skip
         """Predict with a fitted estimator and draw, as :meth:`CalibrationDisplay.from_estimator`; see :meth:`plot`.
 
-        ``time`` (n,) is by default the column ``time`` of X. With ``include_noise`` the band is that of a measurement.
+        ``time`` (n,) is by default the column ``time`` of X. With ``include_noise`` the band is
+        that of a measurement.
         """
         if time is None and "time" not in getattr(X, "columns", ()):
-            raise ValueError("Got an X without a column 'time': give the samples' times as time=... [s].")
+            raise ValueError(
+                "Got an X without a column 'time': give the samples' times as time=... [s]."
+            )
         mean, std, names = predicted(estimator, X, Y, include_noise)
         time = X["time"].to_numpy() if time is None else time
-        return cls.from_predictions(time, Y, mean, std, truth=truth, output_names=names, **plot_options)
+        return cls.from_predictions(
+            time, Y, mean, std, truth=truth, output_names=names, **plot_options
+        )
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class StateDisplay(Display):
     """Measured states and those replayed with estimated coefficients (the paper's figure 7).
 
-    A replay restarts from the measured state every few seconds. Lines break there, and small marks on the upper edge
-    show where. States are given in SI units and drawn in degrees.
+    A replay restarts from the measured state every few seconds. Lines break there, and small marks
+    on the upper edge show where. States are given in SI units and drawn in degrees.
 
-    The artists are ``measured_``, ``replayed_``, ``bands_`` and ``restarts_``, the marks of at most 150 restarts.
+    The artists are ``measured_``, ``replayed_``, ``bands_`` and ``restarts_``, the marks of at most
+    150 restarts.
 
     Parameters
     ----------
@@ -164,7 +177,16 @@ class StateDisplay(Display):
     ) -> Self:  # fmt: skip
         """Draw the states, one above the other; see :mod:`skdgp.plotting`."""
         columns = self.measured, self.replayed, self.std, None
-        draw = _drawing(self.time, columns, self.state_names, "replayed", level, n_bins, time_span, window=self.window)
+        draw = _drawing(
+            self.time,
+            columns,
+            self.state_names,
+            "replayed",
+            level,
+            n_bins,
+            time_span,
+            window=self.window,
+        )
         options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
         artists = self._draw_panels(ax, draw, range(len(self.state_names)), 1, (9, 1.7), **options)
         self.measured_, self.replayed_, self.bands_, _, self.restarts_ = artists
@@ -177,9 +199,9 @@ class StateDisplay(Display):
     ) -> Self:  # fmt: skip
         """Draw the result of :func:`skdgp.dynamics.replay` and the flight that it replays; see :meth:`plot`.
 
-        ``trajectory`` has columns ``time``, ``horizon``, ``window``, the states and, for bands, ``<state>_std``, and
-        one row per row of the flight and horizon. ``flight`` holds the measured states, in the same row order. The
-        horizon [s] is by default the longest.
+        ``trajectory`` has columns ``time``, ``horizon``, ``window``, the states and, for bands,
+        ``<state>_std``, and one row per row of the flight and horizon. ``flight`` holds the
+        measured states, in the same row order. The horizon [s] is by default the longest.
         """
         states = list(states)
         rows = replay_rows(trajectory, horizon)
@@ -187,7 +209,8 @@ class StateDisplay(Display):
         check_columns(flight, states)
         if len(rows) != len(flight):
             raise ValueError(
-                f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the flight that "
+                f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
+                f"flight that "
                 "was replayed, with all its rows."
             )
         bands = [f"{name}_std" for name in states]
@@ -204,7 +227,8 @@ class StateDisplay(Display):
 def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window=None, less=""):
     """Return the function that draws panel k of ``columns``: measured, estimate, its deviations and truth, (n, P) each.
 
-    It returns the artists of measured, estimate, band, truth and restarts; None where there is none.
+    It returns the artists of measured, estimate, band, truth and restarts; None where there is
+    none.
     """
     z, rows = half_width(level), slice(None)
     if time_span is not None:
@@ -212,26 +236,35 @@ def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window
         rows = (time >= begin) & (time <= end)
         if not rows.any():
             raise ValueError(
-                f"Got time_span {begin:g} to {end:g} s, but the samples run from {time.min():g} to {time.max():g} s: "
+                f"Got time_span {begin:g} to {end:g} s, but the samples run from {time.min():g} "
+                f"to {time.max():g} s: "
                 "choose a span inside."
             )
     time, window = time[rows], None if window is None else window[rows]
     starts = segment_starts(time, window)
-    width = 1.0 if len(time) <= 4 * n_bins else 0.6  # thin lines show more where many samples share a pixel
+    width = (
+        1.0 if len(time) <= 4 * n_bins else 0.6
+    )  # thin lines show more where many samples share a pixel
 
     def draw(ax, k):
         factor = display_unit(names[k])[0]
-        measured, mean, std, truth = (None if values is None else factor * values[rows, k] for values in columns)
+        measured, mean, std, truth = (
+            None if values is None else factor * values[rows, k] for values in columns
+        )
 
         def line(values, **style):
             if values is None:
                 return None
             t, v = line_points(time, values, n_bins=n_bins, starts=starts)
             dots = isolated(v)
-            return ax.plot(t, v, marker="." if dots else None, markersize=3, markevery=dots, **style)[0]
+            return ax.plot(
+                t, v, marker="." if dots else None, markersize=3, markevery=dots, **style
+            )[0]
 
         # The thin measured line lies over the broad estimate, so both are visible where they agree.
-        thin = line(measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured")
+        thin = line(
+            measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured"
+        )
         band = None
         if std is not None:
             half = z * std
@@ -252,9 +285,12 @@ def _draw_band(ax: Any, t: Vector, lower: Vector, upper: Vector, label: str) -> 
     from matplotlib.path import Path
 
     edges = [
-        (np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1]) for k in true_runs(~np.isnan(t))
+        (np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1])
+        for k in true_runs(~np.isnan(t))
     ]
-    outlines = [Path(np.concatenate([forth, back, forth[:1]]), closed=True) for forth, back in edges]
+    outlines = [
+        Path(np.concatenate([forth, back, forth[:1]]), closed=True) for forth, back in edges
+    ]
     # The edge keeps a band of one sample, which has no width, visible.
     style = {"color": ROLES["band"], "alpha": 0.5, "linewidth": 0.4, "label": label}
     band = ax.add_artist(PathPatch(Path.make_compound_path(*outlines), **style))
@@ -279,5 +315,10 @@ def _mark_restarts(ax: Any, time: Vector, window: np.ndarray | None) -> Any:
     restarts = time[:0] if window is None else time[1:][window[1:] != window[:-1]]
     if not 0 < len(restarts) <= MAX_MARKS:
         return None
-    style = {"color": PALETTE["grey"], "markersize": 5, "label": "restart", "transform": ax.get_xaxis_transform()}
+    style = {
+        "color": PALETTE["grey"],
+        "markersize": 5,
+        "label": "restart",
+        "transform": ax.get_xaxis_transform(),
+    }
     return ax.plot(restarts, np.ones(len(restarts)), "|", **style)[0]

@@ -30,15 +30,17 @@ NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning t
 def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.DataFrame:
     """Return the faults of a flight log, one per row.
 
-    A run of equal values is a fault if the channel's noise and usual rate make it improbable (less than once in 10,000
-    such flights). Sensors slower than the table, quantised sensors, and controls held still are no faults.
+    A run of equal values is a fault if the channel's noise and usual rate make it improbable (less
+    than once in 10,000 such flights). Sensors slower than the table, quantised sensors, and
+    controls held still are no faults.
 
     ============== ===========================================================================================
     ``restart``    time goes back, as when the computer restarted
     ``gap``        time jumps forward by more than 2.5 steps
     ``missing``    no value where the channel usually has one
     ``stuck``      a sensor repeats its last value for 0.3 s or longer
-    ``impossible`` a value that no aircraft has; in more than 5 % of the samples it is another unit, and no fault
+    ``impossible`` a value that no aircraft has; in more than 5 % of the samples it is another unit,
+    and no fault
     ``spike``      up to three samples that jump away from their neighbours
     ``constant``   a sensor that never changes while similar ones do
     ``saturated``  a surface at its extreme value for 0.5 s or longer, as at a stop; not warned of
@@ -76,10 +78,11 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
 class FlightCheck(TableTransformer):
     """Remove the faults of a flight log, and interpolate short gaps: the first step of a pipeline.
 
-    Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to ``bridge`` are interpolated
-    linearly, in channels with a value in nearly every row; longer ones stay NaN, which :class:`RegressorSelector`
-    refuses. A flight whose clock restarted becomes several, ``name``, ``name#2``. Raises ValueError if ``time`` is
-    missing; if it goes back and rows are not in order, or there is no column ``flight`` to name the parts in.
+    Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to
+    ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones
+    stay NaN, which :class:`RegressorSelector` refuses. A flight whose clock restarted becomes
+    several, ``name``, ``name#2``. Raises ValueError if ``time`` is missing; if it goes back and
+    rows are not in order, or there is no column ``flight`` to name the parts in.
 
     Parameters
     ----------
@@ -108,7 +111,10 @@ class FlightCheck(TableTransformer):
     ['impossible']
     """
 
-    _parameter_constraints: dict = {"bridge": [Interval(Real, 0, None, closed="left")], "ignore": [list, tuple]}
+    _parameter_constraints: dict = {
+        "bridge": [Interval(Real, 0, None, closed="left")],
+        "ignore": [list, tuple],
+    }
 
     def __init__(self, *, bridge: float = 0.25, ignore: Sequence[str] = ()) -> None:
         self.bridge = bridge
@@ -126,16 +132,28 @@ class FlightCheck(TableTransformer):
         faults = [finding for finding in findings if finding.kind not in NO_ERRORS]
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
-            warnings.warn(faults_message(faults, f"Faulty values are NaN{then}."), FlightDataWarning, stacklevel=4)
+            warnings.warn(
+                faults_message(faults, f"Faulty values are NaN{then}."),
+                FlightDataWarning,
+                stacklevel=4,
+            )
         table = without_faults(table, findings)
-        names = [name for name in POSSIBLE if self.bridge and name in table and name not in self.ignore]
-        names = [name for name in names if pd.api.types.is_numeric_dtype(table[name]) and table[name].isna().any()]
+        names = [
+            name for name in POSSIBLE if self.bridge and name in table and name not in self.ignore
+        ]
+        names = [
+            name
+            for name in names
+            if pd.api.types.is_numeric_dtype(table[name]) and table[name].isna().any()
+        ]
         time, flight, new = numeric(table, ["time"])[:, 0], table.get("flight"), {}
         for name in names:
             values = unwrapped(table, [name])[:, 0]
             for run in flight_segments(time, flight):
                 values[run] = _interpolated(time[run], values[run], self.bridge)
-            new[name] = wrapped_near(values, table[name].ffill().bfill()) if name in WRAPPED else values
+            new[name] = (
+                wrapped_near(values, table[name].ffill().bfill()) if name in WRAPPED else values
+            )
         return with_columns(table, new)
 
 
@@ -147,7 +165,8 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> tuple[pd.DataFrame, 
     if restarts.size and "flight" not in table:
         row = restarts[0]
         raise ValueError(
-            f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, where a clock restarted, but expected "
+            f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, where a clock "
+            f"restarted, but expected "
             "time to increase within a flight: add a column 'flight' with one name for each part."
         )
     check_clock(time, names)
@@ -170,7 +189,9 @@ def _interpolated(time: Vector, values: Vector, longest: float) -> Vector:
     if known.size < 2 or usual_spacing(values) > 1:
         return values
     filled = np.interp(time, time[known], values[known])
-    after = np.searchsorted(known, np.arange(len(values)))  # the next sample of each row, in ``known``
+    after = np.searchsorted(
+        known, np.arange(len(values))
+    )  # the next sample of each row, in ``known``
     inside = (after > 0) & (after < len(known))
     gap = np.diff(time[known])[after[inside] - 1]
     values[inside] = np.where(gap <= longest + 1e-9, filled[inside], values[inside])

@@ -44,11 +44,13 @@ class ElevonSplitter(TableTransformer):
     .. math:: \text{controls} = \text{mixing} \cdot \text{surfaces}
 
     Default: elevator = (left + right) / 2, aileron = (left - right) / 2 of two elevons. If the
-    elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and aileron change sign.
+    elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and
+    aileron change sign.
 
-    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does not change. With
-    both, the controls are computed from the surfaces, with a warning if the logged ones differ by more than 0.001 rad.
-    Raises ValueError if the table has neither, or the mixing has another shape.
+    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does
+    not change. With both, the controls are computed from the surfaces, with a warning if the logged
+    ones differ by more than 0.001 rad. Raises ValueError if the table has neither, or the mixing
+    has another shape.
 
     Parameters
     ----------
@@ -91,7 +93,11 @@ class ElevonSplitter(TableTransformer):
     }
 
     def __init__(
-        self, *, surfaces: Sequence[str] = ELEVONS, controls: Sequence[str] = MIXED, mixing: Any = None
+        self,
+        *,
+        surfaces: Sequence[str] = ELEVONS,
+        controls: Sequence[str] = MIXED,
+        mixing: Any = None,
     ) -> None:
         self.surfaces = surfaces
         self.controls = controls
@@ -108,11 +114,17 @@ class ElevonSplitter(TableTransformer):
     def _fit_table(self, table):
         shape = (len(self.controls), len(self.surfaces))
         if self.mixing is None and shape != (2, 2):
-            raise ValueError(f"Got {shape[1]} surfaces for {shape[0]} controls and no mixing, but expected mixing.")
-        self.mixing_ = np.array([[0.5, 0.5], [0.5, -0.5]] if self.mixing is None else self.mixing, dtype=float)
+            raise ValueError(
+                f"Got {shape[1]} surfaces for {shape[0]} controls and no mixing, but expected "
+                f"mixing."
+            )
+        self.mixing_ = np.array(
+            [[0.5, 0.5], [0.5, -0.5]] if self.mixing is None else self.mixing, dtype=float
+        )
         if self.mixing_.shape != shape:
             raise ValueError(
-                f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) = {shape}: one row "
+                f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) "
+                f"= {shape}: one row "
                 f"for each of {list(self.controls)}, one column for each of {list(self.surfaces)}."
             )
         self._controls_of(table)
@@ -126,15 +138,27 @@ class ElevonSplitter(TableTransformer):
 
     def _controls_of(self, table):
         """Return controls by name; none where the table has them but not the surfaces."""
-        if not any(name in table for name in self.surfaces) and all(name in table for name in self.controls):
+        if not any(name in table for name in self.surfaces) and all(
+            name in table for name in self.controls
+        ):
             return {}
         check_columns(table, self.surfaces)
-        computed = dict(zip(self.controls, self.mixing_ @ numeric(table, self.surfaces).T, strict=True))
-        difference = {n: np.abs(numeric(table, [n])[:, 0] - values) for n, values in computed.items() if n in table}
-        largest = {name: float(f"{np.max(d, where=np.isfinite(d), initial=0):.2g}") for name, d in difference.items()}
+        computed = dict(
+            zip(self.controls, self.mixing_ @ numeric(table, self.surfaces).T, strict=True)
+        )
+        difference = {
+            n: np.abs(numeric(table, [n])[:, 0] - values)
+            for n, values in computed.items()
+            if n in table
+        }
+        largest = {
+            name: float(f"{np.max(d, where=np.isfinite(d), initial=0):.2g}")
+            for name, d in difference.items()
+        }
         if max(largest.values(), default=0.0) > MAX_DIFFERENCE:
             warnings.warn(
-                f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces are used. Drop the "
+                f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces "
+                f"are used. Drop the "
                 "logged columns if they are commands, or correct surfaces, controls and mixing.",
                 stacklevel=3,
             )
@@ -148,13 +172,13 @@ class RateNondimensionalizer(TableTransformer):
 
     .. math::
         \hat p = \frac{p b}{2V}, \quad \hat q = \frac{q c}{2V}, \quad \hat r = \frac{r b}{2V}, \quad
-        \hat{\dot\alpha} = \frac{\dot\alpha c}{2V}, \quad \hat{\dot\beta} = \frac{\dot\beta b}{2V}, \quad
-        \hat{\dot p} = \frac{\dot p b^2}{4V^2}, \quad \hat{\dot q} = \frac{\dot q c^2}{4V^2}, \quad
-        \hat{\dot r} = \frac{\dot r b^2}{4V^2},
+        \hat{\dot\alpha} = \frac{\dot\alpha c}{2V}, \quad \hat{\dot\beta} = \frac{\dot\beta b}{2V},
+        \quad \hat{\dot p} = \frac{\dot p b^2}{4V^2}, \quad \hat{\dot q} = \frac{\dot q c^2}{4V^2},
+        \quad \hat{\dot r} = \frac{\dot r b^2}{4V^2},
 
-    the usual normalisation of stability derivatives. Each rate in the table gets a column with the suffix ``_hat``
-    (``alpha_dot_hat``), which named sets of :class:`RegressorSelector` use in its place. Raises ValueError if
-    ``airspeed`` is missing or not positive, or the table has no rate.
+    the usual normalisation of stability derivatives. Each rate in the table gets a column with the
+    suffix ``_hat`` (``alpha_dot_hat``), which named sets of :class:`RegressorSelector` use in its
+    place. Raises ValueError if ``airspeed`` is missing or not positive, or the table has no rate.
 
     Parameters
     ----------
@@ -179,7 +203,9 @@ class RateNondimensionalizer(TableTransformer):
     """
 
     in_simulation = "rates"
-    _parameter_constraints: dict = {key: [Interval(Real, 0, None, closed="neither")] for key in ("span", "chord")}
+    _parameter_constraints: dict = {
+        key: [Interval(Real, 0, None, closed="neither")] for key in ("span", "chord")
+    }
 
     def __init__(self, span: float, chord: float) -> None:
         self.span = span
@@ -203,8 +229,10 @@ class RateNondimensionalizer(TableTransformer):
         still = np.flatnonzero(airspeed <= 0)
         if still.size:
             raise ValueError(
-                f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at or below zero), but "
-                "expected positive airspeed: keep the rows in flight, such as flight[flight.airspeed > 10]."
+                f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at "
+                f"or below zero), but "
+                "expected positive airspeed: keep the rows in flight, such as "
+                "flight[flight.airspeed > 10]."
             )
         return {
             name + HAT: rate_factor(name, getattr(self, LENGTHS[name]), airspeed) * rate
@@ -222,14 +250,16 @@ class RegressorSelector(TableTransformer):
                       aileron, rudder (Hemakumara & Sukkarieh 2011, eq 22)
     ================= ========================================================================================
 
-    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar S): such a model has
-    good scores, but cannot be simulated. In most flights alpha_dot nearly equals q, and beta_dot -r cos alpha, so data
-    hardly separate their effects (Klein & Morelli 2006, section 5.1). Hence ``"quasi-steady"``, which merges them.
+    The coefficients follow almost by definition from the accelerations of ``"paper"`` (m a / qbar
+    S): such a model has good scores, but cannot be simulated. In most flights alpha_dot nearly
+    equals q, and beta_dot -r cos alpha, so data hardly separate their effects (Klein & Morelli
+    2006, section 5.1). Hence ``"quasi-steady"``, which merges them.
 
-    In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls that the aircraft
-    does not have (throttle, elevator, aileron, rudder, but not all surfaces) are left out and listed in ``absent_``.
-    All other columns are needed. Raises ValueError if a column is missing (with the nearest name) or not numeric, or
-    has NaN or infinite values in ``transform``.
+    In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls
+    that the aircraft does not have (throttle, elevator, aileron, rudder, but not all surfaces) are
+    left out and listed in ``absent_``. All other columns are needed. Raises ValueError if a column
+    is missing (with the nearest name) or not numeric, or has NaN or infinite values in
+    ``transform``.
 
     Parameters
     ----------
@@ -252,8 +282,8 @@ class RegressorSelector(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``fit`` with targets, if a regressor is constant over the rows with targets, or there are no more such rows
-        than regressors.
+        In ``fit`` with targets, if a regressor is constant over the rows with targets, or there are
+        no more such rows than regressors.
 
     Examples
     --------
@@ -287,8 +317,12 @@ class RegressorSelector(TableTransformer):
         if targeted and len(values):
             _warn_of_little_information(values, self.regressors_)
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
-        known = {str(name): kept for name, column in channels if len(kept := column[observed].dropna())}
-        self.ranges_ = {name: (float(kept.min()), float(kept.max())) for name, kept in known.items()}
+        known = {
+            str(name): kept for name, column in channels if len(kept := column[observed].dropna())
+        }
+        self.ranges_ = {
+            name: (float(kept.min()), float(kept.max())) for name, kept in known.items()
+        }
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
         return self
@@ -299,17 +333,22 @@ class RegressorSelector(TableTransformer):
 
     def _fit_table(self, table):
         self.absent_ = []
-        chosen = self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
+        chosen = (
+            self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
+        )
         chosen += [name for name in self.extra if name not in chosen]
         twice = sorted({name for name in chosen if chosen.count(name) > 1})
         if twice or not chosen:
-            raise ValueError(f"Got regressors {chosen}, but expected at least one, each once (twice: {twice}).")
+            raise ValueError(
+                f"Got regressors {chosen}, but expected at least one, each once (twice: {twice})."
+            )
         check_columns(table, chosen)
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
         if truth:
             warnings.warn(
-                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: use them only to "
+                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: "
+                f"use them only to "
                 "score, or to measure the effect of sensor noise.",
                 stacklevel=3,
             )
@@ -331,7 +370,9 @@ class RegressorSelector(TableTransformer):
         names = [name + HAT if name + HAT in table else name for name in names]
         words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
         missing = [name for name in OPTIONAL if name in names and name not in table]  # or misspelt
-        self.absent_ = [name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)]
+        self.absent_ = [
+            name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)
+        ]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)
         return [name for name in names if name not in self.absent_]
@@ -341,31 +382,42 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     """Raise ValueError, with the step that adds it, if a column is missing."""
     if all(name in table or name + HAT in table for name in names):
         return
-    check_columns(table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table])
+    check_columns(
+        table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table]
+    )
     missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
     if missing:
         raise ValueError(
-            f"The flight lacks {sorted(missing)}, but these regressors need them: put {set(missing.values()).pop()} "
+            f"The flight lacks {sorted(missing)}, but these regressors need them: put "
+            f"{set(missing.values()).pop()} "
             "before RegressorSelector in the pipeline, or name other regressors."
         )
     if set(ELEVONS) <= set(table.columns) and "elevator" in names and "elevator" not in table:
         raise ValueError(
-            "The flight has elevons but no elevator and aileron: put ElevonSplitter() before RegressorSelector in "
+            "The flight has elevons but no elevator and aileron: put ElevonSplitter() before "
+            "RegressorSelector in "
             "the pipeline, or name elevon_left and elevon_right as regressors."
         )
 
 
 def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
     """Warn if a regressor is constant, or there are no more rows than regressors."""
-    constant = [name for name, v in zip(names, values.T, strict=True) if np.ptp(v) <= STILL * np.abs(v).max()]
+    constant = [
+        name
+        for name, v in zip(names, values.T, strict=True)
+        if np.ptp(v) <= STILL * np.abs(v).max()
+    ]
     words = (
-        f"In the training flights {constant} never change, so the model cannot learn their effects. Fly manoeuvres "
+        f"In the training flights {constant} never change, so the model cannot learn their "
+        f"effects. Fly manoeuvres "
         "that move them, or leave them out of the regressors."
     )
     if len(values) <= len(names):
         words = (
-            f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected at least "
-            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or fewer columns."
+            f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected "
+            f"at least "
+            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or "
+            f"fewer columns."
         )
     if constant or len(values) <= len(names):
         warnings.warn(words, FlightDataWarning, stacklevel=3)
@@ -376,17 +428,23 @@ def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None
     holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
-    computed = {name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows}
+    computed = {
+        name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows
+    }
     measured = {name: rows for each in computed for name, rows in _sources(each, table).items()}
     remedy = "leave out isolated rows between gaps, which have no rate of change"
     if measured:
         remedy = (
-            "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) and of its targets, "
-            f"as python -m skdgp identify does: keep = np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
-            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave out an empty column"
+            "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) "
+            "and of its targets, "
+            f"as python -m skdgp identify does: keep = "
+            f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
+            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave "
+            "out an empty column"
         )
     raise ValueError(
-        f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or infinite (by rows: "
+        f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or "
+        f"infinite (by rows: "
         f"{measured or computed}), but expected finite ones: {remedy}."
     )
 
@@ -396,6 +454,10 @@ def _sources(name: str, table: pd.DataFrame) -> dict[str, int]:
     rate = name.removesuffix(HAT)
     sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
     sources += ELEVONS if name in MIXED else ()
-    holes = {source: ~(np.abs(numeric(table, [source])) < LARGEST) for source in sources if source in table}
+    holes = {
+        source: ~(np.abs(numeric(table, [source])) < LARGEST)
+        for source in sources
+        if source in table
+    }
     found = {source: int(where.sum()) for source, where in holes.items() if where.any()}
     return {source: n for source, n in found.items() if source in ELEVONS} or found

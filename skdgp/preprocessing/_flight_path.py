@@ -44,17 +44,28 @@ from skdgp.preprocessing._table import TableTransformer, has_values, with_column
 MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 OPINION = 2.0
 """Seconds of a flight that the gusts of the fit are worth: pieces of half a second show none, whatever the air. By the
-bands of pieces of .5 to 10 s of eleven aircraft: 2 and 5 have the same median score, others a worse one
-(docs/simulation.md)."""
+bands of pieces of .5 to 10 s of eleven aircraft: 2 and 5 have the same median score, others a worse
+one (docs/simulation.md)."""
 KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
-KINEMATIC_SECONDS = 120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
+KINEMATIC_SECONDS = (
+    120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
+)
 MIN_SIGNIFICANCE = 3.0  # standard deviations
 MIN_LAG = 0.01  # lags below this [s] do not change a model
-OBSERVABLE = 0.5  # a constant is observable if its standard deviation is less than this share of the prior one
-MAX_RATIO = 1.05  # largest error of reconstruction, relative to that of smoothing, with which it is used
-MAX_AIR_NOISE = 1.4  # residual of an air data sensor over its own noise, above which the latter counts as zero
-MAX_INERTIAL_NOISE = 4.0  # residual of an inertial sensor over its own noise, above which the reason names it
-DIFFERENCES = 3  # order of the differences that show noise; the sum of squares of their coefficients is 20
+# a constant is observable if its standard deviation is less than this share of the prior one
+OBSERVABLE = 0.5
+MAX_RATIO = (
+    1.05  # largest error of reconstruction, relative to that of smoothing, with which it is used
+)
+MAX_AIR_NOISE = (
+    1.4  # residual of an air data sensor over its own noise, above which the latter counts as zero
+)
+MAX_INERTIAL_NOISE = (
+    4.0  # residual of an inertial sensor over its own noise, above which the reason names it
+)
+DIFFERENCES = (
+    3  # order of the differences that show noise; the sum of squares of their coefficients is 20
+)
 PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
 UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
 FOLLOWS = {
@@ -62,7 +73,9 @@ FOLLOWS = {
     "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
     **{name: (f"{name} does not follow the motion", *unit) for name, unit in UNITS.items()},
 }
-"""What contradicts itself if the residual of a sensor is large, its unit, and the factor to that unit."""
+"""What contradicts itself if the residual of a sensor is large, its unit, and the factor to that
+unit.
+"""
 
 Flights = list[tuple[Any, Indices, Log, Estimate]]
 
@@ -70,63 +83,72 @@ Flights = list[tuple[Any, Indices, Log, Estimate]]
 class FlightPathReconstruction(TableTransformer):
     r"""Reconstruct the path of each flight through the air from all its sensors at once.
 
-    The most likely path under the exact kinematics, with ground velocity v (NED), attitude R (body to NED), wind w,
-    specific force f, angular rate omega and gravity g,
+    The most likely path under the exact kinematics, with ground velocity v (NED), attitude R (body
+    to NED), wind w, specific force f, angular rate omega and gravity g,
 
     .. math:: \dot v = R f + g, \quad \dot R = R [\omega]_\times, \quad v_a = R^T (v - w),
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
-    and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter 10; Jategaonkar 2006,
-    chapter 10), as one sparse least-squares problem. Vanes are optional. ``fit`` learns the noise of each sensor, by
-    maximum likelihood, and, on request, scale factors, biases and lags. ``transform`` uses these, and estimates biases
-    of inertial sensors, wind and gusts separately for each flight. Raises ValueError if time, a rate, specific force,
-    attitude, v_north, v_east, v_down or airspeed is missing, or has no value throughout a flight; if time does not
-    increase within a flight; if angles are not radians.
+    and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter
+    10; Jategaonkar 2006, chapter 10), as one sparse least-squares problem. Vanes are optional.
+    ``fit`` learns the noise of each sensor, by maximum likelihood, and, on request, scale factors,
+    biases and lags. ``transform`` uses these, and estimates biases of inertial sensors, wind and
+    gusts separately for each flight. Raises ValueError if time, a rate, specific force, attitude,
+    v_north, v_east, v_down or airspeed is missing, or has no value throughout a flight; if time
+    does not increase within a flight; if angles are not radians.
 
     Parameters
     ----------
     calibrate : {"inertial", "all"} or list of str, default="inertial"
-        Errors to estimate and remove. "inertial": ax_bias, ay_bias, az_bias, p_bias, q_bias, r_bias, in each flight.
-        "all", or a list of names: also airspeed_scale, alpha_bias, alpha_scale, beta_bias, beta_scale, and, relative to
-        the inertial sensors, airspeed_lag, vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is
-        (1 + scale) truth + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
+        Errors to estimate and remove. "inertial": ax_bias, ay_bias, az_bias, p_bias, q_bias,
+        r_bias, in each flight. "all", or a list of names: also airspeed_scale, alpha_bias,
+        alpha_scale, beta_bias, beta_scale, and, relative to the inertial sensors, airspeed_lag,
+        vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is (1 + scale) truth
+        + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
     gust_time : float, default=10.0
-        Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a vane's bias.
+        Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a
+        vane's bias.
     incomplete : {"raise", "pass"}, default="raise"
-        For flights without a needed channel: raise ValueError, or pass them on. If flights of ``fit`` lack one
-        (``missing_``), all tables pass unchanged; if only flights of ``transform`` do, `FlightSmoother` smooths them.
+        For flights without a needed channel: raise ValueError, or pass them on. If flights of
+        ``fit`` lack one (``missing_``), all tables pass unchanged; if only flights of ``transform``
+        do, `FlightSmoother` smooths them.
     inconsistent : {"use", "pass"}, default="use"
-        For flights whose sensors contradict each other: reconstruct them all the same; or let ``fit`` decide. "pass"
-        first removes clear lags of attitude and velocity against the inertial sensors. Then all tables pass
-        (``used_`` is False), unchanged but for the column ``gust``, if the expected errors of airspeed, alpha and beta
-        are larger than those of `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
+        For flights whose sensors contradict each other: reconstruct them all the same; or let
+        ``fit`` decide. "pass" first removes clear lags of attitude and velocity against the
+        inertial sensors. Then all tables pass (``used_`` is False), unchanged but for the column
+        ``gust``, if the expected errors of airspeed, alpha and beta are larger than those of
+        `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
     vanes : {"measured", "forces"}, default="measured"
-        For flights without alpha or beta. "measured": from attitude, velocity and steady wind, so without the gusts.
-        "forces": az and ay show the angle, gusts included, by slopes that ``fit`` learns from manoeuvres faster than
-        the aircraft follows gusts, where the flights tell these to 20 %. Coefficients CZ and CY of such flights agree
-        with these angles by construction: their errors on test flights say nothing.
+        For flights without alpha or beta. "measured": from attitude, velocity and steady wind, so
+        without the gusts. "forces": az and ay show the angle, gusts included, by slopes that
+        ``fit`` learns from manoeuvres faster than the aircraft follows gusts, where the flights
+        tell these to 20 %. Coefficients CZ and CY of such flights agree with these angles by
+        construction: their errors on test flights say nothing.
 
     Attributes
     ----------
     used_, reason_ : bool, str
         Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
     tells_gusts_ : bool
-        Whether transformed tables have a column ``gust``: also flights that pass, if no sensor contradicts the others.
+        Whether transformed tables have a column ``gust``: also flights that pass, if no sensor
+        contradicts the others.
     errors_ : DataFrame or None
-        Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise learned with the
-        path), and of air data the expected errors of ``reconstruction`` and ``smoothing``, and their ``deviation``.
+        Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise
+        learned with the path), and of air data the expected errors of ``reconstruction`` and
+        ``smoothing``, and their ``deviation``.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
     noise_std_ : dict of str to float
-        Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down, tilt, heading.
+        Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
+        tilt, heading.
     error_std_ : dict of str to float
         Expected error of reconstructed airspeed, alpha and beta.
     vanes_ : dict of str to ForceVane
-        Of ``vanes="forces"``: the force that shows alpha, beta, its ``slope`` by the angle over rho V^2 [m^2/kg], and
-        its relative ``std``. Empty where the flights have vanes, or do not tell.
+        Of ``vanes="forces"``: the force that shows alpha, beta, its ``slope`` by the angle over rho
+        V^2 [m^2/kg], and its relative ``std``. Empty where the flights have vanes, or do not tell.
     gust_std_ : float
-        Change of the air's velocity in one second [m/s], root mean square over the flights of ``fit``; the column
-        ``gust`` of the transformed table holds that of each flight.
+        Change of the air's velocity in one second [m/s], root mean square over the flights of
+        ``fit``; the column ``gust`` of the transformed table holds that of each flight.
     sensors_ : dict of str to float
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
@@ -178,13 +200,16 @@ class FlightPathReconstruction(TableTransformer):
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
 
-        Columns are ``estimate``, ``std``, ``prior_std``, ``observable`` (std below half of prior_std),
-        ``confounded_with`` (the constant whose error is most correlated) and ``correlation`` with it.
+        Columns are ``estimate``, ``std``, ``prior_std``, ``observable`` (std below half of
+        prior_std), ``confounded_with`` (the constant whose error is most correlated) and
+        ``correlation`` with it.
         """
         check_is_fitted(self)
         table = self._as_table(X)
         if self.missing_:
-            raise ValueError(f"The flights of fit lack {self.missing_}, so their sensors were not estimated.")
+            raise ValueError(
+                f"The flights of fit lack {self.missing_}, so their sensors were not estimated."
+            )
         self._check(table)
         table, errors = with_force_vanes(table, self.vanes_), self._error_names()
         return _calibration(self._estimates(table, free=errors, learn=GUSTS, sensors={}), errors)
@@ -192,7 +217,11 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_table(self, table):
         errors = self._error_names()
         self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
-        self.used_, self.errors_, self.reason_ = not self.missing_, None, "asked for, without a check"
+        self.used_, self.errors_, self.reason_ = (
+            not self.missing_,
+            None,
+            "asked for, without a check",
+        )
         self.tells_gusts_ = self.used_
         self.vanes_ = {}
         if self.missing_:
@@ -202,28 +231,44 @@ class FlightPathReconstruction(TableTransformer):
         lags: dict[str, float] = {}
         if self.inconsistent == "pass":  # clear lags of attitude and velocity are removed first
             of_path = kinematic_lags(table, gust_time=self.gust_time)
-            clear = {name: lag for name, (lag, std) in of_path.items() if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)}
+            clear = {
+                name: lag
+                for name, (lag, std) in of_path.items()
+                if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
+            }
             lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
         if self.vanes == "forces" and not has_values(table, *AIR_DATA):
-            self.vanes_ = force_vanes(table, [(rows, log, each.path) for _, rows, log, each in estimates])
+            self.vanes_ = force_vanes(
+                table, [(rows, log, each.path) for _, rows, log, each in estimates]
+            )
         if self.vanes_:
             complete = with_force_vanes(table, self.vanes_)
             estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors=lags)
         samples = [len(log.time) for _, _, log, _ in estimates]
         variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
-        self.noise_std_ = {name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()}
-        self.gust_std_ = float(np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples)))
-        left = np.sqrt(np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples))
+        self.noise_std_ = {
+            name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()
+        }
+        self.gust_std_ = float(
+            np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))
+        )
+        left = np.sqrt(
+            np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples)
+        )
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
         self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(estimates, errors)
         self.calibration_ = _calibration(estimates, errors)
-        shown = self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
+        shown = (
+            self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
+        )
         if not isinstance(self.calibrate, str) and not shown.all():
             warnings.warn(
-                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay near the prior, zero "
-                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out of calibrate.",
+                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay "
+                f"near the prior, zero "
+                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out "
+                "of calibrate.",
                 stacklevel=3,
             )
         if self.inconsistent == "pass":
@@ -234,12 +279,17 @@ class FlightPathReconstruction(TableTransformer):
         if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
             if self.vanes_:
-                found = [f"{name} by {vane.force} (± {100 * vane.std:.2g} %)" for name, vane in self.vanes_.items()]
+                found = [
+                    f"{name} by {vane.force} (± {100 * vane.std:.2g} %)"
+                    for name, vane in self.vanes_.items()
+                ]
                 self.reason_ += f": {', '.join(found)}, so that errors of CZ, CY say nothing"
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
             self.used_, self.tells_gusts_, self.reason_ = decision(self.errors_)
-        late = [f"{name.removesuffix('_lag')} {lag:.2f} s late, corrected" for name, lag in lags.items()]
+        late = [
+            f"{name.removesuffix('_lag')} {lag:.2f} s late, corrected" for name, lag in lags.items()
+        ]
         self.reason_ = "; ".join([self.reason_, *late])
 
     def _transform_table(self, table):
@@ -248,8 +298,10 @@ class FlightPathReconstruction(TableTransformer):
             return table
         if missing:
             warnings.warn(
-                f"Got flights without {missing}, which those of the fit had: they are smoothed channel by channel "
-                "(FlightSmoother), not reconstructed. Expect larger errors than with those sensors.",
+                f"Got flights without {missing}, which those of the fit had: they are smoothed "
+                f"channel by channel "
+                "(FlightSmoother), not reconstructed. Expect larger errors than with those "
+                "sensors.",
                 FlightDataWarning,
                 stacklevel=3,
             )
@@ -258,7 +310,9 @@ class FlightPathReconstruction(TableTransformer):
         inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
         complete = with_force_vanes(table, self.vanes_)
-        for _, rows, log, solved in self._estimates(complete, free=inertial, learn=GUSTS, sensors=self.sensors_):
+        for _, rows, log, solved in self._estimates(
+            complete, free=inertial, learn=GUSTS, sensors=self.sensors_
+        ):
             for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
             new["gust"][rows] = self._gust_of(solved, np.ptp(log.time))
@@ -291,20 +345,30 @@ class FlightPathReconstruction(TableTransformer):
 
     def _check(self, table):
         check_columns(table, ["time", *NEEDED])
-        check_radians(table, ("theta", *RATES, "alpha", "beta"))  # roll and heading may have been unwrapped
+        check_radians(
+            table, ("theta", *RATES, "alpha", "beta")
+        )  # roll and heading may have been unwrapped
 
     def _estimates(
-        self, table: pd.DataFrame, *, free: list[str], learn: Mapping[str, float], sensors: Mapping[str, float]
+        self,
+        table: pd.DataFrame,
+        *,
+        free: list[str],
+        learn: Mapping[str, float],
+        sensors: Mapping[str, float],
     ) -> Flights:
         """Return (name, rows, log, estimate) of every flight."""
         estimates = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
         for name, rows, log in flight_logs(table):
             start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
-            each = estimate(log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time)
+            each = estimate(
+                log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time
+            )
             if not each.converged:
                 warnings.warn(
-                    f"The reconstruction of flight {name!r} did not converge: its sensors contradict one another. Look "
+                    f"The reconstruction of flight {name!r} did not converge: its sensors "
+                    f"contradict one another. Look "
                     "at calibration(flight), and for wrong signs, units or clocks.",
                     stacklevel=4,
                 )
@@ -321,8 +385,12 @@ def kinematic_lags(table: pd.DataFrame, gust_time: float = 10.0) -> dict[str, tu
     since = table["time"] - table.groupby(codes)["time"].transform("min")
     inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], gust_time=gust_time)
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # of unobservable constants; their std shows it
+        path = FlightPathReconstruction(
+            calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], gust_time=gust_time
+        )
         path.fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
     return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
@@ -337,7 +405,15 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
         rows = log.segment == segment
         if rows.sum() > 1:
             dots[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
-    parts = [air, dots[:, 1:], path.rate(log), path.force(log), rotation, path.velocity, path.wind()]
+    parts = [
+        air,
+        dots[:, 1:],
+        path.rate(log),
+        path.force(log),
+        rotation,
+        path.velocity,
+        path.wind(),
+    ]
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
@@ -367,25 +443,37 @@ def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
         std = np.sqrt(np.diag(each.covariance))
         correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
         partner = np.abs(correlation).argmax(axis=1)
-        part = {"flight": flight, "constant": names, "estimate": each.path.constant(*names), "std": std}
+        part = {
+            "flight": flight,
+            "constant": names,
+            "estimate": each.path.constant(*names),
+            "std": std,
+        }
         part |= {"prior_std": prior, "observable": std < OBSERVABLE * prior}
-        part |= {"confounded_with": np.array(names)[partner], "correlation": correlation[range(len(names)), partner]}
+        part |= {
+            "confounded_with": np.array(names)[partner],
+            "correlation": correlation[range(len(names)), partner],
+        }
         parts.append(pd.DataFrame(part))
     return pd.concat(parts, ignore_index=True)
 
 
-def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str, float]) -> pd.DataFrame:
+def expected_errors(
+    table: pd.DataFrame, estimates: Flights, noise: Mapping[str, float]
+) -> pd.DataFrame:
     r"""Return noise, residual and expected errors of the sensors of a table, by the paths estimated from it.
 
-    An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared error
+    An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared
+    error
 
     .. math:: \overline{(y - x)^2} - \sigma^2 + 2 \sigma^2\, \overline{\partial x / \partial y}
 
-    without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over that of the noise; the
-    slope of the smoother follows from a small random change of the samples (Ramani, Blu & Unser 2008). A constant
-    error of a sensor, or a lag, is not seen. Third differences contain a little motion, so :math:`\sigma` is zero where
-    the residual exceeds 1.4 times the noise. Of n samples the first term has the standard error
-    :math:`\sigma^2 \sqrt{2 / n}`: a mean squared error below it cannot be told from zero. Columns are those of
+    without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over
+    that of the noise; the slope of the smoother follows from a small random change of the samples
+    (Ramani, Blu & Unser 2008). A constant error of a sensor, or a lag, is not seen. Third
+    differences contain a little motion, so :math:`\sigma` is zero where the residual exceeds 1.4
+    times the noise. Of n samples the first term has the standard error :math:`\sigma^2 \sqrt{2 /
+    n}`: a mean squared error below it cannot be told from zero. Columns are those of
     ``FlightPathReconstruction.errors_``.
     """
     raw = numeric(table, AIR_DATA)
@@ -415,13 +503,20 @@ def expected_errors(table: pd.DataFrame, estimates: Flights, noise: Mapping[str,
 def decision(errors: pd.DataFrame) -> tuple[bool, bool, str]:
     """Return whether the reconstruction is used, whether no sensor contradicts the others, and why, in words.
 
-    It is if the mean square of expected error / deviation of airspeed, alpha, beta is at most 1.05^2 that of smoothing.
+    It is if the mean square of expected error / deviation of airspeed, alpha, beta is at most
+    1.05^2 that of smoothing.
     """
     air = errors.loc[list(AIR_DATA)]
-    weights = np.divide(1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0)
-    path, smoothing = (float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing"))
+    weights = np.divide(
+        1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0
+    )
+    path, smoothing = (
+        float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing")
+    )
     used = path <= MAX_RATIO * smoothing
-    words = [f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"]
+    words = [
+        f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"
+    ]
     for name, (what, unit, factor) in FOLLOWS.items() if not used else ():
         residual, noise = factor * errors.residual[name], factor * errors.noise[name]
         if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
@@ -430,7 +525,10 @@ def decision(errors: pd.DataFrame) -> tuple[bool, bool, str]:
 
 
 def _listed(errors: pd.Series) -> str:
-    return ", ".join(f"{name} {round(factor * errors[name], 6):.2g} {unit}" for name, (unit, factor) in UNITS.items())
+    return ", ".join(
+        f"{name} {round(factor * errors[name], 6):.2g} {unit}"
+        for name, (unit, factor) in UNITS.items()
+    )
 
 
 def _path_air(shape: tuple[int, ...], estimates: Flights) -> tuple[Matrix, Vector]:
@@ -455,7 +553,10 @@ def _noise_squares(kind: str, estimates: Flights) -> Vector:
             if len(rows) > DIFFERENCES:
                 joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
                 squares = np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20
-                total[place], count[place] = total[place] + squares.sum(), count[place] + len(squares)
+                total[place], count[place] = (
+                    total[place] + squares.sum(),
+                    count[place] + len(squares),
+                )
     return total / np.maximum(count, 1)
 
 
@@ -464,7 +565,9 @@ def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, 
     probe = np.random.default_rng(0).standard_normal(raw.shape)
     moved = table.assign(**dict(zip(AIR_DATA, (raw + PROBE * noise * probe).T, strict=True)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of flights too short to smooth: the pipeline's smoother says it
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # of flights too short to smooth: the pipeline's smoother says it
         smoother = FlightSmoother(columns=list(AIR_DATA), derivatives=[])
         before, after = (numeric(smoother.fit_transform(one), AIR_DATA) for one in (table, moved))
     response = np.nanmean((after - before) * probe, axis=0)

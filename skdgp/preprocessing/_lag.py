@@ -29,19 +29,39 @@ from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
 from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
 from skdgp.preprocessing._path import NEEDED
-from skdgp.preprocessing._table import TableTransformer, has_values, interpolate_missing, with_columns, wrapped_near
+from skdgp.preprocessing._table import (
+    TableTransformer,
+    has_values,
+    interpolate_missing,
+    with_columns,
+    wrapped_near,
+)
 
-GROUPS = {"air": AIR_DATA, "surfaces": ALL_SURFACES, "attitude": EULER, "gps": (*EARTH_VELOCITY, *POSITION)}
+GROUPS = {
+    "air": AIR_DATA,
+    "surfaces": ALL_SURFACES,
+    "attitude": EULER,
+    "gps": (*EARTH_VELOCITY, *POSITION),
+}
 INERTIAL = (*SPECIFIC_FORCE, *RATES)
-CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")  # channels without noise, in which steps are common
+CONTROLS = (
+    *ALL_SURFACES,
+    "throttle",
+    "propeller_speed",
+)  # channels without noise, in which steps are common
 PADDING = 64
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
 BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
-STEADY = 0.2  # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
+# airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
+STEADY = 0.2
 EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
 SHORTEST = 20.0  # least length of a segment [s]
-RANGE, COARSE, FINE = 0.5, 0.04, 0.01  # largest lag, step of the scan, and step of the parabolas [s]
+RANGE, COARSE, FINE = (
+    0.5,
+    0.04,
+    0.01,
+)  # largest lag, step of the scan, and step of the parabolas [s]
 RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
 BLOCK = 5.0  # seconds over which residuals may be correlated
 
@@ -60,35 +80,37 @@ UNKNOWN = Lag(0.0, np.nan, np.nan)
 class LagCorrector(TableTransformer):
     r"""Estimate the lags of air data, surfaces, attitude and GPS against the inertial unit, and remove them.
 
-    A channel with lag tau shows at t its value at t - tau, so it is replaced by its value at t + tau, segment by
-    segment; beyond the end of a segment the last value is repeated. Sensors are shifted in the frequency domain, which
-    keeps white noise white for :class:`FlightSmoother`; controls, and channels of a jittered clock, by cubic splines.
-    Use full-rate flights, before smoothing.
+    A channel with lag tau shows at t its value at t - tau, so it is replaced by its value at t +
+    tau, segment by segment; beyond the end of a segment the last value is repeated. Sensors are
+    shifted in the frequency domain, which keeps white noise white for :class:`FlightSmoother`;
+    controls, and channels of a jittered clock, by cubic splines. Use full-rate flights, before
+    smoothing.
 
-    Attitude and GPS follow from gyros and accelerometers by kinematics, through :class:`FlightPathReconstruction`.
-    Surfaces and vanes are related to them by a local linear model, without assumed derivatives: at the same time
+    Attitude and GPS follow from gyros and accelerometers by kinematics, through
+    :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear
+    model, without assumed derivatives: at the same time
 
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares, the maximum of the profile likelihood
-    (Jategaonkar 2006, chapter 10). Its standard deviation allows for residuals that are correlated within 5 s (Liang &
-    Zeger 1986). Lags of throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
-    ValueError if ``time``, an accelerometer or a gyro is missing; if ``lags`` names neither a group nor a column, or is
-    not finite.
+    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares, the maximum of the
+    profile likelihood (Jategaonkar 2006, chapter 10). Its standard deviation allows for residuals
+    that are correlated within 5 s (Liang & Zeger 1986). Lags of throttle and propeller speed can be
+    given, not estimated: engines respond slowly. Raises ValueError if ``time``, an accelerometer or
+    a gyro is missing; if ``lags`` names neither a group nor a column, or is not finite.
 
     Parameters
     ----------
     lags : {"auto"}, dict or None, default="auto"
-        Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha, beta; surfaces;
-        attitude; gps) or column; or None for no change.
+        Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha,
+        beta; surfaces; attitude; gps) or column; or None for no change.
 
     Attributes
     ----------
     lags_ : DataFrame
-        By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the local linear model
-        explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard deviations or 10 ms, or
-        of a model that explains less than 0.8, is not removed.
+        By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the
+        local linear model explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below
+        3 standard deviations or 10 ms, or of a model that explains less than 0.8, is not removed.
 
     Examples
     --------
@@ -112,22 +134,36 @@ class LagCorrector(TableTransformer):
             flights = flights_of(table)
             found = _lags_of_motion(flights) | dict.fromkeys(KINEMATIC, UNKNOWN)
             if flights and has_values(table, *NEEDED):
-                of_path = kinematic_lags(table)  # attitude and GPS against integrated gyros and accelerometers
-                found |= {group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()}
+                of_path = kinematic_lags(
+                    table
+                )  # attitude and GPS against integrated gyros and accelerometers
+                found |= {
+                    group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()
+                }
             rows = {group: (*lag, *_applied(lag)) for group, lag in found.items()}
         else:
             lags = self.lags or {}
             unknown = [name for name in lags if name not in GROUPS and name not in table]
             if unknown:
-                raise ValueError(f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table.")
+                raise ValueError(
+                    f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the "
+                    f"table."
+                )
             wrong = {
-                name: each for name, each in lags.items() if not (isinstance(each, Real) and np.isfinite(float(each)))
+                name: each
+                for name, each in lags.items()
+                if not (isinstance(each, Real) and np.isfinite(float(each)))
             }
             if wrong:
                 raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
-            rows = {name: (float(each), np.nan, np.nan, float(each), "given") for name, each in lags.items()}
+            rows = {
+                name: (float(each), np.nan, np.nan, float(each), "given")
+                for name, each in lags.items()
+            }
         columns = [*Lag._fields, "applied", "remark"]
-        self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("group")
+        self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis(
+            "group"
+        )
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
@@ -165,8 +201,8 @@ def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bo
 def _advanced(values: Vector, steps: float) -> Vector:
     """Return equidistant values a fraction of steps later: every frequency's phase is shifted, white noise stays white.
 
-    They are continued oddly beyond both ends, and the line between these is shifted by itself, so that the periodic
-    signal is continuous (Oppenheim & Schafer 2010, section 4.5).
+    They are continued oddly beyond both ends, and the line between these is shifted by itself, so
+    that the periodic signal is continuous (Oppenheim & Schafer 2010, section 4.5).
     """
     margin = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
     padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
@@ -195,9 +231,15 @@ class Segment:
         self.time = uniform_grid(time)[0]
         self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
         self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
-        names = [name for name in (*INERTIAL, *VANES, *ALL_SURFACES, "airspeed") if has_values(table, name)]
+        names = [
+            name
+            for name in (*INERTIAL, *VANES, *ALL_SURFACES, "airspeed")
+            if has_values(table, name)
+        ]
         values = interpolate_missing(time, numeric(table, names))
-        self.splines = {name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)}
+        self.splines = {
+            name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)
+        }
         speed = np.ones((len(time), 1))
         if "airspeed" in names:
             speed = self._low_pass(self.channels(["airspeed"]), STEADY)
@@ -205,7 +247,10 @@ class Segment:
         rates = self.channels(RATES)
         acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
         self.force = self._within_band(self.channels(SPECIFIC_FORCE) / speed**2)
-        self.rate, self.acceleration = self._within_band(rates / speed), self._within_band(acceleration / speed**2)
+        self.rate, self.acceleration = (
+            self._within_band(rates / speed),
+            self._within_band(acceleration / speed**2),
+        )
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
@@ -215,7 +260,11 @@ class Segment:
     def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
         """Return channels (n, k) without their lag."""
         later = np.clip(self.time + lag, self.time[0], self.time[-1])
-        return np.column_stack([self.splines[name](later) for name in names]) if names else np.empty((len(later), 0))
+        return (
+            np.column_stack([self.splines[name](later) for name in names])
+            if names
+            else np.empty((len(later), 0))
+        )
 
     def filtered(self, names: Sequence[str], lag: float) -> Matrix:
         """Return those of the channels that the segment has without their lag, within the band."""
@@ -245,7 +294,11 @@ def flights_of(table: pd.DataFrame) -> Flights:
     time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     flights = []
     for runs in runs_by_flight(time, codes):
-        long = [run for run in runs if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)]
+        long = [
+            run
+            for run in runs
+            if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)
+        ]
         flights.append([Segment(time[run], table.iloc[run]) for run in long])
     return [flight for flight in flights if flight]
 
@@ -254,7 +307,9 @@ def _lags_of_motion(flights: Flights) -> dict[str, Lag]:
     """Return the lags of vanes and surfaces by their groups, by the two local linear models of `LagCorrector`."""
 
     def moments(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        return segment.acceleration, np.hstack([segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force])
+        return segment.acceleration, np.hstack(
+            [segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force]
+        )
 
     def angles(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
         moved = segment.filtered(ALL_SURFACES, surfaces.lag)
@@ -281,8 +336,13 @@ def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation
     if lag is None:
         return UNKNOWN
     final = residuals(lag)
-    responses = [segment.inner(equation(segment, lag)[0]) for flight in flights for segment in flight]
-    slopes = [(b - a) / (2 * FINE) for a, b in zip(residuals(lag - FINE), residuals(lag + FINE), strict=True)]
+    responses = [
+        segment.inner(equation(segment, lag)[0]) for flight in flights for segment in flight
+    ]
+    slopes = [
+        (b - a) / (2 * FINE)
+        for a, b in zip(residuals(lag - FINE), residuals(lag + FINE), strict=True)
+    ]
     blocks = [round(BLOCK * flight[0].rate_hz) for flight in flights]
     explained = float(1 - np.mean(squares(final) / squares(responses)))
     return Lag(lag, _standard_deviation(final, slopes, blocks), explained)
@@ -293,7 +353,9 @@ def _residual(flight: list[Segment], equation: Equation, lag: float) -> Matrix:
     sides = [[segment.inner(side) for side in equation(segment, lag)] for segment in flight]
     response, predictors = map(np.concatenate, zip(*sides, strict=True))
     scale = np.linalg.norm(predictors, axis=0)
-    Q, R, _ = linalg.qr(predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
+    Q, R, _ = linalg.qr(
+        predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True
+    )
     Q = Q[:, np.abs(np.diag(R)) > RANK_TOLERANCE]
     return response - Q @ (Q.T @ response)
 
@@ -313,16 +375,24 @@ def _minimum(objective: Callable[[float], float]) -> float | None:
 
 def _vertex(before: float, here: float, after: float, step: float) -> float:
     curvature = before - 2 * here + after
-    return float(np.clip(step * (before - after) / (2 * curvature), -step, step)) if curvature > 0 else 0.0
+    return (
+        float(np.clip(step * (before - after) / (2 * curvature), -step, step))
+        if curvature > 0
+        else 0.0
+    )
 
 
 def _standard_deviation(residuals: list[Matrix], slopes: list[Matrix], blocks: list[int]) -> float:
     """Return the standard deviation of a lag, sqrt(sum_b S_b^2) / H (Liang & Zeger 1986).
 
-    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum_b g e / s^2 and H = sum g^2 / s^2.
+    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum_b g e / s^2 and H
+    = sum g^2 / s^2.
     """
     variance = sum(np.sum(e**2, axis=0) for e in residuals) / sum(len(e) for e in residuals)
     scores = [np.sum(g * e / variance, axis=1) for g, e in zip(slopes, residuals, strict=True)]
-    sums = [np.add.reduceat(s, np.arange(0, len(s), size)) for s, size in zip(scores, blocks, strict=True)]
+    sums = [
+        np.add.reduceat(s, np.arange(0, len(s), size))
+        for s, size in zip(scores, blocks, strict=True)
+    ]
     information = sum(np.sum(g**2 / variance) for g in slopes)
     return float(np.sqrt(sum(np.sum(s**2) for s in sums)) / information)

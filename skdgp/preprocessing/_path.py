@@ -1,7 +1,8 @@
 """Flight-path reconstruction: the most likely path and the noise of its sensors, by Gauss-Newton steps.
 
-The process equations relate neighbouring samples: specific force, angular rate and gusts. The measurement equations
-relate a state to airspeed, alpha, beta, GPS velocity and attitude at one sample.
+The process equations relate neighbouring samples: specific force, angular rate and gusts. The
+measurement equations relate a state to airspeed, alpha, beta, GPS velocity and attitude at one
+sample.
 """
 
 from __future__ import annotations
@@ -16,16 +17,30 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, LEAST_GUST, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import (
+    AIR_DATA,
+    EARTH_VELOCITY,
+    EULER,
+    LEAST_GUST,
+    RATES,
+    SPECIFIC_FORCE,
+)
 from skdgp._flight.checks import numeric
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
 from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
-NEEDED = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")  # alpha and beta are optional
+NEEDED = (
+    *RATES,
+    *SPECIFIC_FORCE,
+    *EULER,
+    *EARTH_VELOCITY,
+    "airspeed",
+)  # alpha and beta are optional
 
 VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust."""
+"""Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust.
+"""
 
 INERTIAL = {
     "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
@@ -36,26 +51,59 @@ SENSORS = {
 }  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
 CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
-"""Constants of a flight, with their prior standard deviations (SI). Measured is truth + bias, (1 + scale) truth + bias,
+"""Constants of a flight, with their prior standard deviations (SI).
+
+Measured is truth + bias, (1 + scale) truth + bias,
 or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
-LAGS = ("airspeed_lag", "vane_lag", "vane_lag", *["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements
-GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # NED; what it is more here is in the accelerometers' biases
+LAGS = (
+    "airspeed_lag",
+    "vane_lag",
+    "vane_lag",
+    *["velocity_lag"] * 3,
+    *["attitude_lag"] * 3,
+)  # of the measurements
+GRAVITY = np.array(
+    [0.0, 0.0, STANDARD_GRAVITY]
+)  # NED; what it is more here is in the accelerometers' biases
 MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
 NOISE = {
     "accelerometer": 0.05, "gyro": 0.003, "airspeed": 0.5, "alpha": 0.01, "beta": 0.01, "v_horizontal": 0.2,
     "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
 }  # fmt: skip
 """Initial noise of the sensors: standard deviation of a sample, SI."""
-GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}  # initial standard deviation of a change in 1 s [m/s]
-PROCESS = (*["accelerometer"] * 3, *["gyro"] * 3, "gust_horizontal", "gust_horizontal", "gust_vertical")
-MEASUREMENTS = ("airspeed", "alpha", "beta", "v_horizontal", "v_horizontal", "v_down", "tilt", "tilt", "heading")
+GUSTS = {
+    "gust_horizontal": 0.2,
+    "gust_vertical": 0.2,
+}  # initial standard deviation of a change in 1 s [m/s]
+PROCESS = (
+    *["accelerometer"] * 3,
+    *["gyro"] * 3,
+    "gust_horizontal",
+    "gust_horizontal",
+    "gust_vertical",
+)
+MEASUREMENTS = (
+    "airspeed",
+    "alpha",
+    "beta",
+    "v_horizontal",
+    "v_horizontal",
+    "v_down",
+    "tilt",
+    "tilt",
+    "heading",
+)
 """The noise of each process equation and each measurement equation."""
 MIN_NOISE = 1e-9
-PRIOR_COUNT = 10  # residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
-START_PRECISION = np.repeat([1e-4, 1.0], 3)  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
+# residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
+PRIOR_COUNT = 10
+START_PRECISION = np.repeat(
+    [1e-4, 1.0], 3
+)  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
 WINDOW = 4096  # samples whose equations are in memory at a time
-DELAY_STEPS = 6  # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
+# Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
+DELAY_STEPS = 6
 MAX_STEPS = 40
 OVERSHOOT = 0.5
 """Share of a step that the next one takes back, from which steps are halved.
@@ -66,7 +114,9 @@ TOLERANCE = 0.02
 N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
-"""Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust); odd constants."""
+"""Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust);
+odd constants.
+"""
 
 
 class Equations(NamedTuple):
@@ -121,7 +171,12 @@ class FlightPath(NamedTuple):
 
     def part(self, first: int, last: int) -> FlightPath:
         """Return the states from first to before last."""
-        return FlightPath(self.velocity[first:last], self.attitude[first:last], self.gust[first:last], self.constants)
+        return FlightPath(
+            self.velocity[first:last],
+            self.attitude[first:last],
+            self.gust[first:last],
+            self.constants,
+        )
 
     def moved(self, states: Matrix, constants: Any) -> FlightPath:
         """Return the path with errors (n, 9), (c,) added."""
@@ -155,7 +210,11 @@ def flight_logs(table: pd.DataFrame) -> list[tuple[object, Indices, Log]]:
 
     Raise ValueError if time does not increase, or a needed channel has no value in a flight.
     """
-    names = np.asarray(table["flight"], dtype=object) if "flight" in table else np.zeros(len(table), int)
+    names = (
+        np.asarray(table["flight"], dtype=object)
+        if "flight" in table
+        else np.zeros(len(table), int)
+    )
     time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
     logs = []
     for runs in runs_by_flight(time, codes):
@@ -170,7 +229,9 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     absent = [name for name in ("time", *NEEDED) if name not in table]
     rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
     there = [name for name in NEEDED if name not in absent]
-    return absent + [name for name in there if not all(has_values(table.iloc[part], name) for part in rows)]
+    return absent + [
+        name for name in there if not all(has_values(table.iloc[part], name) for part in rows)
+    ]
 
 
 def first_guess(log: Log, constants: Vector) -> FlightPath:
@@ -183,7 +244,8 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
     if empty := [name for name in NEEDED if not has_values(table, name)]:
         flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(
-            f"Got no value of {', '.join(empty)} in {flight}, but expected some: a path cannot be reconstructed "
+            f"Got no value of {', '.join(empty)} in {flight}, but expected some: a path cannot be "
+            f"reconstructed "
             "without them. Leave the flight out, or smooth it with FlightSmoother."
         )
     angles = numeric(table, EULER).copy()
@@ -199,7 +261,9 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
 def air_data_rates(path: FlightPath, log: Log) -> Matrix:
     """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
     velocity = path.air_velocity()
-    acceleration = path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
+    acceleration = (
+        path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
+    )
     return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
 
 
@@ -227,7 +291,9 @@ def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equati
     force = path.force(log)
     force_ned = path.attitude.apply(force)
     acceleration = np.diff(path.velocity, axis=0) / step
-    residual[:, VELOCITY] = back.apply(acceleration - GRAVITY - (force_ned[:-1] + force_ned[1:]) / 2)
+    residual[:, VELOCITY] = back.apply(
+        acceleration - GRAVITY - (force_ned[:-1] + force_ned[1:]) / 2
+    )
     d_next[:, VELOCITY, VELOCITY] = back.as_matrix() / step[..., None]
     d_state[:, VELOCITY, VELOCITY] = -d_next[:, VELOCITY, VELOCITY]
     d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
@@ -240,31 +306,45 @@ def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equati
     coning = np.cross(rate[:-1], rate[1:]) * step / 12
     residual[:, ATTITUDE] = angle / step - (rate[:-1] + rate[1:]) / 2 - coning
     d_next[:, ATTITUDE, ATTITUDE] = _log_gradient(angle) / step[..., None]
-    d_state[:, ATTITUDE, ATTITUDE] = -_log_gradient(angle) @ turn.inv().as_matrix() / step[..., None]
+    d_state[:, ATTITUDE, ATTITUDE] = (
+        -_log_gradient(angle) @ turn.inv().as_matrix() / step[..., None]
+    )
     d_constants[:, ATTITUDE, PLACE["p_bias"] : PLACE["r_bias"] + 1] = np.eye(3)
 
     residual[:, GUST] = path.gust[1:] - correlation[:, None] * path.gust[:-1]
     d_state[:, GUST, GUST] = -correlation[:, None, None] * np.eye(3)
     d_next[:, GUST, GUST] = np.eye(3)
-    return _without(Equations(residual, d_state, d_next, d_constants), np.repeat(~log.joined[:, None], 9, axis=1))
+    return _without(
+        Equations(residual, d_state, d_next, d_constants),
+        np.repeat(~log.joined[:, None], 9, axis=1),
+    )
 
 
 def measurement_equations(path: FlightPath, log: Log) -> Equations:
     """Return predicted - measured airspeed, alpha, beta, GPS velocity, and attitude (rotation about NED axes).
 
-    A sensor with a lag is compared with its value m samples later. Over the rest of the lag, less than a step, the
-    prediction is continued by its rate of change.
+    A sensor with a lag is compared with its value m samples later. Over the rest of the lag, less
+    than a step, the prediction is continued by its rate of change.
     """
     n = len(log.time)
     later, offset = _lagged_rows(log, path.constant(*LAGS))
     scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
     bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
-    acceleration, turning = path.attitude.apply(path.force(log)) + GRAVITY, path.attitude.apply(path.rate(log))
+    acceleration, turning = (
+        path.attitude.apply(path.force(log)) + GRAVITY,
+        path.attitude.apply(path.rate(log)),
+    )
     rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
-    residual, d_state, d_constants = np.zeros((n, 9)), np.zeros((n, 9, 9)), np.zeros((n, 9, len(CONSTANTS)))
+    residual, d_state, d_constants = (
+        np.zeros((n, 9)),
+        np.zeros((n, 9, 9)),
+        np.zeros((n, 9, len(CONSTANTS))),
+    )
 
     air = air_data_equations(path)
-    residual[:, :3] = scale * air.residual + bias - np.take_along_axis(log.air, later[:, :3], axis=0)
+    residual[:, :3] = (
+        scale * air.residual + bias - np.take_along_axis(log.air, later[:, :3], axis=0)
+    )
     residual[air.residual[:, 0] < MIN_AIRSPEED, 1:3] = np.nan
     d_state[:, :3] = scale[:, None] * air.d_state
     d_constants[:, :3] = scale[:, None] * air.d_constants
@@ -290,7 +370,9 @@ def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
     later = np.arange(len(log.time))[:, None] + np.array(log.delays)
     inside = np.clip(later, 0, len(log.time) - 1)
     offset = log.time[inside] - log.time[:, None] - lag
-    return inside, np.where((inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan)
+    return inside, np.where(
+        (inside == later) & (log.segment[inside] == log.segment[:, None]), offset, np.nan
+    )
 
 
 def _log_gradient(angle: Matrix) -> Array:
@@ -308,7 +390,8 @@ def _without(equations: Equations, missing: Mask) -> Equations:
 
 
 Windows: TypeAlias = Iterable[tuple[int, Equations, Equations]]
-"""The number of the first state, the process and the measurement equations of consecutive windows."""
+"""The number of the first state, the process and the measurement equations of consecutive windows.
+"""
 
 
 class Prior(NamedTuple):
@@ -351,11 +434,12 @@ def estimate(
 ) -> Estimate:
     """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
 
-    Gauss-Newton on the path alternates with Foerstner's estimate of the variance components: a channel's variance is
-    the sum of its squared residuals over its redundancy, the number of samples minus the trace of J P J^T. At its fixed
-    point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992, section 8.3). The traces
-    are those of draws from the posterior. The constants of ``start`` are their prior means; those in ``free`` are
-    estimated. ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
+    Gauss-Newton on the path alternates with Foerstner's estimate of the variance components: a
+    channel's variance is the sum of its squared residuals over its redundancy, the number of
+    samples minus the trace of J P J^T. At its fixed point the gradient of the marginal likelihood
+    is zero (Searle, Casella & McCulloch 1992, section 8.3). The traces are those of draws from the
+    posterior. The constants of ``start`` are their prior means; those in ``free`` are estimated.
+    ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
     """
     path, places = start, [PLACE[name] for name in free]
     draws = _mirrored_pairs(len(log.time), free)
@@ -364,11 +448,15 @@ def estimate(
     interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
     for step in range(MAX_STEPS):
         if step <= DELAY_STEPS:
-            log = log._replace(delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist()))
+            log = log._replace(
+                delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist())
+            )
         problem = _Problem(path, log, noise, places, gust_time)
         posterior = solve(problem, problem.prior(offset, pull), draws)
         sums = _residual_sums(_process_names(log), problem, posterior)
-        move = posterior.constants / np.sqrt(np.diag(posterior.covariance))  # the full step, in standard deviations
+        move = posterior.constants / np.sqrt(
+            np.diag(posterior.covariance)
+        )  # the full step, in standard deviations
         if move @ last < -OVERSHOOT * last @ last:
             stride /= 2
         last = move
@@ -377,20 +465,30 @@ def estimate(
         path = path.moved(stride * posterior.states, change)
         offset = (path.constants - start.constants)[places]
         pull = _scale_gradient(path, sums)[places]
-        before, noise = noise, noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1)))
+        before, noise = (
+            noise,
+            noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1))),
+        )
         steady = all(abs(np.log(noise[name] / before[name])) < TOLERANCE for name in learn)
-        moved, spread = (np.mean(np.square(each), axis=0) for each in (posterior.states, posterior.state_draws))
-        converged = step > 0 and steady and bool(np.all(moved < TOLERANCE**2 * spread.mean(axis=-1)))
+        moved, spread = (
+            np.mean(np.square(each), axis=0) for each in (posterior.states, posterior.state_draws)
+        )
+        converged = (
+            step > 0 and steady and bool(np.all(moved < TOLERANCE**2 * spread.mean(axis=-1)))
+        )
         if converged:
             break
-    noise = noise | {kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)}
+    noise = noise | {
+        kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)
+    }
     return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, places), converged)
 
 
 def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
     """Return standard normal numbers (9 n + f, N_DRAWS), a set that a mirror at the x-z plane does not change.
 
-    So a mirrored flight, which is the same physics, has the same noise and the mirrored path up to rounding.
+    So a mirrored flight, which is the same physics, has the same noise and the mirrored path up to
+    rounding.
     """
     sign = np.append(np.tile(MIRROR, n_states), [-1.0 if name in ODD else 1.0 for name in free])
     half = np.random.default_rng(0).standard_normal((len(sign), N_DRAWS // 2))
@@ -405,9 +503,10 @@ def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
     .. math:: \begin{pmatrix} A & B \\ B^T & C \end{pmatrix} \begin{pmatrix} x \\ c \end{pmatrix} =
               - \begin{pmatrix} g \\ h \end{pmatrix}
 
-    have a block-tridiagonal A, of half bandwidth 2 s - 1: A = L L^T in O(n s^3), and c from the small Schur complement
-    C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x = L^-T e - A^-1 B c with standard normal e and
-    c from the inverse of the complement is a sample from it.
+    have a block-tridiagonal A, of half bandwidth 2 s - 1: A = L L^T in O(n s^3), and c from the
+    small Schur complement C - B^T A^-1 B. The inverse of the whole matrix is the covariance; x =
+    L^-T e - A^-1 B c with standard normal e and c from the inverse of the complement is a sample
+    from it.
 
     ``draws`` are standard normal numbers, (n s + c, k).
     """
@@ -423,10 +522,14 @@ def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
     constant_draws = np.linalg.cholesky(covariance) @ draws[n * s :]
     free_draws = lapack.dtbtrs(factor, draws[: n * s], uplo="L", trans="T")[0]  # L^-T e
     state_draws = free_draws - inner @ constant_draws
-    return Posterior(states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws)
+    return Posterior(
+        states.reshape(n, s), constants, covariance, state_draws.reshape(n, s, -1), constant_draws
+    )
 
 
-def _normal_equations(windows: Windows, prior: Prior) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
+def _normal_equations(
+    windows: Windows, prior: Prior
+) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
     """Return A in lower banded storage, B, C, g and h."""
     (n, s), c = prior.states.shape, len(prior.constants)
     diagonal, coupling = prior.states[:, :, None] * np.eye(s), np.zeros((max(n - 1, 0), s, s))
@@ -478,15 +581,28 @@ class _Problem:
     """Process and measurement equations in units of their noise, by windows (a single one computed once), and prior."""
 
     def __init__(
-        self, path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+        self,
+        path: FlightPath,
+        log: Log,
+        noise: Mapping[str, float],
+        places: list[int],
+        gust_time: float,
     ) -> None:
-        self.path, self.log, self.noise, self.places, self.gust_time = path, log, noise, places, gust_time
+        self.path, self.log, self.noise, self.places, self.gust_time = (
+            path,
+            log,
+            noise,
+            places,
+            gust_time,
+        )
         self.single: tuple[int, Equations, Equations] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Equations, Equations]]:
         n = len(self.log.time)
         if n > WINDOW:
-            yield from (self._window(first, min(first + WINDOW, n)) for first in range(0, n, WINDOW))
+            yield from (
+                self._window(first, min(first + WINDOW, n)) for first in range(0, n, WINDOW)
+            )
         else:
             self.single = self.single or self._window(0, n)
             yield self.single
@@ -497,22 +613,35 @@ class _Problem:
         path, log = self.path.part(start, stop), self.log.part(start, stop)
         step = np.diff(log.time)
         correlation = np.exp(-step / self.gust_time)
-        scale = np.array([self.noise[name] for name in _process_names(self.log)]) * np.ones((len(step), 1))
+        scale = np.array([self.noise[name] for name in _process_names(self.log)]) * np.ones(
+            (len(step), 1)
+        )
         scale[:, 6:] *= np.sqrt(self.gust_time / 2 * (1 - correlation**2))[:, None]
         process = self._whitened(process_equations(path, log, correlation), scale)
         noise = np.array([self.noise[name] for name in MEASUREMENTS])
         measurements = self._whitened(measurement_equations(path, log), noise)
-        return first, process.part(first - start, last - start), measurements.part(first - start, last - start)
+        return (
+            first,
+            process.part(first - start, last - start),
+            measurements.part(first - start, last - start),
+        )
 
     def _whitened(self, rows: Equations, scale: Array) -> Equations:
         each = scale[..., None]
         d_next = None if rows.d_next is None else rows.d_next / each
-        return Equations(rows.residual / scale, rows.d_state / each, d_next, rows.d_constants[..., self.places] / each)
+        return Equations(
+            rows.residual / scale,
+            rows.d_state / each,
+            d_next,
+            rows.d_constants[..., self.places] / each,
+        )
 
     def prior(self, offset: Vector, pull: Vector) -> Prior:
         """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
         first = np.concatenate([[True], ~self.log.joined])[:, None]
-        gusts = np.array([self.noise[name] for name in _process_names(self.log)[6:]]) * np.sqrt(self.gust_time / 2)
+        gusts = np.array([self.noise[name] for name in _process_names(self.log)[6:]]) * np.sqrt(
+            self.gust_time / 2
+        )
         precision = first * np.concatenate([START_PRECISION, gusts**-2])
         states_offset = np.zeros_like(precision)
         states_offset[:, 6:] = self.path.gust
@@ -528,16 +657,24 @@ class Sums(NamedTuple):
     n_samples: int
 
 
-def _residual_sums(process_names: Sequence[str], windows: Windows, posterior: Posterior) -> dict[str, Sums]:
+def _residual_sums(
+    process_names: Sequence[str], windows: Windows, posterior: Posterior
+) -> dict[str, Sums]:
     """Return the sums of each channel."""
     total = {name: np.zeros(3) for name in (*process_names, *MEASUREMENTS)}
     for first, process, measurements in windows:
         for names, rows in ((process_names, process), (MEASUREMENTS, measurements)):
-            change = rows.changes(posterior.states[first:, :, None], posterior.constants[:, None])[..., 0]
-            spread = np.square(rows.changes(posterior.state_draws[first:], posterior.constant_draws)).mean(axis=-1)
+            change = rows.changes(posterior.states[first:, :, None], posterior.constants[:, None])[
+                ..., 0
+            ]
+            spread = np.square(
+                rows.changes(posterior.state_draws[first:], posterior.constant_draws)
+            ).mean(axis=-1)
             used = np.any(rows.d_state != 0, axis=2)
             squares = np.sum((rows.residual + change) ** 2, axis=0)
-            for name, sums in zip(names, np.column_stack([squares, spread.sum(axis=0), used.sum(axis=0)]), strict=True):
+            for name, sums in zip(
+                names, np.column_stack([squares, spread.sum(axis=0), used.sum(axis=0)]), strict=True
+            ):
                 total[name] += sums
     return {name: Sums(*sums) for name, sums in total.items()}
 
@@ -547,9 +684,10 @@ def _variance_components(
 ) -> dict[str, float]:
     """Return the new standard deviation of each channel in ``learn`` that was sampled.
 
-    For a random walk measured with other noise, the share of the residuals grows with the variance and the redundancy
-    with its root. The plain iteration would halve the error in each step, so the step is divided by one minus that
-    slope. ``pace`` shortens it, so that the search does not oscillate.
+    For a random walk measured with other noise, the share of the residuals grows with the variance
+    and the redundancy with its root. The plain iteration would halve the error in each step, so the
+    step is divided by one minus that slope. ``pace`` shortens it, so that the search does not
+    oscillate.
     """
     new = {}
     for name in learn:
@@ -569,8 +707,8 @@ def _variance_components(
 def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
     """Return the gradient by the scale factors that the joint maximum of path and scales lacks.
 
-    A larger scale lets smaller gusts explain the same air data, so the joint maximum overestimates it. The marginal
-    likelihood adds the gradient of a determinant: trace / (1 + scale).
+    A larger scale lets smaller gusts explain the same air data, so the joint maximum overestimates
+    it. The marginal likelihood adds the gradient of a determinant: trace / (1 + scale).
     """
     gradient = np.zeros(len(CONSTANTS))
     for name in AIR_DATA:

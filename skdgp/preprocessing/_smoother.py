@@ -12,7 +12,9 @@ from skdgp._flight.checks import WRAPPED, check_columns, check_radians, numeric,
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
-SMOOTHED = (*(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),)
+SMOOTHED = (
+    *(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
+)
 PARTNERS = {"rates": ("airspeed", *RATES), "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE)}
 IN_RADIANS = (*VANES, *RATES)
 
@@ -20,26 +22,29 @@ IN_RADIANS = (*VANES, *RATES)
 class FlightSmoother(TableTransformer):
     """Smooth measured channels with zero phase and add their rates of change, flight by flight.
 
-    Each gap-free segment of a flight is filtered by itself, by the columns ``time`` [s] and ``flight`` (optional), at
-    its full rate. With ``cutoff="auto"`` each channel gets the Wiener smoother of its own spectrum,
-    H(f) = max(0, 1 - N / P(f)), where N is the white noise at the upper end of P. Rates of change are derivatives of
-    the cubic spline through the smoothed channel. Missing values (NaN) stay missing; a slow sensor is filtered at its
-    own rate. Raises ValueError if ``time`` is missing, does not increase within a flight or is too irregular; if a
+    Each gap-free segment of a flight is filtered by itself, by the columns ``time`` [s] and
+    ``flight`` (optional), at its full rate. With ``cutoff="auto"`` each channel gets the Wiener
+    smoother of its own spectrum, H(f) = max(0, 1 - N / P(f)), where N is the white noise at the
+    upper end of P. Rates of change are derivatives of the cubic spline through the smoothed
+    channel. Missing values (NaN) stay missing; a slow sensor is filtered at its own rate. Raises
+    ValueError if ``time`` is missing, does not increase within a flight or is too irregular; if a
     named column is missing or not numeric; if angles or rates are too large for radians.
 
     Parameters
     ----------
     cutoff : {"auto"}, float, dict or None, default="auto"
-        Wiener smoother; or the half-amplitude frequency [Hz] of a forward-backward Butterworth filter; or one of these
-        for each column by name (others: "auto"); or None for no smoothing.
+        Wiener smoother; or the half-amplitude frequency [Hz] of a forward-backward Butterworth
+        filter; or one of these for each column by name (others: "auto"); or None for no smoothing.
     columns : "auto" or list of str, default="auto"
         Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present.
     derivatives : "auto" or list of str, default="auto"
-        Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A measured rate is kept.
+        Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
+        measured rate is kept.
     joint : {"rates", "inertial"} or None, default="rates"
-        Channels to smooth alpha and beta jointly with, if their cutoff is "auto": airspeed, p, q and r; "inertial"
-        adds ax, ay and az. Their cross-spectra keep higher frequencies of the vanes than their own spectra do.
-        "inertial" is more exact, but puts the forces that a model shall predict into its alpha and beta.
+        Channels to smooth alpha and beta jointly with, if their cutoff is "auto": airspeed, p, q
+        and r; "inertial" adds ax, ay and az. Their cross-spectra keep higher frequencies of the
+        vanes than their own spectra do. "inertial" is more exact, but puts the forces that a model
+        shall predict into its alpha and beta.
 
     Attributes
     ----------
@@ -48,7 +53,8 @@ class FlightSmoother(TableTransformer):
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
     noise_std_, error_std_ : dict of str to float
-        White noise of each smoothed column, and the expected error after "auto"; NaN of less than 128 samples.
+        White noise of each smoothed column, and the expected error after "auto"; NaN of less than
+        128 samples.
 
     Examples
     --------
@@ -74,7 +80,12 @@ class FlightSmoother(TableTransformer):
     }
 
     def __init__(
-        self, *, cutoff: Any = "auto", columns: Any = "auto", derivatives: Any = "auto", joint: str | None = "rates"
+        self,
+        *,
+        cutoff: Any = "auto",
+        columns: Any = "auto",
+        derivatives: Any = "auto",
+        joint: str | None = "rates",
     ) -> None:
         self.cutoff = cutoff
         self.columns = columns
@@ -91,17 +102,25 @@ class FlightSmoother(TableTransformer):
         numeric(table, {*self.columns_, *wanted})
         check_radians(table, IN_RADIANS)
         used = {*self.columns_, *self.derivatives_}
-        self._vanes = [name for name in VANES if self.joint and name in used and self._cutoff_of(name) == "auto"]
+        self._vanes = [
+            name
+            for name in VANES
+            if self.joint and name in used and self._cutoff_of(name) == "auto"
+        ]
         self.partners_ = _present(PARTNERS[self.joint], table) if self.joint and self._vanes else []
         levels: dict[str, tuple[float, float]] = {}
         for names, partners, _ in self._groups(self.columns_):
-            found = noise_level(unwrapped(table, names + partners), **_clock(table), joint=bool(partners))
+            found = noise_level(
+                unwrapped(table, names + partners), **_clock(table), joint=bool(partners)
+            )
             levels |= dict(zip(names, zip(*found, strict=True), strict=False))
         self.noise_std_ = {name: float(levels[name][0]) for name in self.columns_}
         self.error_std_ = {name: float(levels[name][1]) for name in self.columns_}
 
     def _transform_table(self, table):
-        check_columns(table, ["time", *self.columns_, *self.derivatives_, *self._vanes, *self.partners_])
+        check_columns(
+            table, ["time", *self.columns_, *self.derivatives_, *self._vanes, *self.partners_]
+        )
         numeric(table, [*self.columns_, *self.derivatives_])
         check_radians(table, IN_RADIANS)
         new = self._apply(smooth, self.columns_, table)
@@ -117,12 +136,18 @@ class FlightSmoother(TableTransformer):
         for group, partners, cutoff in self._groups(names):
             columns = unwrapped(table, group + partners)
             values = operation(columns, cutoff=cutoff, joint=bool(partners), **_clock(table))
-            new |= dict(zip(group, values.T, strict=False))  # without the partners, which are in other groups
+            new |= dict(
+                zip(group, values.T, strict=False)
+            )  # without the partners, which are in other groups
         return {name: new[name] for name in names}
 
     def _groups(self, names):
         """Return (columns to filter together, their partners, cutoff); every name is in one group."""
-        groups = [(self._vanes, self.partners_, "auto")] if any(name in self._vanes for name in names) else []
+        groups = (
+            [(self._vanes, self.partners_, "auto")]
+            if any(name in self._vanes for name in names)
+            else []
+        )
         rest = {name: self._cutoff_of(name) for name in names if name not in self._vanes}
         for cutoff in dict.fromkeys(rest.values()):
             groups.append(([name for name in rest if rest[name] == cutoff], [], cutoff))

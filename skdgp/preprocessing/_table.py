@@ -13,7 +13,12 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.progress import CallbackSupportMixin, FitTask
-from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context, output_container, set_output_container
+from skdgp._compute.sklearn_compat import (
+    check_feature_names_in,
+    fit_context,
+    output_container,
+    set_output_container,
+)
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table, numeric
@@ -24,9 +29,9 @@ class TableTransformer(  # type: ignore[call-arg]
 ):
     """Base of transformers that read named columns of a flight table and add or choose others.
 
-    Only the columns that the transformer reads must be present, in any order; others pass through, and may differ
-    between ``fit`` and ``transform``. An array, or a table without any known name, passes through unchanged, with a
-    warning.
+    Only the columns that the transformer reads must be present, in any order; others pass through,
+    and may differ between ``fit`` and ``transform``. An array, or a table without any known name,
+    passes through unchanged, with a warning.
     """
 
     in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
@@ -38,8 +43,10 @@ class TableTransformer(  # type: ignore[call-arg]
         if self._passes:
             self._check_other_input(X, reset=True)
             warnings.warn(
-                f"{type(self).__name__} got a table without column names that it knows, so it passes it through "
-                "unchanged. Give a DataFrame with the names of docs/notation.md (skdgp.io.read_flight makes one).",
+                f"{type(self).__name__} got a table without column names that it knows, so it "
+                f"passes it through "
+                "unchanged. Give a DataFrame with the names of docs/notation.md "
+                "(skdgp.io.read_flight makes one).",
                 stacklevel=2,
             )
         else:
@@ -65,7 +72,9 @@ class TableTransformer(  # type: ignore[call-arg]
     def set_output(self, *, transform: str | None = None) -> Self:
         """Set the container of transformed tables: "default", "pandas" or "polars"; None changes nothing."""
         if transform not in (None, "default", "pandas", "polars"):
-            raise ValueError(f"Got transform={transform!r}, but expected 'default', 'pandas' or 'polars'.")
+            raise ValueError(
+                f"Got transform={transform!r}, but expected 'default', 'pandas' or 'polars'."
+            )
         if transform is not None:
             set_output_container(self, transform)
         return self
@@ -94,7 +103,9 @@ class TableTransformer(  # type: ignore[call-arg]
     def _check_other_input(self, X: Any, *, reset: bool = False) -> Any:
         """Return an array, or a table without a known name, as scikit-learn validates it."""
         named = isinstance(X, pd.DataFrame)
-        checked = validate_data(self, X, reset=reset, ensure_all_finite=False, skip_check_array=named)
+        checked = validate_data(
+            self, X, reset=reset, ensure_all_finite=False, skip_check_array=named
+        )
         return X if named else checked
 
     def _as_output(self, result: Any) -> Any:
@@ -133,11 +144,15 @@ def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
     """Return angles shifted by multiples of 2 pi to less than pi from those of a column."""
     other = near.to_numpy(float, na_value=np.nan)
-    return angle - 2 * np.pi * np.round((angle - np.where(np.isfinite(other), other, angle)) / (2 * np.pi))
+    return angle - 2 * np.pi * np.round(
+        (angle - np.where(np.isfinite(other), other, angle)) / (2 * np.pi)
+    )
 
 
 def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:
     """Return the table with columns replaced in their place or added at the end."""
     replaced = table.assign(**{name: values for name, values in new.items() if name in table})
     added = {name: values for name, values in new.items() if name not in table}
-    return pd.concat([replaced, pd.DataFrame(added, index=table.index)], axis=1) if added else replaced
+    return (
+        pd.concat([replaced, pd.DataFrame(added, index=table.index)], axis=1) if added else replaced
+    )

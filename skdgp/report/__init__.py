@@ -3,7 +3,15 @@
 Fill a `ReportContent` with arrays and pass it to `write_report`, which neither fits nor predicts.
 """
 
-from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ModelSummary, ReportContent, Use, Verdict
+from skdgp.report._content import (
+    THRESHOLDS,
+    FlightMechanics,
+    FlightResult,
+    ModelSummary,
+    ReportContent,
+    Use,
+    Verdict,
+)
 from skdgp.report._page import render_report, write_report
 
 __all__ = [

@@ -28,7 +28,9 @@ class Thresholds(NamedTuple):
     coverage: float = HONEST[0]
     """Smallest share of measured values in a 95 % band (guess)."""
     band: float = 0.5
-    """Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears half the gain."""
+    """Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
+    half the gain.
+    """
     seconds: float = 1.0
     """Shortest simulation that is of use [s] (guess)."""
     tie: float = 0.02
@@ -55,7 +57,8 @@ class Verdict:
     learned : str
         What was learned, from how much, and tested on how much.
     error, coverage : float
-        NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights together.
+        NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights
+        together.
     uses, warnings : tuples of Use and of str
         The warning that costs most comes first.
     flights : DataFrame
@@ -79,7 +82,10 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values; the flights are in the scores."""
         found = {name: value for name, value in asdict(self).items() if name != "flights"}
-        return found | {"uses": [one._asdict() for one in self.uses], "thresholds": THRESHOLDS._asdict()}
+        return found | {
+            "uses": [one._asdict() for one in self.uses],
+            "thresholds": THRESHOLDS._asdict(),
+        }
 
     def compared(self) -> str:
         """Return a sentence on least squares, empty where it is not known."""
@@ -101,11 +107,13 @@ class FlightMechanics:
     trim : Trim, optional
         None where there is no steady flight.
     derivatives, least_squares : DataFrame
-        Of `skdgp.dynamics.stability_derivatives`, for the model and for a linear one by least squares.
+        Of `skdgp.dynamics.stability_derivatives`, for the model and for a linear one by least
+        squares.
     modes : DataFrame, optional
         Of `skdgp.dynamics.LinearModel.modes`.
     simulation : DataFrame, optional
-        By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its ``horizon`` [s].
+        By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
+        ``horizon`` [s].
     note, simulation_note : str
         Why derivatives, or the simulation, are missing.
     """
@@ -124,13 +132,21 @@ class FlightMechanics:
         if self.trim is not None:
             names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
             found["trim"] = {name: getattr(self.trim, name) for name in names}
-            found["trim"]["beyond"] = {name: list(values) for name, values in self.trim.beyond.items()}
+            found["trim"]["beyond"] = {
+                name: list(values) for name, values in self.trim.beyond.items()
+            }
         kept = ("value", "std", "lower", "upper", "std_aircraft", "aircraft")
         columns = [name for name in kept if name in self.derivatives]
         found["derivatives"] = self.derivatives[columns].to_dict("index")
         modes = None if self.modes is None else self.modes.drop(columns="eigenvalue")
-        tables = {"least_squares": self.least_squares, "modes": modes, "simulation": self.simulation}
-        return found | {name: table.to_dict("index") for name, table in tables.items() if table is not None}
+        tables = {
+            "least_squares": self.least_squares,
+            "modes": modes,
+            "simulation": self.simulation,
+        }
+        return found | {
+            name: table.to_dict("index") for name, table in tables.items() if table is not None
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +158,8 @@ class FlightResult:
     name, time : str, (n,)
         What to call it, and the time of the samples [s].
     measured, mean, std : (n, 6)
-        Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without noise.
+        Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
+        noise.
     measured_std : (n, 6), optional
         Standard deviations of new measurements (``include_noise=True``); default ``std``.
     truth : (n, 6), optional
@@ -150,12 +167,13 @@ class FlightResult:
     table : DataFrame, optional
         The flight table, for the inputs and the path.
     replay, replay_errors : DataFrame, optional
-        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons, and `skdgp.dynamics.replay_errors`.
+        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons, and
+        `skdgp.dynamics.replay_errors`.
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
     metrics : mapping, optional
-        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics, by which they are
-        computed by default.
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics, by
+        which they are computed by default.
     """
 
     name: str
@@ -180,7 +198,8 @@ class FlightResult:
             values = np.asarray(getattr(self, name), dtype=float)
             if values.shape != expected:
                 raise ValueError(
-                    f"Got {name} of shape {values.shape} for flight {self.name!r}, but expected {expected}: one row "
+                    f"Got {name} of shape {values.shape} for flight {self.name!r}, but expected "
+                    f"{expected}: one row "
                     f"per time, columns {' '.join(COEFFICIENTS)}."
                 )
             object.__setattr__(self, name, values)
@@ -193,14 +212,20 @@ class FlightResult:
         replay, table = self.replay, self.table
         if replay is None or table is None:
             return {}
-        return {name: table[name].to_numpy(dtype=float) for name in LATERAL_STATES if name in replay and name in table}
+        return {
+            name: table[name].to_numpy(dtype=float)
+            for name in LATERAL_STATES
+            if name in replay and name in table
+        }
 
     def replay_over(self, horizon: float) -> pd.DataFrame:
         """Return the rows of the replay of one horizon; bands wider than the motion itself say nothing, and are NaN."""
         rows = replay_rows(cast("pd.DataFrame", self.replay), horizon).copy()
         for name, measured in self.measured_states.items():
             if f"{name}_std" in rows:
-                rows[f"{name}_std"] = rows[f"{name}_std"].where(rows[f"{name}_std"] <= np.nanstd(measured))
+                rows[f"{name}_std"] = rows[f"{name}_std"].where(
+                    rows[f"{name}_std"] <= np.nanstd(measured)
+                )
         return rows
 
     def horizons(self) -> list[float]:
@@ -234,7 +259,13 @@ class FlightResult:
     def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
         found = {}
         for name, one in SCORES.items():
-            predicted = [self.baseline] if one.of_baseline else [self.mean, std] if one.of_band else [self.mean]
+            predicted = (
+                [self.baseline]
+                if one.of_baseline
+                else [self.mean, std]
+                if one.of_band
+                else [self.mean]
+            )
             if predicted[0] is not None:
                 found[name] = one.function(values, *predicted, multioutput="raw_values")
         return found

@@ -37,12 +37,16 @@ TICK = 1e-4
 """Resolution of time [s]."""
 LEVELS = 65_534
 """Steps between the smallest and the largest value of a column: 0.002 % of its range."""
-START_SIGNS = dict(zip(START_MARKERS, "●■▲◆▼★", strict=True))  # letters that look like markers of paths
+START_SIGNS = dict(
+    zip(START_MARKERS, "●■▲◆▼★", strict=True)
+)  # letters that look like markers of paths
 MOST_VALUES = 1_500_000
 """Values that the charts of one page hold: those of an hour at 40 Hz take some three megabytes."""
 
 
-def busiest_span(time: Vector, values: Matrix, length: float = EXCERPT) -> tuple[float, float] | None:
+def busiest_span(
+    time: Vector, values: Matrix, length: float = EXCERPT
+) -> tuple[float, float] | None:
     """Return begin and end of the ``length`` seconds in which ``values`` move most; None for a short record.
 
     Movement is the sum of squared steps, each column in units of its standard deviation.
@@ -64,13 +68,17 @@ def coefficient_figure(result: FlightResult, span, every: int, draw: bool) -> st
     panels = []
     for k, name in enumerate(COEFFICIENTS):
         mean, truth = result.mean[:, k], None if result.truth is None else result.truth[:, k]
-        series = _compared("estimated", mean, result.measured[:, k], band, result.noisy_std[:, k], truth)
+        series = _compared(
+            "estimated", mean, result.measured[:, k], band, result.noisy_std[:, k], truth
+        )
         title = f"{name} against time: {', '.join(one.name for one in series)}"
         panels.append(Panel(title, symbol(name), "", series, base=mean))
     caption = f"Measured and estimated coefficients of {text(result.name)}."
     if span is not None and draw:
         seconds = number(span[1] - span[0], "g")  # of the pictures, where no chart is
-        caption += f'<span class="still"> The {seconds}{THIN}s in which the estimates move most.</span>'
+        caption += (
+            f'<span class="still"> The {seconds}{THIN}s in which the estimates move most.</span>'
+        )
     made = chart("Coefficients", result.name, result.time, panels, span=span, every=every)
     shown = {name: getattr(result, name) for name in ("time", "measured", "mean", "truth")}
     display = CoefficientDisplay(**shown, std=result.noisy_std, output_names=COEFFICIENTS)
@@ -78,7 +86,9 @@ def coefficient_figure(result: FlightResult, span, every: int, draw: bool) -> st
     def drawn(ax, name):
         display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False)
 
-    pictures = _strips(COEFFICIENTS, drawn, "measured, and estimated with its 95 % band") if draw else []
+    pictures = (
+        _strips(COEFFICIENTS, drawn, "measured, and estimated with its 95 % band") if draw else []
+    )
     return figure(pictures, caption, _key(panels[0].series), made)
 
 
@@ -100,13 +110,17 @@ def state_figure(result: FlightResult, horizon: float, span, every: int, draw: b
     title = f"States restarted every {horizon:g} s"
     made = chart(title, result.name, time, panels, span=span, window=window, every=every)
     caption = (
-        f"States of {text(result.name)}, integrated from the estimated coefficients, restarted from the measured state "
-        f"every {number(horizon, 'g')}{THIN}s; lines break there. Bands end where they are wider than the motion."
+        f"States of {text(result.name)}, integrated from the estimated coefficients, restarted "
+        f"from the measured state "
+        f"every {number(horizon, 'g')}{THIN}s; lines break there. Bands end where they are wider "
+        f"than the motion."
     )
     table = cast("pd.DataFrame", result.table)
 
     def drawn(ax, name):
-        StateDisplay.from_replay(rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False)
+        StateDisplay.from_replay(
+            rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False
+        )
 
     pictures = _strips(list(states), drawn, "measured, and replayed with its band") if draw else []
     return figure(pictures, caption, _key(panels[0].series), made)
@@ -119,13 +133,22 @@ def input_figure(table: pd.DataFrame, name: str, link: str, color: str, every: i
         factor, unit = display_unit(channel)
         values = factor * table[channel].to_numpy(dtype=float)
         words = channel.replace("_", " ")
-        panels.append(Panel(f"{words} against time", text(words), unit, [Series(words, color, values)]))
-    made = chart(f"Inputs of {name}", link, table["time"].to_numpy(dtype=float), panels, every=every)
+        panels.append(
+            Panel(f"{words} against time", text(words), unit, [Series(words, color, values)])
+        )
+    made = chart(
+        f"Inputs of {name}", link, table["time"].to_numpy(dtype=float), panels, every=every
+    )
     return figure([], f"Inputs of {text(name)}.", chart=made)
 
 
-def _compared(estimate: str, mean: Array, measured: Array, band: str, std: Any, truth: Any = None) -> list[Series]:
-    """Return the lines of a panel. What is thin lies over what is broad: so all are seen where they agree."""
+def _compared(
+    estimate: str, mean: Array, measured: Array, band: str, std: Any, truth: Any = None
+) -> list[Series]:
+    """Return the lines of a panel.
+
+    What is thin lies over what is broad: so all are seen where they agree.
+    """
     series = [] if std is None else [Series(band, "sky", mean, std=std)]
     series.append(Series(estimate, "blue", mean, width=2.5))
     series += [] if truth is None else [Series("truth", "vermillion", truth, dashed=True)]
@@ -134,14 +157,20 @@ def _compared(estimate: str, mean: Array, measured: Array, band: str, std: Any, 
 
 def _key(series: Sequence[Series]) -> list[tuple[str, str, str]]:
     """Return the key of a panel: measured, estimate, band, truth."""
-    order = sorted(series, key=lambda one: ("measured", "blue", "sky", "vermillion").index(one.color))
+    order = sorted(
+        series, key=lambda one: ("measured", "blue", "sky", "vermillion").index(one.color)
+    )
     return [(one.color, one.name, "" if one.std is None else "area") for one in order]
 
 
 def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
     """Return a strip for each name, two side by side."""
     return [
-        strip(partial(draw, name=name), label=f"{name} against time: {words}", bottom=name in names[-2:])
+        strip(
+            partial(draw, name=name),
+            label=f"{name} against time: {words}",
+            bottom=name in names[-2:],
+        )
         for name in names
     ]
 
@@ -149,7 +178,9 @@ def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
 def calibration_panel(values, mean, std) -> str:
     """Return one square panel: nominal against observed coverage."""
     return picture(
-        lambda ax: CalibrationDisplay.from_predictions(values, mean, std, output_names=COEFFICIENTS, ax=ax),
+        lambda ax: CalibrationDisplay.from_predictions(
+            values, mean, std, output_names=COEFFICIENTS, ax=ax
+        ),
         label="Observed against nominal coverage of measured coefficients",
         size=(4.0, 3.85),
         margins=(0.14, 0.97, 0.13, 0.97),
@@ -160,7 +191,9 @@ def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) ->
     """Return one panel for each regressor named: its effect on an output; all have the same vertical scale."""
     k = list(display.importance).index(output)
     curves = {name: display.curves[name] for name in names}
-    top = 1.08 * max(np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves.values())
+    top = 1.08 * max(
+        np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves.values()
+    )
 
     def draw(ax, name):
         tidy(ax)
@@ -177,7 +210,10 @@ def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) ->
         ax.set_xlabel(unit, labelpad=-7)
 
     place: dict[str, Any] = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
-    return [picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place) for name in names]
+    return [
+        picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place)
+        for name in names
+    ]
 
 
 def envelope_panels(display: EnvelopeDisplay) -> list[str]:
@@ -186,7 +222,9 @@ def envelope_panels(display: EnvelopeDisplay) -> list[str]:
     place: dict[str, Any] = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
     return [
         picture(
-            partial(display.plot, pairs=[pair], legend=False), label=f"{pair[1]} against {pair[0]}: {words}", **place
+            partial(display.plot, pairs=[pair], legend=False),
+            label=f"{pair[1]} against {pair[0]}: {words}",
+            **place,
         )
         for pair in display.pairs
     ]
@@ -236,18 +274,24 @@ def thinning(content: ReportContent) -> int:
 
 def flight_tracks(flights: Mapping[str, pd.DataFrame], links: Mapping[str, str]) -> str:
     """Return where the flights were, for the script that marks the cursor on the maps; of those it is known of."""
-    paths = {links[name]: ground_path(table, name)[["time", "east", "north"]] for name, table in flights.items()}
+    paths = {
+        links[name]: ground_path(table, name)[["time", "east", "north"]]
+        for name, table in flights.items()
+    }
     return _data([
         {"link": link, **path.round(2).to_dict("list")} for link, path in paths.items()
         if path.notna().all(axis=None) and path["time"].is_monotonic_increasing
     ])  # fmt: skip
 
 
-def chart(title: str, link: str, time: Array, panels: Sequence[Panel], *, span=None, window=None, every=1) -> str:
+def chart(
+    title: str, link: str, time: Array, panels: Sequence[Panel], *, span=None, window=None, every=1
+) -> str:
     """Return the element that the script makes a chart of; empty where time does not increase.
 
-    Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s]; lines break where
-    ``window`` changes. Of each ``2 * every`` samples the lowest and the highest are kept (`thinned`).
+    Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s];
+    lines break where ``window`` changes. Of each ``2 * every`` samples the lowest and the highest
+    are kept (`thinned`).
     """
     rows = slice(0, len(time) // every * every, every)
     n = len(time[rows])
@@ -276,7 +320,8 @@ def chart(title: str, link: str, time: Array, panels: Sequence[Panel], *, span=N
             | {
                 "base": column(panel.base),
                 "series": [
-                    one._asdict() | {"values": column(one.values), "std": column(one.std)} for one in panel.series
+                    one._asdict() | {"values": column(one.values), "std": column(one.std)}
+                    for one in panel.series
                 ],
             }
             for panel in panels
@@ -295,8 +340,9 @@ def _data(content: Any) -> str:
 def pack(values: ArrayLike, *, step: float | None = None) -> tuple[list[float], bytes]:
     """Return the smallest value, the step and the bytes of a count; and a column as bytes that compress well.
 
-    Values are counted in steps from the smallest, 1 on; 0 is a hole. Differences of neighbouring counts are stored,
-    little-endian, modulo 2^16 (2^32 where the step is given), all first bytes first.
+    Values are counted in steps from the smallest, 1 on; 0 is a hole. Differences of neighbouring
+    counts are stored, little-endian, modulo 2^16 (2^32 where the step is given), all first bytes
+    first.
 
     Examples
     --------
@@ -309,9 +355,13 @@ def pack(values: ArrayLike, *, step: float | None = None) -> tuple[list[float], 
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     dtype = np.dtype("<u2" if step is None else "<u4")
     step = step or (high - low) / LEVELS or 1.0
-    count = np.where(known, np.rint((np.where(known, values, low) - low) / step) + 1, 0).astype(dtype)
+    count = np.where(known, np.rint((np.where(known, values, low) - low) / step) + 1, 0).astype(
+        dtype
+    )
     change = np.diff(count, prepend=dtype.type(0)).astype(dtype)
-    return [float(low), float(step), dtype.itemsize], change.view(np.uint8).reshape(-1, dtype.itemsize).T.tobytes()
+    return [float(low), float(step), dtype.itemsize], change.view(np.uint8).reshape(
+        -1, dtype.itemsize
+    ).T.tobytes()
 
 
 def thinned(values: Array, every: int) -> Array:
@@ -329,4 +379,6 @@ def thinned(values: Array, every: int) -> Array:
     low = np.argmin(np.where(np.isfinite(groups), groups, np.inf), axis=1)
     high = np.argmax(np.where(np.isfinite(groups), groups, -np.inf), axis=1)
     places = np.sort(np.column_stack([low, high]), axis=1)
-    return np.concatenate([np.take_along_axis(groups, places, axis=1).ravel(), values[whole::every]])
+    return np.concatenate(
+        [np.take_along_axis(groups, places, axis=1).ravel(), values[whole::every]]
+    )

@@ -14,13 +14,33 @@ import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.flights import start_marker
-from skdgp._display.page import DASH, THIN, can_draw, figure, key_of, number, percent, render_page, symbol, table, text
+from skdgp._display.page import (
+    DASH,
+    THIN,
+    can_draw,
+    figure,
+    key_of,
+    number,
+    percent,
+    render_page,
+    symbol,
+    table,
+    text,
+)
 from skdgp._display.style import CYCLE, PALETTE, display_unit, units_shown
 from skdgp._flight.channels import COEFFICIENTS, MIRRORED
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
-from skdgp.report._tables import SCORES, derivative, error_table, facts, regressor, replay_table, state
+from skdgp.report._tables import (
+    SCORES,
+    derivative,
+    error_table,
+    facts,
+    regressor,
+    replay_table,
+    state,
+)
 
 SCRIPT = files("skdgp.report").joinpath("chart.js").read_text(encoding="utf-8")
 _FIT = {
@@ -30,22 +50,32 @@ _FIT = {
     "unknown": "? not known",
 }
 _THRESHOLDS = (
-    f"<b>Thresholds.</b> Predict: errors of at most {THRESHOLDS.error:g} of the spread of what is predicted, and 95 % "
-    f"bands that hold at least {100 * THRESHOLDS.coverage:.0f} %. Simulate, with the recorded controls from measured "
-    f"states: root mean square errors of at most {THRESHOLDS.error:g} of the spread of each state, or 3 times the "
-    f"noise of its sensor. Design a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for "
+    f"<b>Thresholds.</b> Predict: errors of at most {THRESHOLDS.error:g} of the spread of what is "
+    f"predicted, and 95 % "
+    f"bands that hold at least {100 * THRESHOLDS.coverage:.0f} %. Simulate, with the recorded "
+    f"controls from measured "
+    f"states: root mean square errors of at most {THRESHOLDS.error:g} of the spread of each "
+    f"state, or 3 times the "
+    f"noise of its sensor. Design a controller: 95 % bands of at most "
+    f"±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for "
     "the derivatives by the controls and the frequencies of the fast modes."
 )
 HOW_TO_READ = (
     '<div class="note">'
-    "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides tails, and grows "
-    "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error over the "
+    "<p><b>Median relative error</b>: the median of |measured − estimated| / |measured|. It hides "
+    "tails, and grows "
+    "without bound where a coefficient passes through zero. <b>NRMSE</b>: root mean squared error "
+    "over the "
     "standard deviation of the values; 1 is no better than their mean.</p>"
-    "<p><b>NLPD</b>: negative log predictive density, in nats per value; small when estimates are close and "
-    "say so. <b>95 % coverage</b>: share of the values inside the band of 1.96 standard deviations; 95 when "
-    "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model learned.</p>"
+    "<p><b>NLPD</b>: negative log predictive density, in nats per value; small when estimates are "
+    "close and "
+    "say so. <b>95 % coverage</b>: share of the values inside the band of 1.96 standard "
+    "deviations; 95 when "
+    "the band is honest. <b>Noise σ</b>: standard deviation of the measurement noise the model "
+    "learned.</p>"
     "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. Lateral: "
-    "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: <i>C</i><sub>X</sub> "
+    "<i>C</i><sub>Y</sub> <i>C</i><sub>l</sub> <i>C</i><sub>n</sub>. Longitudinal: "
+    "<i>C</i><sub>X</sub> "
     "<i>C</i><sub>Z</sub> <i>C</i><sub>m</sub>.</p></div>"
 )
 N_WARNINGS = 3
@@ -53,7 +83,9 @@ GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 STRONG = 0.3
 """Correlation of two outputs that is worth naming."""
 MOST_OPEN = 3
-"""Flights that a page shows in full; of more each is opened by hand, but for the one that is predicted worst."""
+"""Flights that a page shows in full; of more each is opened by hand, but for the one that is
+predicted worst.
+"""
 N_EFFECTS = 4
 """Regressors shown for each coefficient: those whose effects vary most over the samples."""
 
@@ -61,9 +93,9 @@ N_EFFECTS = 4
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     """Write a report as one HTML file that needs nothing else, no network, no other file; return its path.
 
-    The file appears whole or not at all. It holds pictures as they are printed; on a screen its script makes charts of
-    them, to zoom and to read values. Without matplotlib the report has no pictures and says so. Raises
-    FileNotFoundError if the folder does not exist.
+    The file appears whole or not at all. It holds pictures as they are printed; on a screen its
+    script makes charts of them, to zoom and to read values. Without matplotlib the report has no
+    pictures and says so. Raises FileNotFoundError if the folder does not exist.
 
     Examples
     --------
@@ -79,10 +111,16 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
-    aircraft = content.aircraft if isinstance(content.aircraft, str) else content.aircraft.get("Aircraft", "")
+    aircraft = (
+        content.aircraft
+        if isinstance(content.aircraft, str)
+        else content.aircraft.get("Aircraft", "")
+    )
     created = datetime.now().astimezone() if content.created is None else content.created
     count = f"flights: {len(content.train)} training, {len(content.test)} test"
-    meta = " · ".join(text(part) for part in (aircraft, count, f"{created:%d %B %Y, %H:%M}") if part)
+    meta = " · ".join(
+        text(part) for part in (aircraft, count, f"{created:%d %B %Y, %H:%M}") if part
+    )
     made = text(f"Made by skdgp {content.model.versions.get('skdgp', '')}".rstrip())
     colophon = f"{made}. SI units; degrees in pictures and in the table of states."
     kind = "Aerodynamic identification report"
@@ -131,7 +169,12 @@ def verdict(content: ReportContent) -> str:
         parts = [
             f'<p class="lead">{text(found.learned)}</p>',
             _tiles(found),
-            table(["good enough to", "", "because"], uses, caption="What the model is good for.", classes="words"),
+            table(
+                ["good enough to", "", "because"],
+                uses,
+                caption="What the model is good for.",
+                classes="words",
+            ),
             _note(_THRESHOLDS),
             f"<p>{text(found.compared())}</p>",
             "<h3>The warnings that matter most</h3>",
@@ -152,8 +195,10 @@ def _tiles(found: Verdict) -> str:
     linear = found.least_squares_error
     beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
     return (
-        f'<div class="head"><div><b>{number(found.error, ".3f")}</b><span>error over spread (NRMSE), mean of the six'
-        f"</span>{beside}</div><div><b>{percent(found.coverage)}<small>%</small></b><span>of measured values inside "
+        f'<div class="head"><div><b>{number(found.error, ".3f")}</b><span>error over spread '
+        f"(NRMSE), mean of the six"
+        f"</span>{beside}</div><div><b>{percent(found.coverage)}<small>%</small></b><span>of "
+        f"measured values inside "
         "the 95 % band</span><span>95 is right</span></div></div>"
     )
 
@@ -183,8 +228,13 @@ def mechanics(found: FlightMechanics) -> str:
     if found.trim is None:
         parts.append(_note(text(found.note)))
     else:
-        angles = {name: getattr(found.trim, name) for name in ("airspeed", "alpha", "theta", "phi", "climb")}
-        shown = [(name, _in_words(name, value)) for name, value in (angles | found.trim.controls).items()]
+        angles = {
+            name: getattr(found.trim, name)
+            for name in ("airspeed", "alpha", "theta", "phi", "climb")
+        }
+        shown = [
+            (name, _in_words(name, value)) for name, value in (angles | found.trim.controls).items()
+        ]
         parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))
     if len(found.derivatives):
         tables = "".join(_derivatives(found, *group) for group in GROUPED.items())
@@ -215,18 +265,23 @@ def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]
             beside = DASH if linear is None else _band(*linear.loc[str(name), ["value", "std"]])
             value = _band(row["value"], row.get("std"))
             value = f'<span class="off">▼ {value}</span>' if open_sign else value
-            sizes = [f"± {number(1.96 * row['std_aircraft'], '.2g')}"] if "std_aircraft" in row else []
+            sizes = (
+                [f"± {number(1.96 * row['std_aircraft'], '.2g')}"] if "std_aircraft" in row else []
+            )
             rows.append([derivative(*row[["coefficient", "regressor"]]), value, beside, *sizes])
     caption = (
-        f"{group} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V, with half their 95 % bands. "
+        f"{group} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V, with half their 95 % "
+        f"bands. "
         "▼: the log cannot tell it, its band holds both signs."
     )
     head = ["", "model", "least squares"]
     if "std_aircraft" in derivatives:
         head.append("aircraft")
         caption += (
-            " Aircraft: half the 95 % band of what errors of its sizes make of them, which all derivatives of a moment "
-            "or force share; it matters against other sources, not for trim, modes and simulations with this aircraft."
+            " Aircraft: half the 95 % band of what errors of its sizes make of them, which all "
+            "derivatives of a moment "
+            "or force share; it matters against other sources, not for trim, modes and "
+            "simulations with this aircraft."
         )
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
@@ -246,12 +301,18 @@ def _modes(modes: pd.DataFrame) -> str:
     rows = []
     for name, row in modes.drop(columns="eigenvalue").iterrows():
         times = number(row["time_constant"], ".3g")
-        if "time_constant_lower" in row and not 0 < row["time_constant_lower"] * row["time_constant_upper"] < np.inf:
+        if (
+            "time_constant_lower" in row
+            and not 0 < row["time_constant_lower"] * row["time_constant_upper"] < np.inf
+        ):
             times = f'<span class="off">▼ {times}</span>'
-        damping = DASH if abs(row["damping"]) == 1 else _band(row["damping"], row.get("damping_std"))
+        damping = (
+            DASH if abs(row["damping"]) == 1 else _band(row["damping"], row.get("damping_std"))
+        )
         rows.append([text(name), _band(row["frequency"], row.get("frequency_std")), damping, times])
     caption = (
-        "Modes, with half their 95 % bands. The time constant is negative where a mode diverges. ▼: the log cannot "
+        "Modes, with half their 95 % bands. The time constant is negative where a mode diverges. "
+        "▼: the log cannot "
         "tell whether it decays."
     )
     head = ["", "frequency<br>[rad/s]", "damping<br>ratio", "time constant<br>[s]"]
@@ -264,13 +325,25 @@ def _simulation(errors: pd.DataFrame) -> str:
         factor, unit = display_unit(str(name))
         cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
         lasts = number(row["lasts"], ".2g")
-        lasts = f"all {lasts}" if row["lasts"] >= row["horizon"] else f'<span class="off">{lasts}</span>'
+        lasts = (
+            f"all {lasts}"
+            if row["lasts"] >= row["horizon"]
+            else f'<span class="off">{lasts}</span>'
+        )
         rows.append([state(str(name)), unit, *cells, lasts])
     caption = (
-        "Simulation of the test flights with the recorded controls, in still air, started again from measured states: "
+        "Simulation of the test flights with the recorded controls, in still air, started again "
+        "from measured states: "
         "root mean square error at the end, and how long it stays below the limit."
     )
-    head = ["", "unit", "spread in<br>the flights", "limit", "error at<br>the end", "follows<br>for [s]"]
+    head = [
+        "",
+        "unit",
+        "spread in<br>the flights",
+        "limit",
+        "error at<br>the end",
+        "follows<br>for [s]",
+    ]
     return table(head, rows, caption=caption, classes="numbers narrow")
 
 
@@ -278,12 +351,19 @@ def what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, model, time and versions."""
     model, aircraft = content.model, content.aircraft
     latent = {"shared": model.n_latent, "private": model.n_private}
-    is_bound = "sparse" in (model.inference or "")  # which is not comparable with the likelihood of an exact model
-    at_limit = model.n_iter is not None and model.max_iter is not None and model.n_iter >= model.max_iter
+    is_bound = "sparse" in (
+        model.inference or ""
+    )  # which is not comparable with the likelihood of an exact model
+    at_limit = (
+        model.n_iter is not None and model.max_iter is not None and model.n_iter >= model.max_iter
+    )
     end = " (limit reached)" if at_limit else ""
     pairs = [
         *([] if isinstance(aircraft, str) else aircraft.items()),
-        ("Learned from", _all_flown([(name, table["time"]) for name, table in content.train.items()])),
+        (
+            "Learned from",
+            _all_flown([(name, table["time"]) for name, table in content.train.items()]),
+        ),
         ("Tested on", _all_flown([(result.name, result.time) for result in content.test])),
         ("Samples", " of ".join(filter(None, map(_grouped, (model.n_samples, model.n_available))))),
         ("Regressors", ", ".join(map(str, model.regressors))),
@@ -292,9 +372,19 @@ def what_was_done(content: ReportContent) -> str:
         ("Trend", model.trend),
         ("Inference", model.inference),
         ("Coupling of outputs", _coupling(model.correlation)),
-        ("Log likelihood" + ", lower bound" * is_bound, _grouped(model.log_marginal_likelihood, ".1f")),
-        ("Iterations", _grouped(model.n_iter) + (end if model.converged else " (not converged: raise max_iter)")),
-        ("Time of the fit", None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s"),
+        (
+            "Log likelihood" + ", lower bound" * is_bound,
+            _grouped(model.log_marginal_likelihood, ".1f"),
+        ),
+        (
+            "Iterations",
+            _grouped(model.n_iter)
+            + (end if model.converged else " (not converged: raise max_iter)"),
+        ),
+        (
+            "Time of the fit",
+            None if model.fit_seconds is None else f"{model.fit_seconds:.1f}{THIN}s",
+        ),
         *model.extra.items(),
         ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
         ("Command", content.command),
@@ -309,8 +399,14 @@ def _coupling(correlation: Any) -> str | None:
     if correlation is None:
         return None
     matrix = np.asarray(getattr(correlation, "correlation", correlation), dtype=float)
-    pairs = {f"{COEFFICIENTS[i]} and {COEFFICIENTS[j]}": matrix[i, j] for i in range(6) for j in range(i)}
-    strong = pd.Series(pairs).loc[lambda values: values.abs() >= STRONG].sort_values(key=lambda values: -values.abs())
+    pairs = {
+        f"{COEFFICIENTS[i]} and {COEFFICIENTS[j]}": matrix[i, j] for i in range(6) for j in range(i)
+    }
+    strong = (
+        pd.Series(pairs)
+        .loc[lambda values: values.abs() >= STRONG]
+        .sort_values(key=lambda values: -values.abs())
+    )
     found = [f"{words} {number(value)}" for words, value in strong.items()]
     return f"correlations {', '.join(found)}" if found else f"no correlation of {STRONG:g} or more"
 
@@ -348,7 +444,9 @@ def flights(content: ReportContent, every: int, draw: bool) -> list[str]:
         if len(errors) <= MOST_OPEN:
             parts.append(_section(title, body, classes="flight"))
         else:
-            parts.append(f"<details{' open' * worst}><summary><h2>{title}</h2></summary>{body}</details>")
+            parts.append(
+                f"<details{' open' * worst}><summary><h2>{title}</h2></summary>{body}</details>"
+            )
     return parts
 
 
@@ -359,27 +457,39 @@ def _flight(result: FlightResult, noise_std, every: int, draw: bool) -> str:
     if "truth" in scores:
         tables += error_table(scores["truth"], against="truth", with_bands=False)
         words += (
-            " Bands are judged against measured values alone: the true coefficients contain what no sensor saw, such "
+            " Bands are judged against measured values alone: the true coefficients contain what "
+            "no sensor saw, such "
             "as gusts, which no band promises to hold."
         )
     span = figures.busiest_span(result.time, result.mean)
     coefficients = figures.coefficient_figure(result, span, every, draw)
-    parts = [f'<div class="pair">{tables}</div>', _note(words), "<h3>Coefficients</h3>", coefficients]
+    parts = [
+        f'<div class="pair">{tables}</div>',
+        _note(words),
+        "<h3>Coefficients</h3>",
+        coefficients,
+    ]
     errors, horizons = result.replay_errors, [] if result.replay is None else result.horizons()
     if result.replay is not None or errors is not None:
         parts.append("<h3>Replayed states</h3>")
     if errors is not None:
         parts.append(replay_table(errors[errors["horizon"].isin(horizons)] if horizons else errors))
     for horizon in horizons:
-        parts.append(figures.state_figure(result, horizon, span, every, draw and horizon == horizons[0]))
+        parts.append(
+            figures.state_figure(result, horizon, span, every, draw and horizon == horizons[0])
+        )
     return "".join(parts)
 
 
 def calibration(content: ReportContent) -> str:
     """Return how often intervals hold the measured values of all test flights."""
-    whole = [np.concatenate([getattr(one, name) for one in content.test]) for name in ("measured", "mean", "noisy_std")]
+    whole = [
+        np.concatenate([getattr(one, name) for one in content.test])
+        for name in ("measured", "mean", "noisy_std")
+    ]
     caption = (
-        "Calibration: how often intervals, with the noise, hold the measured values of all test flights. On the dotted "
+        "Calibration: how often intervals, with the noise, hold the measured values of all test "
+        "flights. On the dotted "
         "line they hold as often as they say."
     )
     return _section("Calibration", figure([figures.calibration_panel(*whole)], caption))
@@ -395,19 +505,30 @@ def effects(display: EffectsDisplay) -> str:
         names = list(share.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
         cells = "".join(
             f"<div><p>{symbol(str(output))} by {regressor(name)}</p>{panel}</div>"
-            for name, panel in zip(names, figures.effect_panels(display, output, names), strict=True)
+            for name, panel in zip(
+                names, figures.effect_panels(display, output, names), strict=True
+            )
         )
         parts.append(f'<div class="panels quartet">{cells}</div>')
     caption = (
-        f"For each coefficient the {N_EFFECTS} regressors whose effect varies most, on one scale, with mean zero over "
-        "the samples. Bands are wide where regressors moved together in the flights: the sum is then known better than "
+        f"For each coefficient the {N_EFFECTS} regressors whose effect varies most, on one scale, "
+        f"with mean zero over "
+        "the samples. Bands are wide where regressors moved together in the flights: the sum is "
+        "then known better than "
         "its terms."
     )
     if several:
         rest = share.loc[several].pow(2).sum() ** 0.5 / share.pow(2).sum() ** 0.5
-        words = ", ".join(f"{symbol(str(name))} {percent(value, '.0f')}" for name, value in rest.items())
-        caption += f" What no single regressor explains, in percent of the spread of the effects: {words}."
-    return _section("Effects", f"<figure>{key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>")
+        words = ", ".join(
+            f"{symbol(str(name))} {percent(value, '.0f')}" for name, value in rest.items()
+        )
+        caption += (
+            f" What no single regressor explains, in percent of the spread of the effects: {words}."
+        )
+    return _section(
+        "Effects",
+        f"<figure>{key_of(key)}{''.join(parts)}<figcaption>{caption}</figcaption></figure>",
+    )
 
 
 def envelope(display: EnvelopeDisplay) -> str:
@@ -419,12 +540,18 @@ def envelope(display: EnvelopeDisplay) -> str:
         *([] if display.path is None else [("vermillion", "test flights", "•")]),
     ]
     caption = (
-        "Pairs of regressors; those that a panel does not show are at their medians. Lines: the standard deviation of "
-        "the coefficients, over how much they vary where samples were flown: 0 where they are known, 1 where any value "
-        "flown is as likely. Where a test flight, or a simulation, leaves the grey area for the hatched, coefficients "
+        "Pairs of regressors; those that a panel does not show are at their medians. Lines: the "
+        "standard deviation of "
+        "the coefficients, over how much they vary where samples were flown: 0 where they are "
+        "known, 1 where any value "
+        "flown is as likely. Where a test flight, or a simulation, leaves the grey area for the "
+        "hatched, coefficients "
         "are extrapolated."
     )
-    return _section("Where the model knows", figure(figures.envelope_panels(display), caption, key, layout="trio"))
+    return _section(
+        "Where the model knows",
+        figure(figures.envelope_panels(display), caption, key, layout="trio"),
+    )
 
 
 def flown(content: ReportContent, every: int, draw: bool) -> str:
@@ -434,12 +561,21 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
     links = {name: linked.get(id(table), name) for name, table in flights.items()}
     parts = []
     positions = {"north", "east"}, {"v_north", "v_east"}
-    tracked = {name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)}
+    tracked = {
+        name: table
+        for name, table in flights.items()
+        if any(pair <= set(table) for pair in positions)
+    }
     if tracked and draw:
-        key = [(_color(k), name, figures.START_SIGNS[start_marker(k)]) for k, name in enumerate(tracked)]
+        key = [
+            (_color(k), name, figures.START_SIGNS[start_marker(k)])
+            for k, name in enumerate(tracked)
+        ]
         caption = "Path over the ground, north up; the flight's marker shows where it begins."
         if any("north" not in table.columns for table in tracked.values()):
-            caption += " Without recorded positions: integrated from the velocities, from the origin."
+            caption += (
+                " Without recorded positions: integrated from the velocities, from the origin."
+            )
         path = figure([figures.path_panel(tracked)], caption, key)
         parts.append(f'<div class="map">{path}{figures.flight_tracks(tracked, links)}</div>')
     inputs = "".join(
@@ -454,7 +590,11 @@ def flown(content: ReportContent, every: int, draw: bool) -> str:
 def flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
     pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
-    pairs += [(f"{result.name} (test)", result.table) for result in content.test if result.table is not None]
+    pairs += [
+        (f"{result.name} (test)", result.table)
+        for result in content.test
+        if result.table is not None
+    ]
     tables: dict[str, pd.DataFrame] = {}
     for name, flight in pairs:
         twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)

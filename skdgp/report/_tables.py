@@ -12,7 +12,12 @@ import pandas as pd
 from skdgp._display.page import THIN, number, percent, symbol, table, text
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
-from skdgp.metrics import interval_coverage, median_relative_error, negative_log_predictive_density, normalized_rmse
+from skdgp.metrics import (
+    interval_coverage,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+)
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 HONEST = (0.90, 0.99)
@@ -65,13 +70,19 @@ SCORES = {
         normalized_rmse, "NRMSE of<br>least squares", _thousandths, of_baseline=True
     ),
     "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
-    "negative_log_predictive_density": Score(negative_log_predictive_density, "NLPD", number, of_band=True),
+    "negative_log_predictive_density": Score(
+        negative_log_predictive_density, "NLPD", number, of_band=True
+    ),
     "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
 }
-"""By the names in metrics.json, those of skdgp.metrics; one more line is one more column of the report."""
+"""By the names in metrics.json, those of skdgp.metrics; one more line is one more column of the
+report.
+"""
 
 
-def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True) -> str:
+def error_table(
+    scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True
+) -> str:
     """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
     columns = {
         name: score for name, score in SCORES.items()
@@ -88,9 +99,15 @@ def error_table(scores: pd.DataFrame, noise_std=None, *, against: str, with_band
     for group, members in GROUPS.items():
         rows.append([group])
         for name in members:
-            last = [number(1e3 * noise[name], "#.2g" if noise[name] < 0.0995 else ".0f")] if noise else []
+            last = (
+                [number(1e3 * noise[name], "#.2g" if noise[name] < 0.0995 else ".0f")]
+                if noise
+                else []
+            )
             rows.append([symbol(name), *cells(scores.loc[name]), *last])
-        rows.append(["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])])
+        rows.append(
+            ["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])]
+        )
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
 
 
@@ -123,12 +140,18 @@ def replay_table(errors: pd.DataFrame) -> str:
         rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
         for _, row in errors[errors["horizon"] == horizon].iterrows():
             factor, unit = display_unit(row["state"])
-            rows.append([state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)])
+            rows.append(
+                [state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)]
+            )
     caption = (
-        "Absolute errors of the replayed states: the median over all samples, and the median over the windows of the "
-        "error at the end of each; the standard deviation of the state in the flight; ▼ where the error is larger than "
-        "that, so that the mean state would do as well. A replay is open loop: between restarts no measurement "
-        "corrects it, so small errors of the coefficients add up; compare models by the shortest window."
+        "Absolute errors of the replayed states: the median over all samples, and the median over "
+        "the windows of the "
+        "error at the end of each; the standard deviation of the state in the flight; ▼ where the "
+        "error is larger than "
+        "that, so that the mean state would do as well. A replay is open loop: between restarts "
+        "no measurement "
+        "corrects it, so small errors of the coefficients add up; compare models by the shortest "
+        "window."
     )
     return table(["", "unit", *columns.values()], rows, caption=caption, classes="numbers narrow")
 
@@ -143,5 +166,7 @@ def state(name: str) -> str:
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a list of what was done; pairs without a value are left out."""
-    lines = "".join(f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value)
+    lines = "".join(
+        f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value
+    )
     return f'<dl class="facts">{lines}</dl>' if lines else ""

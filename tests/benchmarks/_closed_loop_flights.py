@@ -10,8 +10,21 @@ from _jsbsim_flight import FOOT, aircraft_of, started
 from _study_flights import SOURCES, SURFACES, Log, _example_log, jsbsim_table
 
 from skdgp.datasets._brumby import BRUMBY
-from skdgp.datasets._example_flights import TIME_CONSTANTS, FlightControls, FlightPlan, _columns, fly_plans
-from skdgp.design import Limits, Wavetrain, doublet, orthogonal_multisines, three_two_one_one, wavetrain
+from skdgp.datasets._example_flights import (
+    TIME_CONSTANTS,
+    FlightControls,
+    FlightPlan,
+    _columns,
+    fly_plans,
+)
+from skdgp.design import (
+    Limits,
+    Wavetrain,
+    doublet,
+    orthogonal_multisines,
+    three_two_one_one,
+    wavetrain,
+)
 from skdgp.dynamics import Aircraft
 
 AXES = ("elevator", "aileron", "rudder")
@@ -79,13 +92,17 @@ def exploratory(subject: Subject, share: float = 0.5, stretch: float = 1.0) -> S
     limits = {axis: share * limit for axis, limit in subject.limits.items()}
     steps = [
         {axis: make(width, limits[axis])}
-        for make, width in ((doublet, stretch * subject.width), (three_two_one_one, 0.7 * stretch * subject.width))
+        for make, width in (
+            (doublet, stretch * subject.width),
+            (three_two_one_one, 0.7 * stretch * subject.width),
+        )
         for axis in AXES
     ]
     return sortie([orthogonal_multisines(limits, 10.0, (0.2, 1.5), n_tones=4, n_starts=2), *steps])
 
 
-# -- example aircraft ---------------------------------------------------------------------------------
+# -- example aircraft
+# ---------------------------------------------------------------------------------
 
 
 class _Held:
@@ -97,7 +114,11 @@ class _Held:
 
     def command(self, *seen: Any) -> np.ndarray:
         self.k += 1
-        kept = {name: value.copy() for name, value in vars(self.autopilot).items() if name.endswith("integral")}
+        kept = {
+            name: value.copy()
+            for name, value in vars(self.autopilot).items()
+            if name.endswith("integral")
+        }
         found, held = self.autopilot.command(*seen), self.busy[self.k]
         if self.k == 0:
             self.mean = found
@@ -109,33 +130,57 @@ class _Held:
         return found
 
 
-def _held_controls(sorties: Sequence[Sortie], plans: Any, time: np.ndarray, step: float) -> FlightControls:
+def _held_controls(
+    sorties: Sequence[Sortie], plans: Any, time: np.ndarray, step: float
+) -> FlightControls:
     controls = FlightControls(plans, time, step)
     controls.autopilot._bank = lambda seen, orbit: np.zeros(len(sorties))  # type: ignore[method-assign]
-    controls.autopilot = _Held(controls.autopilot, np.stack([one.at(time) for one in sorties], axis=1))
+    controls.autopilot = _Held(
+        controls.autopilot, np.stack([one.at(time) for one in sorties], axis=1)
+    )
     return controls
 
 
 def fly_example(sorties: Sequence[Sortie], seconds: float, air: str, seed: Any) -> list[Log]:
     """Return the logs of the example aircraft, each in gusts of its own."""
     plans = tuple(
-        FlightPlan(f"{seed}-{k}", STRAIGHT, ((-99.0, 200.0),), ((-99.0, 35.0),), (3.0, -1.5, 0.0), WIND[air], one.train)
+        FlightPlan(
+            f"{seed}-{k}",
+            STRAIGHT,
+            ((-99.0, 200.0),),
+            ((-99.0, 35.0),),
+            (3.0, -1.5, 0.0),
+            WIND[air],
+            one.train,
+        )
         for k, one in enumerate(sorties)
     )
     rng = np.random.default_rng(seed)
     flown = fly_plans(plans, seconds, 1.0, rng, controls_of=partial(_held_controls, sorties))
     known, true = _columns(*flown)
-    return [_example_log(plan, k, known, true, flown[1].regressors[:, k]) for k, plan in enumerate(plans)]
+    return [
+        _example_log(plan, k, known, true, flown[1].regressors[:, k])
+        for k, plan in enumerate(plans)
+    ]
 
 
-# -- aircraft of JSBSim -------------------------------------------------------------------------------
+# -- aircraft of JSBSim
+# -------------------------------------------------------------------------------
 
 
-def jsbsim_subject(model: str, knots: float, height: float, limits: dict[str, float], width: float) -> Subject:
+def jsbsim_subject(
+    model: str, knots: float, height: float, limits: dict[str, float], width: float
+) -> Subject:
     fdm = _at_trim(model, knots, height)
     speed = fdm["velocities/vt-fps"] * FOOT
     return Subject(
-        model, aircraft_of(fdm, model), speed, height, limits, width, partial(fly_jsbsim, model, knots, height)
+        model,
+        aircraft_of(fdm, model),
+        speed,
+        height,
+        limits,
+        width,
+        partial(fly_jsbsim, model, knots, height),
     )
 
 
@@ -149,7 +194,13 @@ def _at_trim(model: str, knots: float, height: float) -> Any:
 
 
 def fly_jsbsim(
-    model: str, knots: float, height: float, sorties: Sequence[Sortie], seconds: float, air: str, seed: Any
+    model: str,
+    knots: float,
+    height: float,
+    sorties: Sequence[Sortie],
+    seconds: float,
+    air: str,
+    seed: Any,
 ) -> list[Log]:
     """Return the logs of an aircraft of JSBSim."""
     return [
@@ -159,7 +210,13 @@ def fly_jsbsim(
 
 
 def _flown_jsbsim(
-    model: str, knots: float, height: float, one: Sortie, seconds: float, air: str, seed: Sequence[int]
+    model: str,
+    knots: float,
+    height: float,
+    one: Sortie,
+    seconds: float,
+    air: str,
+    seed: Sequence[int],
 ) -> Log:
     fdm = _at_trim(model, knots, height)
     if WIND[air]:
@@ -169,7 +226,11 @@ def _flown_jsbsim(
         fdm["atmosphere/turb-type"] = 3
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     linkage = _linkage(model, knots, height)
-    trimmed = {name: np.interp(value, COMMANDED, linkage[name]) for name, value in neutral.items() if name in linkage}
+    trimmed = {
+        name: np.interp(value, COMMANDED, linkage[name])
+        for name, value in neutral.items()
+        if name in linkage
+    }
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + seconds) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
     command, busy = np.stack([one.train(axis, time) for axis in AXES], axis=1), one.at(time)
@@ -180,11 +241,14 @@ def _flown_jsbsim(
         else:
             climb = np.clip((height - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
             feedback = {
-                "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb) + 0.15 * fdm["velocities/q-rad_sec"],
+                "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb)
+                + 0.15 * fdm["velocities/q-rad_sec"],
                 "aileron": -0.25 * fdm["attitude/phi-rad"] - 0.05 * fdm["velocities/p-rad_sec"],
                 "rudder": 0.1 * fdm["velocities/r-rad_sec"],
             }
-            throttle = np.clip(neutral["throttle"] + 0.03 * (speed - fdm["velocities/vt-fps"]), 0.1, 1.0)
+            throttle = np.clip(
+                neutral["throttle"] + 0.03 * (speed - fdm["velocities/vt-fps"]), 0.1, 1.0
+            )
         for j, name in enumerate(SURFACES):
             deflection = trimmed[name] + feedback[name] + command[k, j]
             fdm[f"fcs/{name}-cmd-norm"] = np.interp(deflection, linkage[name], COMMANDED)
@@ -223,7 +287,9 @@ SUBJECTS = {
         fly_example,
         TIME_CONSTANTS[0],
     ),
-    "c172p": lambda: jsbsim_subject("c172p", 100.0, 274.0, {"elevator": 0.07, "aileron": 0.15, "rudder": 0.12}, 0.7),
+    "c172p": lambda: jsbsim_subject(
+        "c172p", 100.0, 274.0, {"elevator": 0.07, "aileron": 0.15, "rudder": 0.12}, 0.7
+    ),
     "t6texan2": lambda: jsbsim_subject(
         "t6texan2", 150.0, 1000.0, {"elevator": 0.05, "aileron": 0.1, "rudder": 0.1}, 0.6
     ),

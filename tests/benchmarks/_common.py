@@ -11,19 +11,35 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-VERSIONS = ("skdgp", "numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpy", "mogptk", "jsbsim")
+VERSIONS = (
+    "skdgp",
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "torch",
+    "gpytorch",
+    "gpy",
+    "mogptk",
+    "jsbsim",
+)
 
 
 def parser_of(description, *, data=False, redo=False, smoke=False):
     """Return a parser of the command line of all benchmarks; ``data``, ``redo``, ``smoke``: of some."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json; page.py reads them there")
-    parser.add_argument("--repeats", type=int, default=3, help="of each measurement; the shortest counts")
+    parser.add_argument(
+        "--out", type=Path, help="folder for the results, as NAME.json; page.py reads them there"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="of each measurement; the shortest counts"
+    )
     parser.add_argument("--no-peers", action="store_true", help="leave out what other packages do")
     if smoke:
         parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     if data:
-        parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data, which holds flights/")
+        parser.add_argument(
+            "data", type=Path, nargs="?", help="folder of the shared data, which holds flights/"
+        )
     if redo:
         parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     return parser
@@ -38,7 +54,8 @@ def parsed(parser, words):
 
 
 SLOW = 15.0  # s, after which a function has had turns enough
-PAUSE = 0.1  # s: threads of BLAS go on waiting for work for a while, on cores that the next in turn needs
+# s: threads of BLAS go on waiting for work for a while, on cores that the next in turn needs
+PAUSE = 0.1
 
 
 def interleaved(functions, repeats):
@@ -62,16 +79,26 @@ def extra_memory(function):
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")  # forget earlier peaks
     function()
-    peak = _field("/proc/self/status", "VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = (
+        _field("/proc/self/status", "VmHWM")
+        or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    )
     return max(0, peak - resident)
 
 
 def in_own_process(script, *words, environment=None):
     """Run a script of this folder and return what it printed last, as JSON; None where it failed."""
-    command, variables = [sys.executable, str(script), *map(str, words)], os.environ | (environment or {})
+    command, variables = (
+        [sys.executable, str(script), *map(str, words)],
+        os.environ | (environment or {}),
+    )
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
     if done.returncode:
-        print(f"  {' '.join(map(str, words))}: {(done.stderr.strip().splitlines() or ['killed'])[-1]}", file=sys.stderr)
+        print(
+            f"  {' '.join(map(str, words))}: "
+            f"{(done.stderr.strip().splitlines() or ['killed'])[-1]}",
+            file=sys.stderr,
+        )
         return None
     return json.loads(done.stdout.strip().splitlines()[-1])
 
@@ -86,7 +113,9 @@ def _field(path, name):
         lines = Path(path).read_text().splitlines()
     except OSError:
         return None
-    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:")), None)
+    return next(
+        (int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:")), None
+    )
 
 
 def use_torch_threads(threads=None):
@@ -107,7 +136,9 @@ def machine():
         "processor": _processor(),
         "cores": os.cpu_count(),
         "threads": max((library["num_threads"] for library in blas), default=1),
-        "blas": ", ".join(sorted({f"{library['internal_api']} {library['version']}" for library in blas})),
+        "blas": ", ".join(
+            sorted({f"{library['internal_api']} {library['version']}" for library in blas})
+        ),
         "load": round(os.getloadavg()[0], 1),
         "python": platform.python_version(),
         "versions": dict(filter(None, map(_version, VERSIONS))),
@@ -135,9 +166,14 @@ def show(rows):
     if not rows:
         return
     cells = [[_cell(value) for value in row.values()] for row in rows]
-    widths = [max(len(str(text)) for text in column) for column in zip(rows[0], *cells, strict=True)]
+    widths = [
+        max(len(str(text)) for text in column) for column in zip(rows[0], *cells, strict=True)
+    ]
     for line in (list(rows[0]), *cells):
-        print("  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)), flush=True)
+        print(
+            "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)),
+            flush=True,
+        )
 
 
 def _cell(value):
@@ -153,4 +189,6 @@ def finish(options, name, **tables):
         show(rows)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / f"{name}.json").write_text(json.dumps({"machine": machine(), **tables}, indent=1) + "\n")
+        (options.out / f"{name}.json").write_text(
+            json.dumps({"machine": machine(), **tables}, indent=1) + "\n"
+        )

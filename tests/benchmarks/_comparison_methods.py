@@ -69,14 +69,17 @@ class Dependent:
         return self.regressor.predict(X)
 
     def bands(self, X):
-        return tuple(self.regressor.predict(X, return_std=True, include_noise=noise)[1] for noise in (False, True))
+        return tuple(
+            self.regressor.predict(X, return_std=True, include_noise=noise)[1]
+            for noise in (False, True)
+        )
 
 
 class Identification:
     """The whole pipeline, from flight tables, as the command line fits it.
 
-    ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its ``set_params`` is given,
-    ``samples`` how many are learned from where not all.
+    ``arguments`` are those of ``make_identification_pipeline``, ``parameters`` what its
+    ``set_params`` is given, ``samples`` how many are learned from where not all.
     """
 
     def __init__(self, arguments=None, parameters=None, *, samples=None):
@@ -86,7 +89,9 @@ class Identification:
         learned = task.targets if self.samples is None else thin_targets(task.targets, self.samples)
         pipeline = make_identification_pipeline(task.aircraft, **self.arguments)
         seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
-        self.pipeline = pipeline.set_params(**seeds).set_params(**self.parameters).fit(task.train, learned)
+        self.pipeline = (
+            pipeline.set_params(**seeds).set_params(**self.parameters).fit(task.train, learned)
+        )
         return self
 
     def transform(self, table):
@@ -98,7 +103,10 @@ class Identification:
 
     def bands(self, X):
         words = {"return_std": True, "include_input_noise": X[:, -1]}
-        return tuple(self.pipeline[-1].predict(X[:, :-1], include_noise=noise, **words)[1] for noise in (False, True))
+        return tuple(
+            self.pipeline[-1].predict(X[:, :-1], include_noise=noise, **words)[1]
+            for noise in (False, True)
+        )
 
 
 class Method(NamedTuple):
@@ -122,21 +130,41 @@ BOOSTED = "HistGradientBoostingRegressor, its defaults"
 METHODS = {
     "ols": Method("least squares", "linear in the regressors", EquationError),
     "ols_all": Method("least squares", "linear in the regressors", EquationError, all_samples=True),
-    "stepwise2": Method("stepwise, second order", STEPWISE.format("second"), lambda: EquationError(2, stepwise=True)),
+    "stepwise2": Method(
+        "stepwise, second order", STEPWISE.format("second"), lambda: EquationError(2, stepwise=True)
+    ),
     "stepwise2_all": Method(
-        "stepwise, second order", STEPWISE.format("second"), lambda: EquationError(2, stepwise=True), all_samples=True
+        "stepwise, second order",
+        STEPWISE.format("second"),
+        lambda: EquationError(2, stepwise=True),
+        all_samples=True,
     ),
-    "stepwise3": Method("stepwise, third order", STEPWISE.format("third"), lambda: EquationError(3, stepwise=True)),
+    "stepwise3": Method(
+        "stepwise, third order", STEPWISE.format("third"), lambda: EquationError(3, stepwise=True)
+    ),
     "stepwise3_all": Method(
-        "stepwise, third order", STEPWISE.format("third"), lambda: EquationError(3, stepwise=True), all_samples=True
+        "stepwise, third order",
+        STEPWISE.format("third"),
+        lambda: EquationError(3, stepwise=True),
+        all_samples=True,
     ),
-    "trees": Method("boosted trees", BOOSTED, lambda: OnTrend(trees(), linear=False), all_samples=True),
-    "trees_trend": Method("trend + boosted trees", BOOSTED, lambda: OnTrend(trees()), all_samples=True),
+    "trees": Method(
+        "boosted trees", BOOSTED, lambda: OnTrend(trees(), linear=False), all_samples=True
+    ),
+    "trees_trend": Method(
+        "trend + boosted trees", BOOSTED, lambda: OnTrend(trees()), all_samples=True
+    ),
     "gp_trend": Method(
-        "trend + six scikit-learn GPs", f"{WIDTHS}; noise learned", lambda: OnTrend(IndependentProcesses())
+        "trend + six scikit-learn GPs",
+        f"{WIDTHS}; noise learned",
+        lambda: OnTrend(IndependentProcesses()),
     ),
     "svgp_trend": Method(
-        "trend + GPyTorch sparse LCM", SPARSE, lambda: OnTrend(SparseLCM()), all_samples=True, gpytorch=True
+        "trend + GPyTorch sparse LCM",
+        SPARSE,
+        lambda: OnTrend(SparseLCM()),
+        all_samples=True,
+        gpytorch=True,
     ),
     "lcm_trend": Method(
         "trend + GPyTorch LCM",
@@ -145,12 +173,19 @@ METHODS = {
         gpytorch=True,
     ),
     "gp": Method(
-        "six scikit-learn GPs", f"{WIDTHS}; noise learned", lambda: OnTrend(IndependentProcesses(), linear=False)
+        "six scikit-learn GPs",
+        f"{WIDTHS}; noise learned",
+        lambda: OnTrend(IndependentProcesses(), linear=False),
     ),
     "lcm": Method(
-        "GPyTorch LCM", f"{LCM}; widths started at .69", lambda: OnTrend(ExactLCM(), linear=False), gpytorch=True
+        "GPyTorch LCM",
+        f"{LCM}; widths started at .69",
+        lambda: OnTrend(ExactLCM(), linear=False),
+        gpytorch=True,
     ),
-    "ours": Method("**skdgp regressor**", "DependentGPRegressor, its defaults", Dependent, ours=True),
+    "ours": Method(
+        "**skdgp regressor**", "DependentGPRegressor, its defaults", Dependent, ours=True
+    ),
     "ours_all": Method(
         "**skdgp regressor, sparse**",
         'DependentGPRegressor(inference="sparse")',
@@ -167,5 +202,14 @@ METHODS = {
         whole=True,
     ),
 }
-ORDER = ("ols", "ols_all", "stepwise2", "stepwise2_all", "stepwise3", "stepwise3_all", "trees", "trees_trend")
+ORDER = (
+    "ols",
+    "ols_all",
+    "stepwise2",
+    "stepwise2_all",
+    "stepwise3",
+    "stepwise3_all",
+    "trees",
+    "trees_trend",
+)
 ORDER += ("gp", "gp_trend", "lcm", "lcm_trend", "svgp_trend", "ours", "ours_all", "pipeline")

@@ -5,7 +5,11 @@ from __future__ import annotations
 import gpytorch
 import numpy as np
 import torch
-from gpytorch.variational import CholeskyVariationalDistribution, LMCVariationalStrategy, VariationalStrategy
+from gpytorch.variational import (
+    CholeskyVariationalDistribution,
+    LMCVariationalStrategy,
+    VariationalStrategy,
+)
 
 
 class LCM(gpytorch.models.ExactGP):
@@ -19,14 +23,18 @@ class LCM(gpytorch.models.ExactGP):
         self.covar_module = gpytorch.kernels.LCMKernel(kernels, num_tasks=P, rank=1)
 
     def forward(self, x):
-        return gpytorch.distributions.MultitaskMultivariateNormal(self.mean_module(x), self.covar_module(x))
+        return gpytorch.distributions.MultitaskMultivariateNormal(
+            self.mean_module(x), self.covar_module(x)
+        )
 
 
 def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1, dtype=torch.float64):
     """Return model and likelihood at stated hyperparameters, the mixing drawn at random but always alike."""
     torch.manual_seed(0)
     X, Y = torch.as_tensor(X, dtype=dtype), torch.as_tensor(Y, dtype=dtype)
-    likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=Y.shape[1], has_global_noise=False)
+    likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(
+        num_tasks=Y.shape[1], has_global_noise=False
+    )
     model = LCM(X, Y, likelihood, n_latent).to(dtype)
     likelihood.to(dtype).initialize(task_noises=torch.full((Y.shape[1],), noise, dtype=dtype))
     for kernel in model.covar_module.covar_module_list:
@@ -36,7 +44,9 @@ def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1, dtype=torch.float6
 
 def cholesky():
     """Return the settings in which everything is done by Cholesky factorisation."""
-    return gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
+    return gpytorch.settings.fast_computations(
+        covar_root_decomposition=False, log_prob=False, solves=False
+    )
 
 
 def likelihood_and_gradient(model, likelihood):
@@ -68,9 +78,14 @@ class Variational(gpytorch.models.ApproximateGP):
         L, m, d = Z.shape
         batch = torch.Size([L])
         strategy = VariationalStrategy(
-            self, Z, CholeskyVariationalDistribution(m, batch_shape=batch), learn_inducing_locations=True
+            self,
+            Z,
+            CholeskyVariationalDistribution(m, batch_shape=batch),
+            learn_inducing_locations=True,
         )
-        super().__init__(LMCVariationalStrategy(strategy, num_tasks=n_outputs, num_latents=L, latent_dim=-1))
+        super().__init__(
+            LMCVariationalStrategy(strategy, num_tasks=n_outputs, num_latents=L, latent_dim=-1)
+        )
         self.mean_module = gpytorch.means.ConstantMean(batch_shape=batch)
         rbf = gpytorch.kernels.RBFKernel(ard_num_dims=d, batch_shape=batch)
         self.covar_module = gpytorch.kernels.ScaleKernel(rbf, batch_shape=batch)

@@ -1,8 +1,8 @@
 """This package flown beside JSBSim: its accelerations, then trajectories under JSBSim's own loads.
 
-JSBSim's Earth is round and turns, this package's is flat and rests. To its loads is added what else acts on a body seen
-from an Earth that turns: gravity's direction where the aircraft is, the Coriolis force, and the Earth's share of what
-gyroscopes feel. What is left is arithmetic.
+JSBSim's Earth is round and turns, this package's is flat and rests. To its loads is added what else
+acts on a body seen from an Earth that turns: gravity's direction where the aircraft is, the
+Coriolis force, and the Earth's share of what gyroscopes feel. What is left is arithmetic.
 """
 
 import numpy as np
@@ -27,7 +27,9 @@ class Earth:
     def __init__(self, flight, aircraft):
         latitude = flight["latitude"].to_numpy()
         self.axes = earth_to_ned(latitude, flight["longitude"].to_numpy())
-        self.rate = EARTH_RATE * np.stack([np.cos(latitude), 0 * latitude, -np.sin(latitude)], axis=-1)
+        self.rate = EARTH_RATE * np.stack(
+            [np.cos(latitude), 0 * latitude, -np.sin(latitude)], axis=-1
+        )
         self.attitude = euler_to_quaternion(*flight[["phi", "theta", "psi"]].to_numpy().T)
         self.place = _vector(flight, "earth_", "xyz")
         radius = _times(self.axes, self.place)
@@ -43,7 +45,9 @@ def apparent_loads(state, gravity, earth_rate, aircraft):
     """Return force and moment of gravity, (..., 3) in NED, and of the turning of the Earth."""
     turning = ned_to_body(state[..., ATTITUDE], earth_rate)
     rates = state[..., RATES]
-    force = ned_to_body(state[..., ATTITUDE], gravity) - 2.0 * np.cross(turning, state[..., VELOCITY])
+    force = ned_to_body(state[..., ATTITUDE], gravity) - 2.0 * np.cross(
+        turning, state[..., VELOCITY]
+    )
     inertial = rates + turning
     moment = gyroscopic_moment(rates, aircraft) - gyroscopic_moment(inertial, aircraft)
     return aircraft.mass * force, moment + np.cross(inertial, turning) @ aircraft.inertia
@@ -59,7 +63,14 @@ def derivative_of(state, loads, gravity, earth_rate, aircraft):
 def acceleration_errors(flight, aircraft):
     """Return the errors (n, 6) of this package's accelerations against JSBSim's."""
     earth, loads = Earth(flight, aircraft), _loads(flight)
-    state = np.hstack([np.zeros((len(flight), 3)), flight[["u", "v", "w"]], earth.attitude, flight[["p", "q", "r"]]])
+    state = np.hstack(
+        [
+            np.zeros((len(flight), 3)),
+            flight[["u", "v", "w"]],
+            earth.attitude,
+            flight[["p", "q", "r"]],
+        ]
+    )
     found = derivative_of(state, loads, earth.gravity, earth.rate, aircraft)
     return np.hstack([found[:, VELOCITY], found[:, RATES]]) - flight[list(CHANNELS)].to_numpy()
 
@@ -71,7 +82,9 @@ def trajectory(flight, aircraft, horizon):
     steps = round(horizon * rate)
     starts = np.arange(0, len(flight) - steps, steps)
     velocity, rates = flight[["u", "v", "w"]].to_numpy(), flight[["p", "q", "r"]].to_numpy()
-    state = np.hstack([np.zeros((len(starts), 3)), velocity[starts], earth.attitude[starts], rates[starts]])
+    state = np.hstack(
+        [np.zeros((len(starts), 3)), velocity[starts], earth.attitude[starts], rates[starts]]
+    )
 
     def derivative(t, state):
         now = starts + round(t * rate)
@@ -83,8 +96,10 @@ def trajectory(flight, aircraft, horizon):
         rotation = earth.turn(starts, now) @ quaternion_to_matrix(earth.attitude[now])
         turned = rotation - quaternion_to_matrix(ours[:, ATTITUDE])
         return {
-            "position [m]": ours[:, POSITION] - _times(earth.axes[starts], earth.place[now] - earth.place[starts]),
-            "velocity [m/s]": body_to_ned(ours[:, ATTITUDE], ours[:, VELOCITY]) - _times(rotation, velocity[now]),
+            "position [m]": ours[:, POSITION]
+            - _times(earth.axes[starts], earth.place[now] - earth.place[starts]),
+            "velocity [m/s]": body_to_ned(ours[:, ATTITUDE], ours[:, VELOCITY])
+            - _times(rotation, velocity[now]),
             "attitude [rad]": turned.reshape(-1, 9) / np.sqrt(2.0),
             "rates [rad/s]": ours[:, RATES] - rates[now],
         }
@@ -92,7 +107,10 @@ def trajectory(flight, aircraft, horizon):
     samples = np.arange(0, steps + 1, 2)  # a step of two: RK4 asks for the loads between as well
     flown = rk4(derivative, state, samples / rate)
     errors = [missed(k, ours) for k, ours in zip(samples, flown, strict=True)]
-    return {name: float(max(np.linalg.norm(each[name], axis=1).max() for each in errors)) for name in errors[0]}
+    return {
+        name: float(max(np.linalg.norm(each[name], axis=1).max() for each in errors))
+        for name in errors[0]
+    }
 
 
 def _vector(flight, start, axes):

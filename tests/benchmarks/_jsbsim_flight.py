@@ -8,10 +8,26 @@ from skdgp.dynamics import Aircraft
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
 EARTH_RATE = 7.292115e-5  # rad/s
-FOURTH_ORDER = {"rate/rotational": 5, "rate/translational": 5, "position/rotational": 7, "position/translational": 5}
+FOURTH_ORDER = {
+    "rate/rotational": 5,
+    "rate/translational": 5,
+    "position/rotational": 7,
+    "position/translational": 5,
+}
 """Integrators of JSBSim; its default is Euler's method for rates and attitude."""
-START = {"h-sl-ft": 4000, "vc-kts": 100, "lat-geod-deg": 45, "long-gc-deg": 10, "psi-true-deg": 60, "gamma-deg": 0}
-DOUBLETS = {"elevator": (1.0, -0.08), "aileron": (4.0, 0.25), "rudder": (7.0, 0.3)}  # from [s], size;
+START = {
+    "h-sl-ft": 4000,
+    "vc-kts": 100,
+    "lat-geod-deg": 45,
+    "long-gc-deg": 10,
+    "psi-true-deg": 60,
+    "gamma-deg": 0,
+}
+DOUBLETS = {
+    "elevator": (1.0, -0.08),
+    "aileron": (4.0, 0.25),
+    "rudder": (7.0, 0.3),
+}  # from [s], size;
 # a second each way, smooth: a jump would cost any integrator an order
 
 
@@ -74,7 +90,8 @@ def started(model, rate, knots=START["vc-kts"]):
 def aircraft_of(fdm, model):
     """Return the aircraft as JSBSim carries it; its ixz is the tensor's element, not the product of inertia."""
     ixx, iyy, izz, ixy, ixz, iyz = (
-        fdm[f"inertia/{name}-slugs_ft2"] * SLUG * FOOT**2 for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        fdm[f"inertia/{name}-slugs_ft2"] * SLUG * FOOT**2
+        for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
     return Aircraft(
         name=model,

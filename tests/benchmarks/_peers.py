@@ -1,7 +1,7 @@
 """Other methods of the field behind one face: ``fit(X, Y)``, ``predict(X)`` and, where a method has them, bands.
 
-``X`` (n, d) are scaled regressors, ``Y`` (n, P) targets without gaps. ``bands(X)`` gives two standard deviations
-(n, P): of the function, and of a new measurement.
+``X`` (n, d) are scaled regressors, ``Y`` (n, P) targets without gaps. ``bands(X)`` gives two
+standard deviations (n, P): of the function, and of a new measurement.
 """
 
 import warnings
@@ -23,9 +23,9 @@ from sklearn.preprocessing import PolynomialFeatures
 class EquationError:
     """Polynomials by least squares, the classical equation-error method (Klein & Morelli 2006, chapter 5).
 
-    With ``stepwise``, terms enter one at a time, the one with the largest partial F first, while F is significant
-    at 5 % and the predicted square error falls: PSE = RSS / n + s^2 p / n, with s^2 the variance of the target and p
-    the number of terms.
+    With ``stepwise``, terms enter one at a time, the one with the largest partial F first, while F
+    is significant at 5 % and the predicted square error falls: PSE = RSS / n + s^2 p / n, with s^2
+    the variance of the target and p the number of terms.
     """
 
     def __init__(self, degree=1, *, stepwise=False):
@@ -36,7 +36,9 @@ class EquationError:
         C = self.features.transform(X)
         every = np.arange(C.shape[1])
         self.terms = [forward_selection(C, y) if self.stepwise else every for y in Y.T]
-        self.fits = [_LeastSquares(C[:, terms], y) for terms, y in zip(self.terms, Y.T, strict=True)]
+        self.fits = [
+            _LeastSquares(C[:, terms], y) for terms, y in zip(self.terms, Y.T, strict=True)
+        ]
         return self
 
     def predict(self, X):
@@ -64,7 +66,9 @@ def forward_selection(C, y, level=0.05):
         gain = np.where(usable, (C.T @ y) ** 2 / np.where(usable, left, 1.0), 0.0)
         best = int(gain.argmax())
         free = n - len(chosen) - 2
-        significant = gain[best] / ((error - gain[best]) / free) > f_distribution.isf(level, 1, free)
+        significant = gain[best] / ((error - gain[best]) / free) > f_distribution.isf(
+            level, 1, free
+        )
         if not significant or gain[best] < total / n:  # the second: PSE would rise
             break
         chosen.append(best)
@@ -120,7 +124,9 @@ class IndependentProcesses:
     """scikit-learn's Gaussian process, once for each target: RBF with a width for each regressor, and noise."""
 
     def fit(self, X, Y):
-        kernel = ConstantKernel() * RBF(np.full(X.shape[1], 3.0), (1e-1, 1e4)) + WhiteKernel(0.1, (1e-6, 1e2))
+        kernel = ConstantKernel() * RBF(np.full(X.shape[1], 3.0), (1e-1, 1e4)) + WhiteKernel(
+            0.1, (1e-6, 1e2)
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             self.models = [GaussianProcessRegressor(kernel, random_state=0).fit(X, y) for y in Y.T]
@@ -143,7 +149,8 @@ def trees():
 class ExactLCM:
     """GPyTorch's exact linear model of coregionalisation: six latents of rank 1, Adam at rate .1.
 
-    Fitted with GPyTorch's own settings, which are single precision and conjugate gradients; predictions by Cholesky.
+    Fitted with GPyTorch's own settings, which are single precision and conjugate gradients;
+    predictions by Cholesky.
     """
 
     def __init__(self, *, n_steps=100, length_scale=None):
@@ -154,8 +161,12 @@ class ExactLCM:
         from _gpytorch import exact_lcm, likelihood_and_gradient
 
         use_torch_threads()
-        start = 0.6931 if self.length_scale is None else self.length_scale  # softplus(0) is GPyTorch's own
-        self.model, self.likelihood = exact_lcm(X, Y, 6, length_scale=start, noise=0.6931, dtype=torch.float32)
+        start = (
+            0.6931 if self.length_scale is None else self.length_scale
+        )  # softplus(0) is GPyTorch's own
+        self.model, self.likelihood = exact_lcm(
+            X, Y, 6, length_scale=start, noise=0.6931, dtype=torch.float32
+        )
         parameters = {id(p): p for p in (*self.model.parameters(), *self.likelihood.parameters())}
         optimizer = torch.optim.Adam(parameters.values(), lr=0.1, maximize=True)
         step = likelihood_and_gradient(self.model, self.likelihood)
@@ -166,7 +177,9 @@ class ExactLCM:
                 optimizer.step()
         self.model.double().eval()
         self.likelihood.double().eval()
-        self.model.set_train_data(*(t.double() for t in (self.model.train_inputs[0], self.model.train_targets)), False)
+        self.model.set_train_data(
+            *(t.double() for t in (self.model.train_inputs[0], self.model.train_targets)), False
+        )
         return self
 
     def predict(self, X):

@@ -1,9 +1,10 @@
 """Real flights of others: DLR's test aircraft ATTAS, its stall, and a UAV of 3.3 kg.
 
-They are of the public repository github.com/josemiguelbento/UAV-OAT-controlo. Nothing of it stands here: it states no
-licence. The manoeuvres of ATTAS in it are the flight data of Jategaonkar, Flight Vehicle System Identification, 2nd
-edition (AIAA 2015), which the publisher gives away (arc.aiaa.org/doi/suppl/10.2514/4.102790). Mass, geometry, positions
-of sensors and engines of ATTAS are those of the book's ``umr_reg_attas.m``; those of the UAV are the repository's
+They are of the public repository github.com/josemiguelbento/UAV-OAT-controlo. Nothing of it stands
+here: it states no licence. The manoeuvres of ATTAS in it are the flight data of Jategaonkar, Flight
+Vehicle System Identification, 2nd edition (AIAA 2015), which the publisher gives away
+(arc.aiaa.org/doi/suppl/10.2514/4.102790). Mass, geometry, positions of sensors and engines of ATTAS
+are those of the book's ``umr_reg_attas.m``; those of the UAV are the repository's
 ``get_coefs_real.m``. Each function takes the folder of an unpacked copy.
 """
 
@@ -16,7 +17,11 @@ from scipy.io import loadmat
 from skdgp.dynamics import Aircraft
 
 BOOK, UAV = Path("RVJategaonkar_codes_2ed/flt_data"), Path("get_coeffs/flight_data_1")
-ACCELEROMETER, ENGINE, BOOM = (-1.010, 0.886, 0.103), (-1.343, 2.990, -0.652), (13.080, -0.010, -0.027)
+ACCELEROMETER, ENGINE, BOOM = (
+    (-1.010, 0.886, 0.103),
+    (-1.343, 2.990, -0.652),
+    (13.080, -0.010, -0.027),
+)
 """Of ATTAS, from its centre of gravity [m]; the engine is the right one."""
 ATTAS = Aircraft(
     name="ATTAS",
@@ -57,7 +62,9 @@ def _attas(folder, name, boom=True):
     path = Path(folder) / BOOK / name
     mat = path.with_suffix(".mat")
     log = loadmat(mat)[name] if mat.exists() else np.loadtxt(path.with_suffix(".asc"))
-    log = np.column_stack([np.full(len(log), np.nan), log])  # channels from 1 on, as the book numbers them
+    log = np.column_stack(
+        [np.full(len(log), np.nan), log]
+    )  # channels from 1 on, as the book numbers them
     degrees = np.radians(log)
     rates, vanes, airspeed = degrees[:, 7:10], degrees[:, 13:15], log[:, 15]
     if boom:
@@ -68,7 +75,11 @@ def _attas(folder, name, boom=True):
         vanes = np.column_stack([np.arctan2(w, u), np.arcsin(v / airspeed)])
     accelerations, force = degrees[:, 17:20], log[:, 2:5]
     if boom:  # the stalls hold them at the centre of gravity, as their header says
-        force = force - np.cross(accelerations, ACCELEROMETER) - np.cross(rates, np.cross(rates, ACCELEROMETER))
+        force = (
+            force
+            - np.cross(accelerations, ACCELEROMETER)
+            - np.cross(rates, np.cross(rates, ACCELEROMETER))
+        )
     left, right = log[:, 37], log[:, 38]
     columns = {
         "time": np.arange(len(log)) * 0.04,
@@ -90,7 +101,9 @@ def _attas(folder, name, boom=True):
     }
     part = np.cumsum(np.diff(log[:, 1], prepend=log[0, 1]) > 1.0)  # one file holds two manoeuvres
     table = pd.DataFrame(columns).assign(flight=[f"{name} {k + 1}" for k in part])
-    from_end = [table.groupby("flight").cumcount(ascending=ascending) for ascending in (True, False)]
+    from_end = [
+        table.groupby("flight").cumcount(ascending=ascending) for ascending in (True, False)
+    ]
     return table[np.minimum(*from_end) >= EDGE].reset_index(drop=True)
 
 

@@ -13,14 +13,36 @@ from skdgp._flight.channels import COEFFICIENTS, EULER, HAT, RATE_LENGTHS, TRUTH
 from skdgp._flight.frames import euler_to_quaternion, ned_to_body
 from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
-from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, MEASURED, TRUTH, _columns, fly_plans, measure
+from skdgp.datasets._example_flights import (
+    COMMANDS,
+    FLIGHT_PLANS,
+    MEASURED,
+    TRUTH,
+    _columns,
+    fly_plans,
+    measure,
+)
 from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, trim
 
-NAMES = ("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle")
+NAMES = (
+    "alpha",
+    "beta",
+    "p",
+    "q",
+    "r",
+    "alpha_dot",
+    "beta_dot",
+    "elevator",
+    "aileron",
+    "rudder",
+    "throttle",
+)
 """Regressors of the set "classical", rates non-dimensional."""
 ROTATION, SLOPES = [2, 3, 4], [5, 6]
 AIR = {"calm": 0.0, "light": 2.2, "moderate": 4.3}
-"""Factors on the gusts of the example flights: a wind of 15 and 30 kt at 6 m, light and moderate of MIL-F-8785C."""
+"""Factors on the gusts of the example flights: a wind of 15 and 30 kt at 6 m, light and moderate of
+MIL-F-8785C.
+"""
 TRIM_SPEED, TRIM_ALTITUDE = 36.0, 220.0
 
 
@@ -32,7 +54,8 @@ class Log(NamedTuple):
     exact: np.ndarray
     """Regressors `NAMES`, (n, 11), rates relative to the earth."""
     gust: np.ndarray
-    """Non-dimensional rates of the air, (n, 3): what the aerodynamics feel is ``exact`` less these."""
+    """Non-dimensional rates of the air, (n, 3): what the aerodynamics feel is ``exact`` less these.
+    """
     truth: np.ndarray
     """Coefficients, (n, 6)."""
 
@@ -70,14 +93,18 @@ def example_subject(seeds: int, duration: float) -> Subject:
     factors = [0.0, *(factor for factor in AIR.values() for _ in range(seeds if factor else 1))]
     record, truth = fly_plans(plans, duration, np.array(factors)[:, None], np.random.default_rng(0))
     known, true = _columns(record, truth)
-    test, calm, *gusty = (_example_log(plan, k, known, true, truth.regressors[:, k]) for k, plan in enumerate(plans))
+    test, calm, *gusty = (
+        _example_log(plan, k, known, true, truth.regressors[:, k]) for k, plan in enumerate(plans)
+    )
     logs = {"calm": [calm] * seeds, "light": gusty[:seeds], "moderate": gusty[seeds:]}
     names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
     model = Aerodynamics(brumby_coefficients, names, gradient=brumby_derivatives)
     point = trim(model, BRUMBY, TRIM_SPEED, altitude=TRIM_ALTITUDE)
     at = Motion(model, BRUMBY).at(point.state, point.controls).regressors
     slopes = np.column_stack([brumby_derivatives(at), np.zeros(6)])  # none by throttle
-    return Subject("example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes, TRIM_SPEED)
+    return Subject(
+        "example", BRUMBY, logs, test, np.append(at, point.controls["throttle"]), slopes, TRIM_SPEED
+    )
 
 
 def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -> Log:
@@ -88,7 +115,12 @@ def _example_log(plan: Any, k: int, known: dict, true: dict, felt: np.ndarray) -
     for j, name in zip(ROTATION, "pqr", strict=True):
         length = getattr(BRUMBY, RATE_LENGTHS[name])
         exact[:, j] = table[name + TRUTH_SUFFIX] * length / (2 * table["airspeed_true"])
-    return Log(table, exact, (exact - felt)[:, ROTATION], table[[f"{c}_true" for c in COEFFICIENTS]].to_numpy())
+    return Log(
+        table,
+        exact,
+        (exact - felt)[:, ROTATION],
+        table[[f"{c}_true" for c in COEFFICIENTS]].to_numpy(),
+    )
 
 
 def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
@@ -98,19 +130,28 @@ def seen(log: Log, aircraft: Aircraft, seed: int) -> Seen:
     table = table[[name for name in MEASURED if name in table]].copy()
     targets = {"exact": log.truth, "measured": aerodynamic_coefficients(table, aircraft).to_numpy()}
     steps = make_identification_pipeline(aircraft, regressors="classical")[:-2]
-    return Seen({"exact": log.exact, "measured": np.asarray(steps.fit_transform(table), dtype=float)}, targets, log)
+    return Seen(
+        {"exact": log.exact, "measured": np.asarray(steps.fit_transform(table), dtype=float)},
+        targets,
+        log,
+    )
 
 
-# -- Cessna 172 of JSBSim -----------------------------------------------------------------------------
+# -- Cessna 172 of JSBSim
+# -----------------------------------------------------------------------------
 
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 """[kt], MIL-F-8785C as JSBSim flies it."""
 HEIGHT = 274.0  # above the ground [m]
 KNOTS = {"c172p": 100.0, "c182": 100.0, "t6texan2": 150.0, "T37": 200.0}
-"""Calibrated airspeed of aircraft of JSBSim. On the last two of the study, t6texan2 and T37, nothing was chosen."""
+"""Calibrated airspeed of aircraft of JSBSim. On the last two of the study, t6texan2 and T37,
+nothing was chosen.
+"""
 KNOTS |= {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0}
 KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0, "MD11": 280.0}
-FRAMES = 6  # of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged loads
+# of JSBSim per row; controls change at each of them: held longer, they would lag behind the logged
+# loads
+FRAMES = 6
 SETTLING = 10.0  # s before the log
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
 SOURCES = {  # property and factor to SI; forces and moments in newtons
@@ -137,8 +178,12 @@ def jsbsim_subject(name: str, seeds: int, duration: float) -> Subject:
     """Return an aircraft of JSBSim; its derivatives are those of third order on exact regressors of all flights."""
     fly = partial(jsbsim_log, name, duration)
     test, aircraft = fly(2, "calm", 0)
-    seeded = {air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()}
-    flown = {(air, seed): fly(1, air, seed)[0] for air, all_of in seeded.items() for seed in {*all_of}}
+    seeded = {
+        air: range(1, seeds + 1) if wind else [0] * seeds for air, wind in WIND_AT_20FT.items()
+    }
+    flown = {
+        (air, seed): fly(1, air, seed)[0] for air, all_of in seeded.items() for seed in {*all_of}
+    }
     logs = {air: [flown[air, seed] for seed in all_of] for air, all_of in seeded.items()}
     felt = np.concatenate([log.exact for log in flown.values()])
     felt[:, ROTATION] -= np.concatenate([log.gust for log in flown.values()])
@@ -157,7 +202,9 @@ def slopes_of_third_order(X: np.ndarray, Y: np.ndarray, at: np.ndarray) -> np.nd
     return np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : X.shape[1] + 1].T / scale
 
 
-def jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) -> tuple[Log, Aircraft]:
+def jsbsim_log(
+    model: str, duration: float, number: int, air: str, seed: int
+) -> tuple[Log, Aircraft]:
     """Return a flight with the manoeuvres of a plan of the example flights, held level or in slow turns."""
     plan, fdm = FLIGHT_PLANS[number], started(model, 40 * FRAMES, KNOTS[model])
     fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = HEIGHT / FOOT, KNOTS[model]
@@ -172,32 +219,51 @@ def jsbsim_log(model: str, duration: float, number: int, air: str, seed: int) ->
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + duration) * 40 * FRAMES)) / (40 * FRAMES) - SETTLING
-    command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS]) * [1.0, 1.5, 1.0, 1.0]
+    command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS]) * [
+        1.0,
+        1.5,
+        1.0,
+        1.0,
+    ]
     rows = []
     for k, now in enumerate(time):
         phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))
-        climb = np.clip((HEIGHT + 30 * (number == 2 and now > 70) - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
+        climb = np.clip(
+            (HEIGHT + 30 * (number == 2 and now > 70) - fdm["position/h-sl-ft"] * FOOT) / 200,
+            -0.07,
+            0.07,
+        )
         surfaces = {
-            "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb) + 0.15 * fdm["velocities/q-rad_sec"],
+            "elevator": 0.5 * (fdm["attitude/theta-rad"] - theta - climb)
+            + 0.15 * fdm["velocities/q-rad_sec"],
             "aileron": 0.25 * (phi - fdm["attitude/phi-rad"]) - 0.05 * fdm["velocities/p-rad_sec"],
             "rudder": 0.1 * fdm["velocities/r-rad_sec"],
         }
         slower = 0.03 * (speed - fdm["velocities/vt-fps"])
         for j, name in enumerate(SURFACES):
             fdm[f"fcs/{name}-cmd-norm"] = neutral[name] + (surfaces[name] + command[k, j]) / 0.35
-        fdm["fcs/throttle-cmd-norm"] = np.clip(neutral["throttle"] + slower + command[k, 3], 0.1, 1.0)
+        fdm["fcs/throttle-cmd-norm"] = np.clip(
+            neutral["throttle"] + slower + command[k, 3], 0.1, 1.0
+        )
         fdm.run()
         if k % FRAMES == FRAMES - 1:
             rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
     time = time[FRAMES - 1 :: FRAMES]
     aircraft, log = aircraft_of(fdm, model), time >= 0
-    return jsbsim_table(pd.DataFrame(rows, columns=[*SOURCES])[log], time[log], plan.name, aircraft), aircraft
+    return jsbsim_table(
+        pd.DataFrame(rows, columns=[*SOURCES])[log], time[log], plan.name, aircraft
+    ), aircraft
 
 
 def jsbsim_table(table: pd.DataFrame, time: np.ndarray, name: str, aircraft: Aircraft) -> Log:
     table = table.reset_index(drop=True)
     table[[f"a{axis}_true" for axis in "xyz"]] /= aircraft.mass
-    scale = 0.5 * table["density"].to_numpy() * table["airspeed_true"].to_numpy() ** 2 * aircraft.wing_area
+    scale = (
+        0.5
+        * table["density"].to_numpy()
+        * table["airspeed_true"].to_numpy() ** 2
+        * aircraft.wing_area
+    )
     truth = table[[f"{name}_true" for name in COEFFICIENTS]].to_numpy() / scale[:, None]
     truth[:, 3:] /= aircraft.moment_lengths
     for axis in ("north", "east"):
@@ -217,23 +283,29 @@ def hats(table: pd.DataFrame, aircraft: Aircraft) -> np.ndarray:
 
 def exact_regressors(table: pd.DataFrame, aircraft: Aircraft) -> np.ndarray:
     """Return `NAMES` of columns of the truth, (n, 11), rates relative to the earth."""
-    exact = np.column_stack([table[name + TRUTH_SUFFIX if name + TRUTH_SUFFIX in table else name] for name in NAMES])
+    exact = np.column_stack(
+        [table[name + TRUTH_SUFFIX if name + TRUTH_SUFFIX in table else name] for name in NAMES]
+    )
     by = hats(table, aircraft)
     exact[:, ROTATION] *= by
     exact[:, SLOPES] *= by[:, 1:]
     return exact
 
 
-# -- flights of others -------------------------------------------------------------------------------
+# -- flights of others
+# -------------------------------------------------------------------------------
 
 
 def milspec_rates(table: pd.DataFrame, span: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the rates of the air that JSBSim's turbulence makes of its wind, (n, 3) in body axes [rad/s].
 
-    Pitching and yawing lag behind the changes of the velocities w and v (Yeager 1998, eqs 14 and 18). Rolling is drawn
-    for itself and stays unknown: its axis is along the wind, so with the rates comes its part in the pitching, (n,).
+    Pitching and yawing lag behind the changes of the velocities w and v (Yeager 1998, eqs 14 and
+    18). Rolling is drawn for itself and stays unknown: its axis is along the wind, so with the
+    rates comes its part in the pitching, (n,).
     """
-    north, east, down = (table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down"))
+    north, east, down = (
+        table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down")
+    )
     speed, azimuth = table["airspeed_true"].to_numpy(), np.arctan2(east.mean(), north.mean())
     cos, sin, step = np.cos(azimuth), np.sin(azimuth), np.median(np.diff(table["time"]))
 
@@ -241,7 +313,9 @@ def milspec_rates(table: pd.DataFrame, span: float) -> tuple[np.ndarray, np.ndar
         time, rate = lengths * span / (np.pi * speed), np.zeros(len(velocity))
         keep, gain = np.exp(-step / time), time / step / (lengths * span / np.pi)
         for k in range(1, len(rate)):
-            rate[k] = keep[k] * rate[k - 1] + gain[k] * (1 - keep[k]) * (velocity[k] - velocity[k - 1])
+            rate[k] = keep[k] * rate[k - 1] + gain[k] * (1 - keep[k]) * (
+                velocity[k] - velocity[k - 1]
+            )
         return rate
 
     q, r = lagging(down, 4), lagging(sin * north + cos * east, 3)

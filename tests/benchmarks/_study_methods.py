@@ -100,10 +100,14 @@ def process(subject, seen, case, seed, changes, kernel=None, max_iter=60):
     changes = {name: value for name, value in changes.items() if name not in options}
     model = DependentGPRegressor(random_state=seed, max_iter=max_iter, **changes)
     if kernel is not None:
-        model.set_params(kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse")
+        model.set_params(
+            kernel=kernel, trend="constant", optimizer=None, input_noise=None, inference="sparse"
+        )
     pipeline = learned(model, X, Y, case, seen.log.table, **options)
     if kernel is not None:
-        error = seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        error = (
+            seen.targets["measured"] - seen.log.truth - seen.log.gust @ subject.known[:, ROTATION].T
+        )
         known = error.var(axis=0) * [autocorrelation_time(e) for e in error.T]
         model = pipeline[-1]
         model.posterior_ = model.posterior_.with_noise(known / model.scale_**2)
@@ -114,12 +118,18 @@ def known_by(pipeline, subject, case):
     """Return what a pipeline from the regressors of a case to coefficients knows."""
     asked = pd.DataFrame(asked_of(subject, case), columns=case.regressors)
     function, std = pipeline.predict(asked, return_std=True, include_input_noise=False)
-    return Found(function, std, *slopes_of(pipeline, subject, case, ("value", "std", "std_posterior")))
+    return Found(
+        function, std, *slopes_of(pipeline, subject, case, ("value", "std", "std_posterior"))
+    )
 
 
 def learned(model, X, Y, case, table, **options):
     """Return the pipeline from the regressors of a case to coefficients, learned without a word."""
-    steps = [("selector", RegressorSelector(case.regressors)), ("scaler", StandardScaler()), ("model", model)]
+    steps = [
+        ("selector", RegressorSelector(case.regressors)),
+        ("scaler", StandardScaler()),
+        ("model", model),
+    ]
     flight = pd.DataFrame(X, columns=case.regressors)
     flight = flight.assign(time=table["time"].to_numpy(), flight=table["flight"].to_numpy())
     with warnings.catch_warnings():
@@ -131,7 +141,8 @@ def slopes_of(pipeline, subject, case, columns):
     """Return columns of the table of derivatives at the trim, (6, 11) each."""
     at = dict(zip(NAMES, subject.trim, strict=True))
     rates = [
-        at[name] / rate_factor(name, getattr(subject.aircraft, RATE_LENGTHS[name]), subject.speed) for name in "pqr"
+        at[name] / rate_factor(name, getattr(subject.aircraft, RATE_LENGTHS[name]), subject.speed)
+        for name in "pqr"
     ]
     attitude = [np.cos(at["alpha"] / 2), 0.0, np.sin(at["alpha"] / 2), 0.0]
     velocity = air_velocity(subject.speed, at["alpha"], at["beta"])

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/ablation.py ../shared/data --out OUT [--flights F] [--parts P] [--redo]
 
-Flights, samples and scores are those of comparison.py; ``PARTS`` says what "off" means. Each run is kept as
-OUT/ablation/FLIGHT-PART.json, and not run again unless ``--redo`` says so.
+Flights, samples and scores are those of comparison.py; ``PARTS`` says what "off" means. Each run is
+kept as OUT/ablation/FLIGHT-PART.json, and not run again unless ``--redo`` says so.
 """
 
 import sys
@@ -15,7 +15,9 @@ from _comparison_methods import Identification
 from comparison import FLIGHTS, Kept, runs_parser, scores, task_of
 
 PLAIN = {"reconstruction": "passthrough"}
-PARTS = {  # of Identification: arguments of make_identification_pipeline, parameters of its steps, and what else
+# of Identification: arguments of make_identification_pipeline, parameters of its steps, and what
+# else
+PARTS = {
     "defaults": {},
     "reconstruction": {"arguments": PLAIN},
     "reconstruction_and_smoothing": {"arguments": {**PLAIN, "cutoff": None}},
@@ -43,14 +45,17 @@ def table(runs):
     return [
         {
             "flight": run["flight"],
-            "without": "-" if run["part"] == "defaults" else run["part"].replace("__", ": ").replace("_", " "),
+            "without": "-"
+            if run["part"] == "defaults"
+            else run["part"].replace("__", ": ").replace("_", " "),
             "NRMSE": errors[run["flight"], run["part"]],
             "over that of the defaults": ratio(errors, run),
             **{f"band of {kind} holds %": held(run, kind) for kind in ("truth", "measured")},
             "CPU s": run["cpu_seconds"],
         }
         for run in sorted(
-            (run for run in runs if run["part"] in order), key=lambda run: (run["flight"], order[run["part"]])
+            (run for run in runs if run["part"] in order),
+            key=lambda run: (run["flight"], order[run["part"]]),
         )
     ]
 
@@ -75,7 +80,11 @@ def main(words=None):
         for part in parts:
             result = {"flight": flight, "part": part, **run(task, part)}
             kept.keep(f"{flight}-{part}", result)
-            print(f"{flight}-{part}: NRMSE {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)
+            print(
+                f"{flight}-{part}: NRMSE {np.mean(result['NRMSE']):.3f}",
+                file=sys.stderr,
+                flush=True,
+            )
     finish(options, "ablation", one_part_off=table(list(kept.memory.values())))
 
 

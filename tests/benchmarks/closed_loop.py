@@ -2,34 +2,38 @@
 
     python tests/benchmarks/closed_loop.py [--out OUT] [--seeds 10] [--aircraft example c172p t6texan2]
 
-An aircraft with known truth flies 60 s of inputs of half the limits in light turbulence. From this flight a linear
-trend is learned, and it flies 60 s more, after the same first flight and in gusts of its own:
+An aircraft with known truth flies 60 s of inputs of half the limits in light turbulence. From this
+flight a linear trend is learned, and it flies 60 s more, after the same first flight and in gusts
+of its own:
 
     plan, function plan
                   what `plan` chooses for the derivatives, and for the function
     doublets, 3-2-1-1
                   of the modes' widths, one axis after another
     Schroeder, multisine
-                  multisines of 10 s on all axes at once, with Schroeder's phases and with optimised ones
+                  multisines of 10 s on all axes at once, with Schroeder's phases and with optimised
+                  ones
 
-All have the same limits of the axes and the same pauses, and each manoeuvre is as large as the check of `plan` allows
-in the same envelope. Controls are held during a manoeuvre, and an autopilot returns to the trim in the pause after it.
-A quadratic trend is
-fitted by least squares to the first flight and the first seconds of the second, as sensors saw them. Its errors:
+All have the same limits of the axes and the same pauses, and each manoeuvre is as large as the
+check of `plan` allows in the same envelope. Controls are held during a manoeuvre, and an autopilot
+returns to the trim in the pause after it. A quadratic trend is fitted by least squares to the first
+flight and the first seconds of the second, as sensors saw them. Its errors:
 
     derivatives   at the trim, each times the range of its regressor over that of its coefficient, geometric mean of the
                   sizes, against the same trend fitted to the exact data of a flight in calm air
     function      NRMSE on that flight, mean over the coefficients
     ratio         seconds of the plan until its error is that of the best classical input after all its time, over the
-                  seconds of that input until then; median over the seeds, inf if the plan does not get there. The best
-                  is chosen in hindsight, seed by seed. The ratio of the errors after all the time stands beside it
+                  seconds of that input until then; median over the seeds, inf if the plan does not
+                  get there. The best is chosen in hindsight, seed by seed. The ratio of the errors
+                  after all the time stands beside it
     floor         errors after all the time, as measured; with the rates that the aerodynamics feel, the true alpha and
-                  beta, all true regressors; and with the true coefficients too, where the polynomial alone is wrong
+                  beta, all true regressors; and with the true coefficients too, where the
+                  polynomial alone is wrong
 
-The envelope is what was flown, and half of its range more at either end; no floor. Seeds whose first flight moved so
-little that gusts alone leave it have no second flight; they are left out.
-Classical inputs that the check allows at no size are left out of their seeds.
-An aircraft of JSBSim needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
+The envelope is what was flown, and half of its range more at either end; no floor. Seeds whose
+first flight moved so little that gusts alone leave it have no second flight; they are left out.
+Classical inputs that the check allows at no size are left out of their seeds. An aircraft of JSBSim
+needs the jsbsim wheel. Each seed is kept under OUT/closed_loop and not done again.
 """
 
 from __future__ import annotations
@@ -75,9 +79,13 @@ AIR_DATA, RATES = ([KEPT.index(name) for name in names] for names in (("alpha", 
 EXPLORED, CUTS, AIR = 60.0, 5.0, "light"
 KINDS = ("doublets", "3-2-1-1", "multisine", "Schroeder")
 GOALS = {"plan": None, "function plan": ("function",)}
-WIDE = Envelope(bank=1.0, load_factor=(-np.inf, np.inf), airspeed=(0.0, np.inf), altitude=-np.inf, growth=0.5)
+WIDE = Envelope(
+    bank=1.0, load_factor=(-np.inf, np.inf), airspeed=(0.0, np.inf), altitude=-np.inf, growth=0.5
+)
 ENVELOPE = Envelope(altitude=-np.inf, growth=1.0)
-"""What was flown, and half of its range more at either end: gusts alone leave less after 60 s of level flight."""
+"""What was flown, and half of its range more at either end: gusts alone leave less after 60 s of
+level flight.
+"""
 
 
 class Truth(NamedTuple):
@@ -97,7 +105,9 @@ class Truth(NamedTuple):
         """Return the errors of derivatives and function that rows teach."""
         slopes, function = self._trend(X, Y)
         off = np.sqrt(np.mean((function - self.Y) ** 2, axis=0)) / self.Y.std(axis=0)
-        return float(np.exp(np.mean(np.log(np.abs(slopes - self.slopes) + 1e-12)))), float(off.mean())
+        return float(np.exp(np.mean(np.log(np.abs(slopes - self.slopes) + 1e-12)))), float(
+            off.mean()
+        )
 
     def _trend(self, X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return scaled derivatives in the middle of the flight, and the function along it."""
@@ -117,7 +127,9 @@ def seen(log: Log, seed: Any) -> pd.DataFrame:
 
 def rows_of(table: pd.DataFrame, subject: Subject) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return time, regressors and coefficients as the pipeline makes them."""
-    steps = make_identification_pipeline(subject.aircraft, regressors=REGRESSORS, reconstruction="passthrough")[:-2]
+    steps = make_identification_pipeline(
+        subject.aircraft, regressors=REGRESSORS, reconstruction="passthrough"
+    )[:-2]
     return (
         table["time"].to_numpy(),
         np.asarray(steps.fit_transform(table), dtype=float),
@@ -138,7 +150,9 @@ def learned(table: pd.DataFrame, subject: Subject) -> Any:
 
 def classical(planner: Any, seconds: float) -> dict[str, list[dict]]:
     """Return the classical inputs, each kind as large as the limits and the envelope allow, until the time is used."""
-    bands = input_bands(linearize(planner.model, planner.aircraft, planner.trims[0], inputs=list(AXES)))
+    bands = input_bands(
+        linearize(planner.model, planner.aircraft, planner.trims[0], inputs=list(AXES))
+    )
     limits, pause = planner.limits, planner.rehearsals[0].pause
     kinds: dict[str, list[dict]] = {}
     for name, make in (("doublets", doublet), ("3-2-1-1", three_two_one_one)):
@@ -170,7 +184,9 @@ def _safe(planner: Any, inputs: dict) -> dict | None:
     return None if safe is None else safe.inputs
 
 
-def left(log: Log, parts: Sequence[tuple[float, float]], model: Any, subject: Subject) -> list[bool]:
+def left(
+    log: Log, parts: Sequence[tuple[float, float]], model: Any, subject: Subject
+) -> list[bool]:
     """Return in which parts of a flight the motion left the envelope: the controls are the pilot's trim too."""
     true = log.table[[name for name in log.table if name.endswith("_true")]]
     table = true.rename(columns=lambda name: name.removesuffix("_true"))
@@ -198,9 +214,14 @@ def loop(subject: Subject, seed: int, seconds: float, n_paths: int) -> dict[str,
     took["plan"] = time.process_time() - watch
     kinds = {name: _manoeuvres(one) for name, one in found.items()} | classical(planner, seconds)
     sorties = {name: sortie(one, planner.rehearsals[0].pause) for name, one in kinds.items() if one}
-    logs = dict(zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True))
+    logs = dict(
+        zip(sorties, subject.fly([*sorties.values()], seconds, AIR, [seed, 1]), strict=True)
+    )
     rows = {"explored": rows_of(first, subject)}
-    rows |= {name: rows_of(seen(log, [seed, 1, k]), subject) for k, (name, log) in enumerate(logs.items())}
+    rows |= {
+        name: rows_of(seen(log, [seed, 1, k]), subject)
+        for k, (name, log) in enumerate(logs.items())
+    }
     exact = {name: felt(log) for name, log in [("explored", explored), *logs.items()]}
     took["all"] = time.process_time() - watch + took["learn"]
     return {
@@ -228,7 +249,8 @@ def _manoeuvres(found: Any) -> list[dict]:
     return [*starts.values()]
 
 
-# -- tables --------------------------------------------------------------------------------------------
+# -- tables
+# --------------------------------------------------------------------------------------------
 
 
 def curves(found: dict[str, Any], truth: Truth) -> dict[str, np.ndarray]:
@@ -237,8 +259,13 @@ def curves(found: dict[str, Any], truth: Truth) -> dict[str, np.ndarray]:
     result = {}
     for name, (clock, X, Y) in found["rows"].items():
         cuts = [0.0] if name == "explored" else np.arange(0.0, clock[-1] + CUTS, CUTS)
-        rows = [(np.concatenate([X0, X[clock < cut]]), np.concatenate([Y0, Y[clock < cut]])) for cut in cuts]
-        result[name] = np.array([(cut, *truth.errors(*one)) for cut, one in zip(cuts, rows, strict=True)])
+        rows = [
+            (np.concatenate([X0, X[clock < cut]]), np.concatenate([Y0, Y[clock < cut]]))
+            for cut in cuts
+        ]
+        result[name] = np.array(
+            [(cut, *truth.errors(*one)) for cut, one in zip(cuts, rows, strict=True)]
+        )
     return result
 
 
@@ -267,18 +294,27 @@ def ratio_rows(name: str, every: list[dict[str, np.ndarray]]) -> list[dict[str, 
             own, other = (max(CUTS, reached(found[kind], column, error)) for kind in (plan, best))
             seconds.append(own / other)
         if every:
-            medians = {"seconds over the best": float(np.median(seconds)), "error over the best": np.median(errors)}
-            rows.append({"aircraft": name, "flight": plan, "error of": what, **medians, "seeds": len(every)})
+            medians = {
+                "seconds over the best": float(np.median(seconds)),
+                "error over the best": np.median(errors),
+            }
+            rows.append(
+                {"aircraft": name, "flight": plan, "error of": what, **medians, "seeds": len(every)}
+            )
     return rows
 
 
 def risk_rows(name: str, every: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the predicted and the found rate of manoeuvres that leave the envelope, of the plan and of all flights."""
     kinds = [kind for kind in GOALS if kind in every[0]["left"]]
-    predicted = np.concatenate([found["manoeuvres"][kind]["risk"] for found in every for kind in kinds])
+    predicted = np.concatenate(
+        [found["manoeuvres"][kind]["risk"] for found in every for kind in kinds]
+    )
     left = np.concatenate([found["left"][kind] for found in every for kind in kinds])
     pauses = np.concatenate([found["pauses left"][kind] for found in every for kind in kinds])
-    others = np.concatenate([one for found in every for kind, one in found["left"].items() if kind in KINDS] or [[]])
+    others = np.concatenate(
+        [one for found in every for kind, one in found["left"].items() if kind in KINDS] or [[]]
+    )
     return [{
         "aircraft": name, "allowed %": 100.0 * ENVELOPE.risk, "predicted %": float(100.0 * predicted.mean()),
         "found %": float(100.0 * left.mean()), "pauses, found %": float(100.0 * pauses.mean()), "manoeuvres": len(left),
@@ -296,8 +332,12 @@ def floor_rows(name: str, every: list[dict[str, Any]], truth: Truth) -> list[dic
     for found in every:
         if "plan" not in found["exact"]:
             continue
-        X, Y = (np.concatenate([found["rows"][one][k] for one in ("explored", "plan")]) for k in (1, 2))
-        exact, coefficients = (np.concatenate([found["exact"][one][k] for one in ("explored", "plan")]) for k in (0, 1))
+        X, Y = (
+            np.concatenate([found["rows"][one][k] for one in ("explored", "plan")]) for k in (1, 2)
+        )
+        exact, coefficients = (
+            np.concatenate([found["exact"][one][k] for one in ("explored", "plan")]) for k in (0, 1)
+        )
         tried = {"measured": (X, Y)}
         for what, columns in true.items():
             tried[what] = X.copy(), Y
@@ -306,7 +346,14 @@ def floor_rows(name: str, every: list[dict[str, Any]], truth: Truth) -> list[dic
         errors.append([truth.errors(*one) for one in tried.values()])
     for column, what in enumerate(("derivatives", "function") if errors else ()):
         values = np.median(errors, axis=0)[:, column].tolist()
-        rows.append({"aircraft": name, "flight": "plan", "error of": what, **dict(zip(tried, values, strict=True))})
+        rows.append(
+            {
+                "aircraft": name,
+                "flight": "plan",
+                "error of": what,
+                **dict(zip(tried, values, strict=True)),
+            }
+        )
     return rows
 
 
@@ -315,7 +362,9 @@ def main(words: Any = None) -> None:
     parser.add_argument("--aircraft", nargs="+", default=["example"], choices=SUBJECTS)
     parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the second flight")
-    parser.add_argument("--paths", type=int, default=200, help="aircraft drawn for each check of a manoeuvre")
+    parser.add_argument(
+        "--paths", type=int, default=200, help="aircraft drawn for each check of a manoeuvre"
+    )
     options = parser.parse_args(words)
     folder = options.out / "closed_loop" if options.out else None
     subjects = {name: SUBJECTS[name]() for name in options.aircraft}
@@ -325,9 +374,13 @@ def main(words: Any = None) -> None:
         make = partial(loop, subjects[name], seed, options.seconds, options.paths)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
+                warnings.simplefilter(
+                    "ignore", SimulationWarning
+                )  # of manoeuvres that are then made smaller
                 flown[name].append(kept(folder, f"{name}-{seed}", make))
-        except ValueError as error:  # the gusts alone leave what was flown: no plan, and no other input
+        except (
+            ValueError
+        ) as error:  # the gusts alone leave what was flown: no plan, and no other input
             print(name, seed, error, flush=True)
             continue
         print(name, seed, flown[name][-1]["took"], flush=True)

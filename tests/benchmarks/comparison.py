@@ -2,16 +2,17 @@
 
     python tests/benchmarks/comparison.py ../shared/data --out OUT [--flights F] [--inputs I] [--methods M] [--redo]
 
-Each method learns the measured coefficients of one flight, from 755 samples spread evenly or from all of them, and
-predicts another flight, from the same regressors. These come from raw channels with plain finite differences, from
-channels filtered by ``FlightSmoother``, or from ``FlightPathReconstruction``; each scaled. ``pipeline`` is
-``make_identification_pipeline`` as it stands; its inputs are its ``own``, which the others get as well. NRMSE and
-median relative error are of every sample of the test flight, against truth where there is one; what 95 % bands hold is
-of every tenth sample: bands of the function against truth, bands of measurements against measured coefficients. AP2:
-ten blocks in time, odd ones learned from, even ones predicted.
+Each method learns the measured coefficients of one flight, from 755 samples spread evenly or from
+all of them, and predicts another flight, from the same regressors. These come from raw channels
+with plain finite differences, from channels filtered by ``FlightSmoother``, or from
+``FlightPathReconstruction``; each scaled. ``pipeline`` is ``make_identification_pipeline`` as it
+stands; its inputs are its ``own``, which the others get as well. NRMSE and median relative error
+are of every sample of the test flight, against truth where there is one; what 95 % bands hold is of
+every tenth sample: bands of the function against truth, bands of measurements against measured
+coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 
-Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again unless ``--redo`` says so; the tables
-are of all runs that are there. Peers take some hours on one core.
+Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again unless ``--redo``
+says so; the tables are of all runs that are there. Peers take some hours on one core.
 """
 
 import json
@@ -68,8 +69,12 @@ def task_of(name, folder):
     else:
         craft, *parts = FLIGHTS[name]
         aircraft = Aircraft.from_json(folder / "flights" / f"{craft}.json")
-        train, test = (read_flight(folder / "flights" / f"{craft}_{part}.parquet") for part in parts)
-    targets, measured = (aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test))
+        train, test = (
+            read_flight(folder / "flights" / f"{craft}_{part}.parquet") for part in parts
+        )
+    targets, measured = (
+        aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
+    )
     truth = [f"{column}_true" for column in targets]
     truth = test[truth].to_numpy() if set(truth) <= set(test) else None
     return Task(aircraft, train, test, targets, measured.to_numpy(), truth, SAMPLES)
@@ -88,13 +93,20 @@ def ampyx_ap2(folder):
 def toy(n=300):
     """Return a task of the same form that takes no time."""
     rng = np.random.default_rng(0)
-    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    glider = Aircraft(
+        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
+    )
 
     def flight():
-        moves = {name: np.convolve(rng.normal(size=n), np.ones(9) / 90, "same") for name in ("alpha", "beta", *"pqr")}
+        moves = {
+            name: np.convolve(rng.normal(size=n), np.ones(9) / 90, "same")
+            for name in ("alpha", "beta", *"pqr")
+        }
         surfaces = {name: rng.normal(0, 0.1, n) for name in ("elevator", "aileron", "rudder")}
         table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 12.0, **moves, **surfaces})
-        truth = pd.DataFrame({"CZ": -4 * table.alpha + table.alpha**2, "Cm": -table.alpha - table.elevator})
+        truth = pd.DataFrame(
+            {"CZ": -4 * table.alpha + table.alpha**2, "Cm": -table.alpha - table.elevator}
+        )
         return table, truth, truth + rng.normal(0, 0.01, truth.shape)
 
     (train, _, targets), (test, truth, measured) = flight(), flight()
@@ -130,7 +142,9 @@ def scores(task, model, Xt):
     return {
         "outputs": list(task.targets),
         "NRMSE": normalized_rmse(asked, mean, multioutput="raw_values").tolist(),
-        "median_relative_error": median_relative_error(asked, mean, multioutput="raw_values").tolist(),
+        "median_relative_error": median_relative_error(
+            asked, mean, multioutput="raw_values"
+        ).tolist(),
         "band_holds": holds,
     }
 
@@ -180,7 +194,10 @@ def main(words=None):
     parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours"], default=[*METHODS])
     options = parsed(parser, words)
     if options.smoke:
-        options.flights, options.inputs = ["toy"], [kind for kind in ("filtered", OWN) if kind in options.inputs]
+        options.flights, options.inputs = (
+            ["toy"],
+            [kind for kind in ("filtered", OWN) if kind in options.inputs],
+        )
     kept, task, X, known = Kept(options.out), None, None, None
     for flight, inputs, method in wanted(options, not options.no_peers and find_spec("gpytorch")):
         name = f"{flight}-{inputs}-{method}"
@@ -193,7 +210,9 @@ def main(words=None):
         result = run(task, *X, method)
         kept.keep(name, {"flight": flight, "inputs": inputs, "method": method, **result})
         print(
-            f"{name}: NRMSE {np.mean(result['NRMSE']):.3f}, {result['cpu_seconds']:.0f} s", file=sys.stderr, flush=True
+            f"{name}: NRMSE {np.mean(result['NRMSE']):.3f}, {result['cpu_seconds']:.0f} s",
+            file=sys.stderr,
+            flush=True,
         )
     finish(options, "comparison", **tables(kept.memory))
 

@@ -2,12 +2,14 @@
 
     python tests/benchmarks/derivatives.py [--out FOLDER] [--samples N] [--seeds 0 1 2] [--turbulence 1]
 
-The default pipeline learns from both training flights. At three level trims of the true aircraft each derivative is
-compared with the known one, and the modes of the learned aircraft at its own trims with those of the true one.
+The default pipeline learns from both training flights. At three level trims of the true aircraft
+each derivative is compared with the known one, and the modes of the learned aircraft at its own
+trims with those of the true one.
 
-A model without alpha_dot and beta_dot gives other regressors what these do, as far as they went together: what the
-data hold is the known derivative plus that by alpha_dot times the slope of alpha_dot by the regressor, here of least
-squares on the noise-free columns of the training flights, for scoring alone. These are the "merged" ones.
+A model without alpha_dot and beta_dot gives other regressors what these do, as far as they went
+together: what the data hold is the known derivative plus that by alpha_dot times the slope of
+alpha_dot by the regressor, here of least squares on the noise-free columns of the training flights,
+for scoring alone. These are the "merged" ones.
 """
 
 import time
@@ -23,13 +25,36 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp._mechanics.motion import Motion
 from skdgp.datasets import load_example_flights
 from skdgp.datasets._brumby import brumby_derivatives
-from skdgp.dynamics import Aerodynamics, aerodynamic_coefficients, linearize, stability_derivatives, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    aerodynamic_coefficients,
+    linearize,
+    stability_derivatives,
+    trim,
+)
 from skdgp.model_selection import thin_targets
 
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0
 RATES = ("p", "q", "r", "alpha_dot", "beta_dot")
-SHOWN = ("CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_p", "Cl_r", "Cn_r",
-         "CZ_elevator", "Cm_elevator", "Cl_aileron", "Cn_aileron", "CY_rudder", "Cn_rudder")  # fmt: skip
+SHOWN = (
+    "CL_alpha",
+    "CD_alpha",
+    "Cm_alpha",
+    "Cm_q",
+    "CY_beta",
+    "Cl_beta",
+    "Cn_beta",
+    "Cl_p",
+    "Cn_p",
+    "Cl_r",
+    "Cn_r",
+    "CZ_elevator",
+    "Cm_elevator",
+    "Cl_aileron",
+    "Cn_aileron",
+    "CY_rudder",
+    "Cn_rudder",
+)
 
 
 def known_aircraft(data):
@@ -41,7 +66,9 @@ def known_aircraft(data):
 def slopes_of_slopes(data, regressors):
     """Return d (alpha_dot, beta_dot) / d regressors over the training flights, all rates non-dimensional."""
     train, aircraft = data.train, data.aircraft
-    lengths = dict(zip(RATES, (*aircraft.moment_lengths, aircraft.chord, aircraft.span), strict=True))
+    lengths = dict(
+        zip(RATES, (*aircraft.moment_lengths, aircraft.chord, aircraft.span), strict=True)
+    )
 
     def column(name):
         values = train[f"{name}_true"] if f"{name}_true" in train else train[name]
@@ -49,7 +76,9 @@ def slopes_of_slopes(data, regressors):
 
     X = np.column_stack([np.ones(len(train)), *map(column, regressors)])
     lagging = np.column_stack([column("alpha_dot"), column("beta_dot")])
-    return pd.DataFrame(np.linalg.lstsq(X, lagging, rcond=None)[0][1:], regressors, ["alpha_dot", "beta_dot"])
+    return pd.DataFrame(
+        np.linalg.lstsq(X, lagging, rcond=None)[0][1:], regressors, ["alpha_dot", "beta_dot"]
+    )
 
 
 def compared(model, truth, data, n_paths):
@@ -65,7 +94,8 @@ def compared(model, truth, data, n_paths):
         slopes = slopes_of_slopes(data, regressors)
         for (point, name), row in table.iterrows():
             lost = (
-                known[point, f"{row['coefficient']}_{rate}"] * slopes.loc[row["regressor"], rate] for rate in slopes
+                known[point, f"{row['coefficient']}_{rate}"] * slopes.loc[row["regressor"], rate]
+                for rate in slopes
             )
             table.loc[(point, name), "merged"] += sum(lost)
     return table
@@ -76,11 +106,19 @@ def coverage(tables):
     table = pd.concat(tables.values())
     rows = {"all, body axes": table["coefficient"].isin(COEFFICIENTS)}
     rows |= {f"the {len(SHOWN)} below": table.index.get_level_values(1).isin(SHOWN)}
-    inside = {kind: np.abs(table["value"] - table[kind]) < 2 * table["std"] for kind in ("known", "merged")}
-    inside["known, posterior alone"] = np.abs(table["value"] - table["known"]) < 2 * table["std_posterior"]
+    inside = {
+        kind: np.abs(table["value"] - table[kind]) < 2 * table["std"]
+        for kind in ("known", "merged")
+    }
+    inside["known, posterior alone"] = (
+        np.abs(table["value"] - table["known"]) < 2 * table["std_posterior"]
+    )
     return [
         {"derivatives of": name, "number": int(chosen.sum())}
-        | {f"within 2 std of {kind}, %": float(100 * found[chosen].mean()) for kind, found in inside.items()}
+        | {
+            f"within 2 std of {kind}, %": float(100 * found[chosen].mean())
+            for kind, found in inside.items()
+        }
         for name, chosen in rows.items()
     ]
 
@@ -89,15 +127,25 @@ def examples(table):
     """Return the best known derivatives at the middle trim."""
     middle = table.loc[len(AIRSPEEDS) // 2]
     columns = ["value", "std", "known", "merged"]
-    return [{"derivative": n, **middle.loc[n, columns].astype(float)} for n in SHOWN if n in middle.index]
+    return [
+        {"derivative": n, **middle.loc[n, columns].astype(float)}
+        for n in SHOWN
+        if n in middle.index
+    ]
 
 
 def merged_aircraft(truth, data, point):
     """Return the true aircraft as one without alpha_dot and beta_dot: linear about a trim, slopes merged."""
     regressors = [name for name in data.regressor_names if name not in ("alpha_dot", "beta_dot")]
     at = Motion(truth, data.aircraft).at(point.state, point.controls).regressors
-    start, slopes = pd.Series(at, data.regressor_names), pd.DataFrame(truth.gradient(at), columns=data.regressor_names)
-    merged = slopes[regressors] + slopes[["alpha_dot", "beta_dot"]] @ slopes_of_slopes(data, regressors).T
+    start, slopes = (
+        pd.Series(at, data.regressor_names),
+        pd.DataFrame(truth.gradient(at), columns=data.regressor_names),
+    )
+    merged = (
+        slopes[regressors]
+        + slopes[["alpha_dot", "beta_dot"]] @ slopes_of_slopes(data, regressors).T
+    )
     x, y, J = start[regressors].to_numpy(), truth(at), merged.to_numpy()
     names = [f"{name}_hat" if name in RATES else name for name in regressors]
     return Aerodynamics(lambda X: y + (X - x) @ J.T, names)
@@ -107,12 +155,21 @@ def modes(model, truth, data, n_paths):
     """Return the modes at each airspeed, known, merged, and learned, the learned aircraft at its own trim."""
     rows = []
     for airspeed in AIRSPEEDS:
-        own, point = (trim(one, data.aircraft, airspeed, altitude=ALTITUDE) for one in (model, truth))
+        own, point = (
+            trim(one, data.aircraft, airspeed, altitude=ALTITUDE) for one in (model, truth)
+        )
         found = linearize(model, data.aircraft, own, n_paths=n_paths).modes()
         known = linearize(truth, data.aircraft, point).modes()["eigenvalue"]
-        merged = linearize(merged_aircraft(truth, data, point), data.aircraft, point).modes()["eigenvalue"]
+        merged = linearize(merged_aircraft(truth, data, point), data.aircraft, point).modes()[
+            "eigenvalue"
+        ]
         for name, root in known.items():
-            row = {"V, m/s": airspeed, "mode": name, "known": _text(root), "merged": _text(merged[name])}
+            row = {
+                "V, m/s": airspeed,
+                "mode": name,
+                "known": _text(root),
+                "merged": _text(merged[name]),
+            }
             row |= {"learned": None, "error, %": None, "frequency std": None, "damping std": None}
             if name in found.index:
                 one, pair = found.loc[name, "eigenvalue"], bool(root.imag)
@@ -142,7 +199,13 @@ def learned(data, options, seed):
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--samples", type=int, help="to learn from; default: all")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of gusts, sensor noise and the search")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        nargs="+",
+        default=[0, 1, 2],
+        help="of gusts, sensor noise and the search",
+    )
     parser.add_argument("--turbulence", type=float, default=1.0)
     parser.add_argument("--regressors", default="quasi-steady")
     options, n_paths = parser.parse_args(words), 200
@@ -150,13 +213,22 @@ def main(words=None):
     for seed in options.seeds:
         data = load_example_flights(random_state=seed, turbulence=options.turbulence)
         model, truth = learned(data, options, seed), known_aircraft(data)
-        tables[seed], roots[seed] = compared(model, truth, data, n_paths), modes(model, truth, data, n_paths)
+        tables[seed], roots[seed] = (
+            compared(model, truth, data, n_paths),
+            modes(model, truth, data, n_paths),
+        )
         show(coverage({seed: tables[seed]}))
     first, *others = roots.values()
     for k, row in enumerate(first if others else ()):
-        row["worst of all seeds, %"] = max((rows[k]["error, %"] for rows in (first, *others)), key=lambda e: e or 0.0)
+        row["worst of all seeds, %"] = max(
+            (rows[k]["error, %"] for rows in (first, *others)), key=lambda e: e or 0.0
+        )
     finish(
-        options, "derivatives", coverage=coverage(tables), at_36_m_per_s=examples(tables[options.seeds[0]]), modes=first
+        options,
+        "derivatives",
+        coverage=coverage(tables),
+        at_36_m_per_s=examples(tables[options.seeds[0]]),
+        modes=first,
     )
 
 

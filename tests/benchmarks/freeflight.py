@@ -2,20 +2,22 @@
 
     python tests/benchmarks/freeflight.py ../shared/data [--models FOLDER] [--seeds 3] [--paths 100] [--out OUT]
 
-Free flight: from 20 points of a flight, spread over it, at the true state, under the logged controls and thrust and
-the true wind, by simulate: nothing of that flight enters after the start. It is another flight than the one learned
-from, or its last 40 %, then not learned from. "default": the pipeline of make_identification_pipeline;
-"least squares": that with LinearRegression at its end; "truth replayed": the true
-coefficients, open loop in time, integrated from the same starts. Errors are medians of the absolute errors over the
-starts and --seeds models, which differ in their random numbers; bands are those of an ensemble of posterior functions,
-and their coverage counts v_north ... r. With the mean wind, the velocity over the ground of the start is known, not its
-air data, which hold the gust.
+Free flight: from 20 points of a flight, spread over it, at the true state, under the logged
+controls and thrust and the true wind, by simulate: nothing of that flight enters after the start.
+It is another flight than the one learned from, or its last 40 %, then not learned from. "default":
+the pipeline of make_identification_pipeline; "least squares": that with LinearRegression at its
+end; "truth replayed": the true coefficients, open loop in time, integrated from the same starts.
+Errors are medians of the absolute errors over the starts and --seeds models, which differ in their
+random numbers; bands are those of an ensemble of posterior functions, and their coverage counts
+v_north ... r. With the mean wind, the velocity over the ground of the start is known, not its air
+data, which hold the gust.
 
-Output error: each model corrected by 16 segments of 3 s of its training flight, wind and states as its pipeline
-reconstructs them; errors of the means over those without a correction, a geometric mean over the states.
+Output error: each model corrected by 16 segments of 3 s of its training flight, wind and states as
+its pipeline reconstructs them; errors of the means over those without a correction, a geometric
+mean over the states.
 
-Replay: coefficients of the first model at the measured regressors, integrated from the measured state every 2 s and
-10 s.
+Replay: coefficients of the first model at the measured regressors, integrated from the measured
+state every 2 s and 10 s.
 
 --models keeps fitted pipelines there and takes those that are there.
 """
@@ -75,7 +77,9 @@ def truth_of(flight):
     true = flight[[name for name in flight if name.endswith("_true")]]
     true = true.rename(columns=lambda name: name.removesuffix("_true"))
     known = [name for name in flight if name in CONTROLS or name.startswith("thrust")]
-    return true.assign(time=flight["time"], altitude=flight["altitude"], density=flight["density"], **flight[known])
+    return true.assign(
+        time=flight["time"], altitude=flight["altitude"], density=flight["density"], **flight[known]
+    )
 
 
 def windows(truth, step=STEP):
@@ -88,8 +92,12 @@ def windows(truth, step=STEP):
 
 def flown_free(model, aircraft, stretches, air=None, **options):
     """Return what the model makes of the stretches, from their first rows on."""
-    unknown = ["airspeed"] if "wind" not in (air or {}) else ["airspeed", "alpha", "beta", "u", "v", "w"]  # hold a gust
-    starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=unknown, errors="ignore")
+    unknown = (
+        ["airspeed"] if "wind" not in (air or {}) else ["airspeed", "alpha", "beta", "u", "v", "w"]
+    )  # hold a gust
+    starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(
+        columns=unknown, errors="ignore"
+    )
     gravity = float(np.mean([stretch["gravity"].mean() for stretch in stretches]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
@@ -105,7 +113,9 @@ def errors_of(flights, stretches):
         row = {"horizon": horizon}
         for name in SCORED:
             pairs = zip(flights, stretches, strict=True)
-            error = [_off(flown[name].to_numpy()[k], truth[name][k], name) for flown, truth in pairs]
+            error = [
+                _off(flown[name].to_numpy()[k], truth[name][k], name) for flown, truth in pairs
+            ]
             row[name] = float(np.nanmedian(np.abs(error)))
         rows.append(row)
     return rows
@@ -114,10 +124,13 @@ def errors_of(flights, stretches):
 def coverage_of(ensembles, stretches, step=STEP):
     """Return which share of the truth lies within the 95 % bands of ensembles, a row for each horizon.
 
-    The interval score (Gneiting & Raftery 2007) is over the deviation of each state along all stretches.
+    The interval score (Gneiting & Raftery 2007) is over the deviation of each state along all
+    stretches.
     """
     size = pd.concat(stretches)[[*SCORED]].std()
-    bands = [band for ensemble in ensembles for band in _parts(trajectory_bands(ensemble, LEVEL, SCORED))]
+    bands = [
+        band for ensemble in ensembles for band in _parts(trajectory_bands(ensemble, LEVEL, SCORED))
+    ]
     stretches, rows = stretches * len(ensembles), []
     for horizon in HORIZONS:
         k = round(horizon / step)
@@ -146,7 +159,10 @@ def free(name, models, aircraft, flight, n_paths):
         for method, each in models.items()
     }
     flights["truth replayed"] = [
-        replay(s, aircraft, s[list(COEFFICIENTS)], horizon=HORIZONS[-1], gravity=s["gravity"].mean()) for s in stretches
+        replay(
+            s, aircraft, s[list(COEFFICIENTS)], horizon=HORIZONS[-1], gravity=s["gravity"].mean()
+        )
+        for s in stretches
     ]
     errors = [
         {"flight": name, "method": method, **row}
@@ -155,8 +171,13 @@ def free(name, models, aircraft, flight, n_paths):
     ]
     rows = []
     for air, options in airs(aircraft, flight).items():
-        found = [flown_free(model, aircraft, stretches, options, n_paths=n_paths) for model in models["default"]]
-        rows += [{"flight": name, "wind and gusts": air} | row for row in coverage_of(found, stretches)]
+        found = [
+            flown_free(model, aircraft, stretches, options, n_paths=n_paths)
+            for model in models["default"]
+        ]
+        rows += [
+            {"flight": name, "wind and gusts": air} | row for row in coverage_of(found, stretches)
+        ]
     return errors, rows
 
 
@@ -164,7 +185,10 @@ def airs(aircraft, flight):
     """Return the options of `Air` for what is known of it."""
     turbulence = Turbulence.from_flight(flight, aircraft.span)
     mean = flight[["wind_north_true", "wind_east_true", "wind_down_true"]].mean().to_numpy()
-    return {"true wind": {}, "mean wind, turbulence of the flight": {"gusts": turbulence, "wind": mean}}
+    return {
+        "true wind": {},
+        "mean wind, turbulence of the flight": {"gusts": turbulence, "wind": mean},
+    }
 
 
 def segments(model, log):
@@ -179,7 +203,9 @@ def segments(model, log):
     for flight in flights:
         first, last = flight["time"].iloc[[0, -1]] + [MARGIN, -MARGIN - SEGMENT]
         for start in np.linspace(first, last, SEGMENTS // len(flights)):
-            part = flight[flight["time"].between(start, start + SEGMENT + 2 * STEP)].reset_index(drop=True)
+            part = flight[flight["time"].between(start, start + SEGMENT + 2 * STEP)].reset_index(
+                drop=True
+            )
             found.append(part.drop(columns=["airspeed", "u", "v", "w"], errors="ignore"))
     return found
 
@@ -187,21 +213,30 @@ def segments(model, log):
 def corrected(name, models, aircraft, log, flight):
     """Return the rows of output error of one test flight, one for each model."""
     first = {"flight": name}
-    return [first | {"seed": seed} | _corrected(model, aircraft, log, flight) for seed, model in enumerate(models)]
+    return [
+        first | {"seed": seed} | _corrected(model, aircraft, log, flight)
+        for seed, model in enumerate(models)
+    ]
 
 
 def _corrected(model, aircraft, log, flight):
     parts = segments(model, log)
     gravity = float(flight["gravity_true"].mean())
     wind = [part[["time", *WIND]] for part in parts]
-    found = fit_output_error(model, aircraft, parts, NOISE, dt=2 * STEP, air=Air(wind, gravity=gravity))
+    found = fit_output_error(
+        model, aircraft, parts, NOISE, dt=2 * STEP, air=Air(wind, gravity=gravity)
+    )
     stretches = windows(truth_of(flight))
     before, after = (
-        pd.DataFrame(errors_of(_parts(flown_free(each, aircraft, stretches)), stretches)).set_index("horizon")
+        pd.DataFrame(errors_of(_parts(flown_free(each, aircraft, stretches)), stretches)).set_index(
+            "horizon"
+        )
         for each in (model, found.model)
     )
     ratio = np.exp(np.log(after / before).mean(axis=1))
-    return {"factor of the prior": found.prior_scale} | {f"{h:g} s": float(ratio[h]) for h in HORIZONS}
+    return {"factor of the prior": found.prior_scale} | {
+        f"{h:g} s": float(ratio[h]) for h in HORIZONS
+    }
 
 
 def replayed(name, model, aircraft, flight):
@@ -212,7 +247,10 @@ def replayed(name, model, aircraft, flight):
     for against, suffix in (("measured", ""), ("true", "_true")):
         table = replay_errors(flown, flight, suffix=suffix).set_index(["state", "horizon"])
         for horizon in HORIZONS:
-            scores = {state: float(table.loc[(state, horizon), "median"]) for state in ("v_east", "p", "r")}
+            scores = {
+                state: float(table.loc[(state, horizon), "median"])
+                for state in ("v_east", "p", "r")
+            }
             rows.append({
                 "flight": name, "against": against, "horizon": horizon, "v_east [m/s]": scores["v_east"],
                 "p [deg/s]": np.rad2deg(scores["p"]), "r [deg/s]": np.rad2deg(scores["r"]),
@@ -233,7 +271,9 @@ def timed(model, aircraft, n_paths, duration=60.0):
         start = time.perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SimulationWarning)
-            simulate(model, aircraft, steady, steady.controls, dt=0.02, duration=duration, **options)
+            simulate(
+                model, aircraft, steady, steady.controls, dt=0.02, duration=duration, **options
+            )
         rows.append(
             {
                 "flight": what,
@@ -274,28 +314,44 @@ def _off(value, reference, name):
 def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
-    parser.add_argument("--seeds", type=int, default=3, help="of the search: models of each training flight")
+    parser.add_argument(
+        "--seeds", type=int, default=3, help="of the search: models of each training flight"
+    )
     parser.add_argument("--paths", type=int, default=100, help="of the ensembles")
     options = parsed(parser, words)
     example = load_example_flights()
     test = example.test.assign(gravity_true=STANDARD_GRAVITY)
     cases = {"example test": ("example", example.aircraft, example.train, test)}
     cases |= {
-        f"{name} {test}": (f"{name}_{test[:4]}", *flights_of(options.data / "flights", name, train, test))
+        f"{name} {test}": (
+            f"{name}_{test[:4]}",
+            *flights_of(options.data / "flights", name, train, test),
+        )
         for name, train, test in PAIRS
     }
     errors, air, replays, refined = [], [], [], []
     for name, (short, aircraft, log, flight) in cases.items():
         default = learned(options, f"{short}_default", log, aircraft)
         line = make_identification_pipeline(aircraft, regressor=LinearRegression())
-        models = {"default": default, "least squares": [line.fit(log, aerodynamic_coefficients(log, aircraft))]}
+        models = {
+            "default": default,
+            "least squares": [line.fit(log, aerodynamic_coefficients(log, aircraft))],
+        }
         found = free(name, models, aircraft, flight, options.paths)
         errors, air = errors + found[0], air + found[1]
         replays += replayed(name, default[0], aircraft, flight)
         refined += corrected(name, default, aircraft, log, flight)
         if short == "example":
             times = timed(default[0], aircraft, options.paths)
-    finish(options, "freeflight", errors=errors, bands=air, output_error=refined, replay=replays, times=times)
+    finish(
+        options,
+        "freeflight",
+        errors=errors,
+        bands=air,
+        output_error=refined,
+        replay=replays,
+        times=times,
+    )
 
 
 def flights_of(folder, name, train, test):

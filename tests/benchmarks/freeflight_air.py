@@ -2,28 +2,33 @@
 
     python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4] [--models FOLDER] [--paths 40] [--constants]
 
-Each aircraft of JSBSim learns by the default pipeline from a flight of 200 s in light gusts with noisy sensors, and is
-asked about other flights along another path. Coverage is the share within 95 % bands; the worst is the lowest.
+Each aircraft of JSBSim learns by the default pipeline from a flight of 200 s in light gusts with
+noisy sensors, and is asked about other flights along another path. Coverage is the share within 95
+% bands; the worst is the lowest.
 
-Models, at every tenth row: "coefficients" of flights in each air as measured, by bands of new measurements; "function"
-at regressors without noise in calm air, against the true coefficients, by bands of the function; "derivatives" within
-two standard deviations, of those that are not zero (_study_flights.py says which are known); "NRMSE" of the function,
-and that over the one of least squares on the same regressors and coefficients.
+Models, at every tenth row: "coefficients" of flights in each air as measured, by bands of new
+measurements; "function" at regressors without noise in calm air, against the true coefficients, by
+bands of the function; "derivatives" within two standard deviations, of those that are not zero
+(_study_flights.py says which are known); "NRMSE" of the function, and that over the one of least
+squares on the same regressors and coefficients.
 
-Free flight: from 20 points of the flights, under the logged controls and thrust, from the true state (velocity over
-the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=`` the true wind, a table over time;
-"nothing" says nothing of the air, where that is as it was in training.
+Free flight: from 20 points of the flights, under the logged controls and thrust, from the true
+state (velocity over the ground, attitude, rates), the nine states v_north ... r. "wind" is ``air=``
+the true wind, a table over time; "nothing" says nothing of the air, where that is as it was in
+training.
 
-"gusts": their power by `Turbulence.from_flight` of the sensors over the true one, at frequencies that turn an aircraft.
+"gusts": their power by `Turbulence.from_flight` of the sensors over the true one, at frequencies
+that turn an aircraft.
 
-The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182, and that of bands after smoothing changed with A320
-and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.
+The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182, and that of bands after smoothing
+changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.
 
---constants scores values of what was chosen, on half of the starts, by the score of Dawid and Sebastiani: the mean of
-log s^2 + e^2 / s^2 over states, starts and both horizons, with the error e of the mean of the paths and their deviation
-s. It is a proper score (Gneiting & Raftery 2007, equation 25): the lower, the better. `OPINION` has the score of the
-coefficients of pieces of the flights, given alone. Each aircraft is judged with the value whose mean over the other
-aircraft is the lowest.
+--constants scores values of what was chosen, on half of the starts, by the score of Dawid and
+Sebastiani: the mean of log s^2 + e^2 / s^2 over states, starts and both horizons, with the error e
+of the mean of the paths and their deviation s. It is a proper score (Gneiting & Raftery 2007,
+equation 25): the lower, the better. `OPINION` has the score of the coefficients of pieces of the
+flights, given alone. Each aircraft is judged with the value whose mean over the other aircraft is
+the lowest.
 """
 
 import warnings
@@ -82,11 +87,17 @@ PIECES, PER_LENGTH = (0.5, 2.0, 10.0), 8
 def flight_of(name, number, air, seed):
     """Return a flight of an aircraft with its truth, and the aircraft."""
     log, aircraft = jsbsim_log(name, DURATION, number, air, seed)
-    true = log.table.assign(**dict(zip([f"{c}_true" for c in COEFFICIENTS], log.truth.T, strict=True)))
+    true = log.table.assign(
+        **dict(zip([f"{c}_true" for c in COEFFICIENTS], log.truth.T, strict=True))
+    )
     attitude = euler_to_quaternion(*true[[f"{name}_true" for name in EULER]].to_numpy().T)
-    through_air = body_to_ned(attitude, air_velocity(*true[[f"{name}_true" for name in AIR_DATA]].to_numpy().T))
+    through_air = body_to_ned(
+        attitude, air_velocity(*true[[f"{name}_true" for name in AIR_DATA]].to_numpy().T)
+    )
     wind = true[[f"{name}_true" for name in EARTH_VELOCITY]].to_numpy() - through_air
-    true = true.assign(gravity_true=STANDARD_GRAVITY, **dict(zip([f"{w}_true" for w in WIND], wind.T, strict=True)))
+    true = true.assign(
+        gravity_true=STANDARD_GRAVITY, **dict(zip([f"{w}_true" for w in WIND], wind.T, strict=True))
+    )
     noise = np.random.default_rng([number, seed, len(name)])  # mostly another for each aircraft
     return pd.concat([measure(log.table, 1.0, noise), true], axis=1), aircraft
 
@@ -122,12 +133,17 @@ def model_row(name, model, log, flown):
         bands = model[-1].predict(regressors[::EVERY], **options)
         row[f"coefficients, {air}"] = 100.0 * interval_coverage(measured[::EVERY], *bands)
     ours = known_by(model[-3:], subject, LOGGED)
-    X, Y = model[:-2].transform(log).to_numpy(), aerodynamic_coefficients(log, subject.aircraft).to_numpy()
+    X, Y = (
+        model[:-2].transform(log).to_numpy(),
+        aerodynamic_coefficients(log, subject.aircraft).to_numpy(),
+    )
     keys = [(TRAINING[1], LOGGED, method) for method in ("default", "least squares")]
     found = dict(zip(keys, (ours, line(X, Y, subject, LOGGED)), strict=True))
     results = Results(subject, found.items())
     error, linear = (float(results.nrmse(key).mean()) for key in keys)
-    row["function, calm"] = 100.0 * interval_coverage(results.truth, ours.function, ours.function_std)
+    row["function, calm"] = 100.0 * interval_coverage(
+        results.truth, ours.function, ours.function_std
+    )
     row["derivatives"] = coverage_table(results)[0]["within 2 std, %"]
     return row | {"NRMSE": error, "over least squares": error / linear}
 
@@ -137,16 +153,26 @@ def scores_of(model, aircraft, flown, n_paths):
     found = {}
     for air, module, constant, values in CONSTANTS:
         stretches = windows(truth_of(flown[air].iloc[::2]), STEP)[::2]
-        starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=UNKNOWN, errors="ignore")
+        starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(
+            columns=UNKNOWN, errors="ignore"
+        )
         steps = [round(horizon / STEP) for horizon in HORIZONS]
         for value in values:
             with warnings.catch_warnings(), patch.object(module, constant, value):
                 warnings.simplefilter("ignore", SimulationWarning)
-                paths = simulate(model, aircraft, starts, stretches, STEP, n_paths=n_paths, air=stretches)
+                paths = simulate(
+                    model, aircraft, starts, stretches, STEP, n_paths=n_paths, air=stretches
+                )
             off = []
             for name in SCORED:
                 flights = paths[name].to_numpy().reshape(n_paths, len(stretches), -1)[..., steps]
-                off.append(_off(flights, np.array([stretch[name].to_numpy()[steps] for stretch in stretches]), name))
+                off.append(
+                    _off(
+                        flights,
+                        np.array([stretch[name].to_numpy()[steps] for stretch in stretches]),
+                        name,
+                    )
+                )
             error, std = np.nanmean(off, axis=1), np.nanstd(off, axis=1, ddof=1)
             widest = student.ppf(0.975, n_paths - 1) * np.sqrt(1 + 1 / n_paths)
             score = np.mean(2 * np.log(std) + (error / std) ** 2)
@@ -168,7 +194,11 @@ def piece_scores(model, aircraft, flown):
                     piece = slice(start, start + rows)
                     with patch.object(_flight_path, "OPINION", value):
                         regressors, ratio = flight_regressors(model, log.iloc[piece])
-                    options = {"return_std": True, "include_noise": True, "include_input_noise": ratio[::EVERY]}
+                    options = {
+                        "return_std": True,
+                        "include_noise": True,
+                        "include_input_noise": ratio[::EVERY],
+                    }
                     mean, std = model[-1].predict(regressors[::EVERY], **options)
                     error = measured[piece][::EVERY] - mean
                     score.append(np.mean(2 * np.log(std) + (error / std) ** 2))
@@ -182,14 +212,19 @@ def chosen_by_others(found):
     tables = {}
     for constant in dict.fromkeys(key[0] for each in found.values() for key in each):
         scores = pd.DataFrame(
-            {n: {v: s for (c, v), (s, _) in each.items() if c == constant} for n, each in found.items()}
+            {
+                n: {v: s for (c, v), (s, _) in each.items() if c == constant}
+                for n, each in found.items()
+            }
         )
         tables[constant] = rows = []
         for name, own in scores.items():
             value = scores.drop(columns=name).mean(axis=1).idxmin()
             row = {"aircraft": name} | {f"score, {v:g}": s - own.min() for v, s in own.items()}
             row |= {f"coverage, {v:g}": found[name][constant, v][1] for v in scores.index}
-            rows.append(row | {"chosen by others": value, "coverage": found[name][constant, value][1]})
+            rows.append(
+                row | {"chosen by others": value, "coverage": found[name][constant, value][1]}
+            )
     return tables
 
 
@@ -198,12 +233,16 @@ def flown_row(name, model, aircraft, flown, n_paths):
     row = {"aircraft": name}
     for air, flight in flown.items():
         stretches = windows(truth_of(flight.iloc[::2]), STEP)
-        starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(columns=UNKNOWN, errors="ignore")
+        starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches]).drop(
+            columns=UNKNOWN, errors="ignore"
+        )
         told = {"wind": {"air": stretches}} | ({"nothing": {}} if air == TRAINING[1] else {})
         for said, options in told.items():
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)
-                paths = simulate(model, aircraft, starts, stretches, STEP, n_paths=n_paths, **options)
+                paths = simulate(
+                    model, aircraft, starts, stretches, STEP, n_paths=n_paths, **options
+                )
             found = coverage_of([paths], stretches, STEP)
             row |= {f"{air}, {said}, {each['horizon']:g} s": each["coverage %"] for each in found}
     return row
@@ -212,20 +251,36 @@ def flown_row(name, model, aircraft, flown, n_paths):
 def air_row(name, aircraft, flown):
     """Return the power of gusts u, v, w by `Turbulence.from_flight` over the true one, where gusts turn an aircraft.
 
-    The geometric mean over three bands of the frequencies up to pi V / 4 b, the lowest of which begin at .3 rad/s.
+    The geometric mean over three bands of the frequencies up to pi V / 4 b, the lowest of which
+    begin at .3 rad/s.
     """
     row = {"aircraft": name}
     for air in ("light", "moderate"):
         flight, found = flown[air], Turbulence.from_flight(sensed(flown[air]), aircraft.span)
         wind, psi = flight[[f"{w}_true" for w in WIND]].to_numpy(), flight["psi_true"].to_numpy()
         (north, east, down), speed = (wind - wind.mean(axis=0)).T, flight["airspeed_true"].mean()
-        gusts = [np.cos(psi) * north + np.sin(psi) * east, np.cos(psi) * east - np.sin(psi) * north, down]
-        frequency, power = welch(np.array(gusts), 1 / np.median(np.diff(flight["time"])), nperseg=2048)
+        gusts = [
+            np.cos(psi) * north + np.sin(psi) * east,
+            np.cos(psi) * east - np.sin(psi) * north,
+            down,
+        ]
+        frequency, power = welch(
+            np.array(gusts), 1 / np.median(np.diff(flight["time"])), nperseg=2048
+        )
         edges = np.geomspace(0.3, np.pi * speed / (4 * aircraft.span), 7)[3:]
         for k, axis in enumerate("uvw"):
-            model = 2 * found.intensity[k] ** 2 * _spectrum(2 * np.pi * frequency, found.length[k] / speed, k)
-            bands = [(low <= 2 * np.pi * frequency) & (2 * np.pi * frequency < high) for low, high in pairwise(edges)]
-            row[f"{axis}, {air}"] = gmean([model[band].mean() / power[k, band].mean() for band in bands])
+            model = (
+                2
+                * found.intensity[k] ** 2
+                * _spectrum(2 * np.pi * frequency, found.length[k] / speed, k)
+            )
+            bands = [
+                (low <= 2 * np.pi * frequency) & (2 * np.pi * frequency < high)
+                for low, high in pairwise(edges)
+            ]
+            row[f"{axis}, {air}"] = gmean(
+                [model[band].mean() / power[k, band].mean() for band in bands]
+            )
         row[f"tied, {air}"] = found.is_tied
     return row
 
@@ -242,18 +297,26 @@ def summarized(rows):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", nargs="+", default=["J3Cub", "DHC6", "A4", "global5000"], choices=[*KNOTS])
+    parser.add_argument(
+        "--aircraft", nargs="+", default=["J3Cub", "DHC6", "A4", "global5000"], choices=[*KNOTS]
+    )
     parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
     parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
-    parser.add_argument("--constants", action="store_true", help="score values of constants, and nothing else")
+    parser.add_argument(
+        "--constants", action="store_true", help="score values of constants, and nothing else"
+    )
     options = parser.parse_args(words)
     models, flights, gusts, scores = [], [], [], {}
     for name in options.aircraft:
         model, log, aircraft = learned(name, options.models)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
         if options.constants:
-            scores[name] = scores_of(model, aircraft, flown, options.paths) | piece_scores(model, aircraft, flown)
-            print(name, {key: np.round(value, 2) for key, value in scores[name].items()}, flush=True)
+            scores[name] = scores_of(model, aircraft, flown, options.paths) | piece_scores(
+                model, aircraft, flown
+            )
+            print(
+                name, {key: np.round(value, 2) for key, value in scores[name].items()}, flush=True
+            )
             continue
         models.append(model_row(name, model, log, flown))
         flights.append(flown_row(name, model, aircraft, flown, options.paths))
@@ -262,7 +325,13 @@ def main(words=None):
     if options.constants:
         finish(options, "freeflight_air_constants", **chosen_by_others(scores))
         return
-    finish(options, "freeflight_air", models=summarized(models), free_flight=summarized(flights), gusts=gusts)
+    finish(
+        options,
+        "freeflight_air",
+        models=summarized(models),
+        free_flight=summarized(flights),
+        gusts=gusts,
+    )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/likelihood.py [--out FOLDER]
 
-The paper's size: 755 samples of six outputs, six latent processes, 15 regressors, a width for each. LAPACK's potrf and
-potri of the same N x N matrix are what every exact method needs. Ratios, not times, are the result: all take turns on
-the same machine. Memory is what the evaluation adds to a process of its own, at its peak.
+The paper's size: 755 samples of six outputs, six latent processes, 15 regressors, a width for each.
+LAPACK's potrf and potri of the same N x N matrix are what every exact method needs. Ratios, not
+times, are the result: all take turns on the same machine. Memory is what the evaluation adds to a
+process of its own, at its peak.
 """
 
 import json
@@ -12,7 +13,15 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from _common import available_memory, extra_memory, finish, in_own_process, interleaved, parser_of, use_torch_threads
+from _common import (
+    available_memory,
+    extra_memory,
+    finish,
+    in_own_process,
+    interleaved,
+    parser_of,
+    use_torch_threads,
+)
 from scipy.linalg import lapack
 
 from skdgp.inference import Data, log_likelihood
@@ -78,14 +87,18 @@ def _sklearn(X, y):
 
     kernel = ConstantKernel() * RBF(np.full(X.shape[1], LENGTH)) + WhiteKernel(NOISE)
     model = GaussianProcessRegressor(kernel, optimizer=None).fit(X, y)
-    return lambda: model.log_marginal_likelihood(model.kernel_.theta, eval_gradient=True, clone_kernel=False)
+    return lambda: model.log_marginal_likelihood(
+        model.kernel_.theta, eval_gradient=True, clone_kernel=False
+    )
 
 
 def gpytorch_cholesky(case):
     use_torch_threads()
     from _gpytorch import cholesky, exact_lcm, likelihood_and_gradient
 
-    evaluate = likelihood_and_gradient(*exact_lcm(*case.table(), case.M, length_scale=LENGTH, noise=NOISE))
+    evaluate = likelihood_and_gradient(
+        *exact_lcm(*case.table(), case.M, length_scale=LENGTH, noise=NOISE)
+    )
 
     def by_cholesky():
         with cholesky():
@@ -127,7 +140,9 @@ def mogptk_convolved(case):
 
     X, Y = case.table()
     stacked = np.column_stack([np.repeat(np.arange(case.P), case.n), np.tile(X, (case.P, 1))])
-    kernel = gpr.AddKernel(*(GaussianConvolutionProcessKernel(case.P, case.d) for _ in range(case.M)))
+    kernel = gpr.AddKernel(
+        *(GaussianConvolutionProcessKernel(case.P, case.d) for _ in range(case.M))
+    )
     for part in kernel.kernels:
         part.variance.assign(torch.full((case.P, case.d), LENGTH**2 / 3))
         part.base_variance.assign(torch.full((case.d,), LENGTH**2 / 3))
@@ -178,7 +193,13 @@ def default_against_exact(case):
         default = gradient(*exact_lcm(*case.table(), case.M, **sizes, dtype=dtype))
         error, length = np.linalg.norm(default - exact), np.linalg.norm(exact)
         cosine = float(default @ exact / np.linalg.norm(default) / length)
-        rows.append({"precision": name, "norm of the difference / norm": error / length, "cosine of the angle": cosine})
+        rows.append(
+            {
+                "precision": name,
+                "norm of the difference / norm": error / length,
+                "cosine of the angle": cosine,
+            }
+        )
     return rows
 
 
@@ -198,7 +219,12 @@ def compare(case, names, repeats, isolated=True):
         peak = in_own_process(__file__, "--memory", name, *case) if isolated else memory(case, name)
         over = None if peak is None else peak / (8 * case.N**2)
         rows.append(
-            {"what": name, "seconds": time, "over LAPACK": time / seconds[FLOOR], "peak memory / N^2 doubles": over}
+            {
+                "what": name,
+                "seconds": time,
+                "over LAPACK": time / seconds[FLOOR],
+                "peak memory / N^2 doubles": over,
+            }
         )
     return rows
 
@@ -209,7 +235,9 @@ def main(words=None):
     names = [FLOOR, OURS] if options.no_peers else list(CONTENDERS)
     rows = compare(case, names, options.repeats, not options.smoke)
     check = [] if options.no_peers else default_against_exact(case)
-    finish(options, "likelihood", one_likelihood_and_gradient=rows, gradient_of_gpytorchs_default=check)
+    finish(
+        options, "likelihood", one_likelihood_and_gradient=rows, gradient_of_gpytorchs_default=check
+    )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/page.py FOLDER
 
-FOLDER is what the scripts were given as --out. A table stands on the page between ``<!-- NAME:TABLE -->`` and
-``<!-- end -->``, and is that TABLE of NAME.json; ``NAME:machine`` says where it was measured.
-What has no results stays as it is.
+FOLDER is what the scripts were given as --out. A table stands on the page between ``<!-- NAME:TABLE
+-->`` and ``<!-- end -->``, and is that TABLE of NAME.json; ``NAME:machine`` says where it was
+measured. What has no results stays as it is.
 """
 
 import argparse
@@ -22,7 +22,9 @@ PAGES = ("results.md",)
 
 
 def main(folder, docs=DOCS):
-    results = {path.stem: json.loads(path.read_text()) for path in sorted(Path(folder).glob("*.json"))}
+    results = {
+        path.stem: json.loads(path.read_text()) for path in sorted(Path(folder).glob("*.json"))
+    }
     for page in map(docs.joinpath, PAGES):
         page.write_text(filled(page.read_text(encoding="utf-8"), results), encoding="utf-8")
     (docs / "images").mkdir(exist_ok=True)
@@ -44,12 +46,18 @@ def filled(page, results):
         lines = described(content) if table == "machine" else markdown(content)
         return f"<!-- {name}:{table} -->\n{lines}\n<!-- end -->"
 
-    return re.sub(r"<!-- (?P<name>\w+):(?P<table>\w+) -->\n.*?<!-- end -->", replaced, page, flags=re.DOTALL)
+    return re.sub(
+        r"<!-- (?P<name>\w+):(?P<table>\w+) -->\n.*?<!-- end -->", replaced, page, flags=re.DOTALL
+    )
 
 
 def markdown(rows):
     heads = list(rows[0])
-    lines = [heads, ["---"] * len(heads), *([cell(row[head], head) for head in heads] for row in rows)]
+    lines = [
+        heads,
+        ["---"] * len(heads),
+        *([cell(row[head], head) for head in heads] for row in rows),
+    ]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -67,9 +75,12 @@ def cell(value, head=""):
 
 
 def described(machine):
-    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items() if name != "skdgp")
+    versions = ", ".join(
+        f"{name} {version}" for name, version in machine["versions"].items() if name != "skdgp"
+    )
     return (
-        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['blas']}; Python "
+        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, "
+        f"{machine['blas']}; Python "
         f"{machine['python']}, {versions}; {machine['date']}, load before {machine['load']}."
     )
 
@@ -89,22 +100,35 @@ def comparison(results):
     shown = [flight for flight in FLIGHTS if flight in results]
     methods = [_called(row) for row in max((results[flight] for flight in shown), key=len)]
     figure, axes = plt.subplots(
-        1, len(shown), figsize=(2.0 + 2.2 * len(shown), 4.2), layout="constrained", sharey=True, squeeze=False
+        1,
+        len(shown),
+        figsize=(2.0 + 2.2 * len(shown), 4.2),
+        layout="constrained",
+        sharey=True,
+        squeeze=False,
     )
     for ax, flight in zip(axes[0], shown, strict=True):
         for row in results[flight]:
-            at, shade = methods.index(_called(row)), PALETTE["blue" if "skdgp" in row["method"] else "grey"]
+            at, shade = (
+                methods.index(_called(row)),
+                PALETTE["blue" if "skdgp" in row["method"] else "grey"],
+            )
             for kind, marker in INPUTS.items():
                 error = row[f"NRMSE {kind}"]
                 filled = shade if kind == "filtered" else "none"
-                ax.plot(error, at, marker, color=shade, markerfacecolor=filled, markersize=5) if error else None
+                ax.plot(
+                    error, at, marker, color=shade, markerfacecolor=filled, markersize=5
+                ) if error else None
         ax.set_xlabel("NRMSE")
         ax.set_title(FLIGHTS[flight], fontsize="small")
         tidy(ax)
         ax.margins(x=0.06)
     axes[0, 0].set_yticks(range(len(methods)), methods)
     axes[0, 0].invert_yaxis()
-    marks = [plt.Line2D([], [], linestyle="", marker=INPUTS[kind], color="grey", label=kind) for kind in INPUTS]
+    marks = [
+        plt.Line2D([], [], linestyle="", marker=INPUTS[kind], color="grey", label=kind)
+        for kind in INPUTS
+    ]
     for mark, kind in zip(marks, INPUTS, strict=True):
         mark.set_markerfacecolor("grey" if kind == "filtered" else "none")
     figure.legend(handles=marks, loc="outside lower right", ncols=4, frameon=False)

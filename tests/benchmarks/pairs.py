@@ -2,14 +2,15 @@
 
     python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--pairs P] [--seeds S] [--latents M] [--redo]
 
-REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py; the HFB-320 is
-``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights and predicts those of others: NRMSE,
-mean over the coefficients, over that of least squares from the same regressors. Members are those of the same fit, each
-alone; "one search": the mean error of the average of each search alone. "product": members weighted by precision at
-each point, what a committee of experts would say. NLPD and coverage are of measured coefficients at one row in ten.
+REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py;
+the HFB-320 is ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights
+and predicts those of others: NRMSE, mean over the coefficients, over that of least squares from the
+same regressors. Members are those of the same fit, each alone; "one search": the mean error of the
+average of each search alone. "product": members weighted by precision at each point, what a
+committee of experts would say. NLPD and coverage are of measured coefficients at one row in ten.
 
-The last table is of the one number that was chosen on these pairs, the rows of prior opinion of the weights: what is
-best without an aircraft, scored on it.
+The last table is of the one number that was chosen on these pairs, the rows of prior opinion of the
+weights: what is best without an aircraft, scored on it.
 
 Each run is kept as OUT/pairs/PAIR-LATENTS-SEED.json, and not run again unless ``--redo`` says so.
 """
@@ -44,7 +45,9 @@ HFB_320 = Aircraft(
     span=14.49,
     chord=2.43,
 )
-"""The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal coefficients."""
+"""The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal
+coefficients.
+"""
 TILT, HFB_ENGINE = 0.0524, (-1.343, 2.990, -0.652)
 """Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]."""
 RECORDS = {
@@ -87,7 +90,11 @@ def small_uav(folder, split):
     path = Path(folder) / real.UAV / "ProcessedData_2022_05_07_11_13_57.mat"
     records = loadmat(path, squeeze_me=True, struct_as_record=False)
     parts = [[real.uav(records[name], name) for name in names.split()] for names in RECORDS[split]]
-    return (real.SMALL_UAV, *(pd.concat(part, ignore_index=True) for part in parts), {"thrust": None})
+    return (
+        real.SMALL_UAV,
+        *(pd.concat(part, ignore_index=True) for part in parts),
+        {"thrust": None},
+    )
 
 
 def swapped(load, folder):
@@ -101,7 +108,11 @@ def quarter(data, number):
     table = read_flight(data / "ampyx_ap2" / "ampyx_ap2.parquet")
     part = np.arange(len(table)) * 4 // len(table) + 1
     table["flight"] = [f"quarter {k}" for k in part]
-    return aircraft, *(table[rows].reset_index(drop=True) for rows in (part != number, part == number)), loads
+    return (
+        aircraft,
+        *(table[rows].reset_index(drop=True) for rows in (part != number, part == number)),
+        loads,
+    )
 
 
 REAL = {
@@ -126,8 +137,12 @@ def task_of_pair(name, repository, data):
     if name in SHARED:
         assert SHARED[name] in FLIGHTS
         return task_of(SHARED[name], data)
-    aircraft, train, test, loads = REAL[name](repository) if name in REAL else quarter(data, QUARTERS[name])
-    targets, measured = (aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test))
+    aircraft, train, test, loads = (
+        REAL[name](repository) if name in REAL else quarter(data, QUARTERS[name])
+    )
+    targets, measured = (
+        aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
+    )
     if name == "hfb":
         targets, measured = targets[LONGITUDINAL], measured[LONGITUDINAL]
     return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
@@ -161,17 +176,25 @@ def result(task, seed, latents):
     found["least squares"] = float(normalized_rmse(task.measured, least_squares.predict(X)))
     found["average"] = scored(task, mean, std**2)
     for name, k in searches_of(members).items():
-        found[name] = scored(task, *mixed(np.full(means[k].shape, 1 / len(k)), means[k], function[k] + noise))
+        found[name] = scored(
+            task, *mixed(np.full(means[k].shape, 1 / len(k)), means[k], function[k] + noise)
+        )
     of_searches = errors_of_searches(task, last.posterior_, means, function + noise)
     found["one search"] = {"error": float(np.mean(list(of_searches)))}
     precision = 1.0 / (function + 0.3 * last.noise_variance_)
-    found["product"] = scored(task, *mixed(precision / precision.sum(axis=0), means, function + noise))
-    found["equal"] = scored(task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise))
+    found["product"] = scored(
+        task, *mixed(precision / precision.sum(axis=0), means, function + noise)
+    )
+    found["equal"] = scored(
+        task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise)
+    )
     found["weights"] = {name: weights.tolist() for name, weights in last.weights_.items()}
     if seen:
         found["opinions"] = {}
         for rows in OPINIONS:
-            weights = np.array([stacked(*evidence, rows) for evidence in seen])  # of outputs, search by search
+            weights = np.array(
+                [stacked(*evidence, rows) for evidence in seen]
+            )  # of outputs, search by search
             weights = weights.reshape(-1, means.shape[2], weights.shape[1]).swapaxes(1, 2)
             weights = weights.reshape(len(means), 1, -1) / len(weights)
             mix = mixed(weights * np.ones(means.shape), means, function + noise)
@@ -191,7 +214,9 @@ def errors_of_searches(task, posterior, means, variances):
     for s in range(of_search.max() + 1):
         k = np.flatnonzero(of_search == s)
         weights = posterior.mixture[k] / posterior.mixture[k].sum(axis=0)
-        yield scored(task, *mixed(weights[:, None] * np.ones(means[k].shape), means[k], variances[k]))["error"]
+        yield scored(
+            task, *mixed(weights[:, None] * np.ones(means[k].shape), means[k], variances[k])
+        )["error"]
 
 
 def mixed(weights, means, variances):
@@ -207,10 +232,14 @@ def scored(task, mean, variance):
         "error": float(normalized_rmse(task.measured, mean)),
         "coverage": float(interval_coverage(task.measured[some], mean[some], std[some])),
         "NLPD": float(
-            negative_log_predictive_density(task.measured[some] / spread, mean[some] / spread, std[some] / spread)
+            negative_log_predictive_density(
+                task.measured[some] / spread, mean[some] / spread, std[some] / spread
+            )
         ),
     }
-    return found if task.truth is None else found | {"truth": float(normalized_rmse(task.truth, mean))}
+    return (
+        found if task.truth is None else found | {"truth": float(normalized_rmse(task.truth, mean))}
+    )
 
 
 def of_pairs(runs):
@@ -220,7 +249,9 @@ def of_pairs(runs):
         some = [run for run in runs if run["pair"] == pair]
         row = {"pair": pair, "least squares": some[0]["least squares"]}
         for name in ("average", "one search", "joint", "additive", "trend", "equal", "product"):
-            row[name] = _median(run[name]["error"] / run["least squares"] for run in some if name in run)
+            row[name] = _median(
+                run[name]["error"] / run["least squares"] for run in some if name in run
+            )
         truths = [run["average"]["truth"] for run in some if "truth" in run["average"]]
         alone = [min(run[name]["NLPD"] for name in run["weights"]) for run in some]
         row |= {
@@ -243,12 +274,23 @@ def _median(values):
 def geometric_means(rows):
     """Return the geometric means of the ratios, of all pairs of the list, and without the AP2."""
     found = []
-    for words, names in {"all": LISTED, "without AP2": [p for p in LISTED if p not in QUARTERS]}.items():
+    for words, names in {
+        "all": LISTED,
+        "without AP2": [p for p in LISTED if p not in QUARTERS],
+    }.items():
         some = [row for row in rows if row["pair"] in names]
         if some:
             kinds = ("average", "one search", "joint", "trend", "equal", "product")
-            means = {kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds}
-            found.append({"pairs": f"{words}, {len(some)}", **means, "worst": max(row["average"] for row in some)})
+            means = {
+                kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds
+            }
+            found.append(
+                {
+                    "pairs": f"{words}, {len(some)}",
+                    **means,
+                    "worst": max(row["average"] for row in some),
+                }
+            )
     return found
 
 
@@ -262,10 +304,17 @@ def left_out(runs):
                 of_craft.append(np.log(error / run["least squares"]))
     found = []
     for craft, own in ratios.items():
-        others = {rows: np.mean([np.mean(r[rows]) for name, r in ratios.items() if name != craft]) for rows in own}
+        others = {
+            rows: np.mean([np.mean(r[rows]) for name, r in ratios.items() if name != craft])
+            for rows in own
+        }
         best = min(own, key=others.__getitem__) if len(ratios) > 1 else next(iter(own))
         found.append(
-            {"aircraft": craft, "best of the others": best, "its ratio": float(np.exp(np.mean(own[best])))}
+            {
+                "aircraft": craft,
+                "best of the others": best,
+                "its ratio": float(np.exp(np.mean(own[best]))),
+            }
             | {f"{rows} rows": float(np.exp(np.mean(own[rows]))) for rows in own}
         )
     return found
@@ -273,7 +322,9 @@ def left_out(runs):
 
 def main(words=None):
     parser = parser_of(__doc__, redo=True)
-    parser.add_argument("repository", type=Path, nargs="?", help="the unpacked copy of the repository")
+    parser.add_argument(
+        "repository", type=Path, nargs="?", help="the unpacked copy of the repository"
+    )
     parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data")
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
@@ -290,10 +341,20 @@ def main(words=None):
                 found = result(task, seed, options.latents)
                 kept.keep(name, {"pair": pair, "latents": options.latents, "seed": seed, **found})
                 ratio = found["average"]["error"] / found["least squares"]
-                print(f"{name}: {ratio:.3f} of least squares, {found['seconds']:.0f} s", file=sys.stderr, flush=True)
+                print(
+                    f"{name}: {ratio:.3f} of least squares, {found['seconds']:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
     runs = [run for run in kept.memory.values() if run["latents"] == options.latents]
     rows = of_pairs(runs)
-    finish(options, "pairs", of_pairs=rows, geometric_means=geometric_means(rows), left_out=left_out(runs))
+    finish(
+        options,
+        "pairs",
+        of_pairs=rows,
+        geometric_means=geometric_means(rows),
+        left_out=left_out(runs),
+    )
 
 
 if __name__ == "__main__":

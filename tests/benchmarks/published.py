@@ -2,20 +2,23 @@
 
     python tests/benchmarks/published.py FOLDER --out OUT [--cases C] [--methods M] [--seeds 0 1 2 3 4] [--redo]
 
-Parts of some outputs are hidden, and predicted from the rest of these and from the other outputs. SMSE of an output is
-the mean squared error of its hidden values over their mean squared distance from a mean, see ``Case``. FOLDER holds:
+Parts of some outputs are hidden, and predicted from the rest of these and from the other outputs.
+SMSE of an output is the mean squared error of its hidden values over their mean squared distance
+from a mean, see ``Case``. FOLDER holds:
 
-- ``fx2007-processed.csv``, ``bra.mat``, ``cam.mat``, ``chi.mat``, ``sot.mat`` and ``sarcos_inv_test.mat``, from
-  ``data/fx``, ``data/weather`` and ``data/sarcos`` of https://github.com/trungngv/cogp;
+- ``fx2007-processed.csv``, ``bra.mat``, ``cam.mat``, ``chi.mat``, ``sot.mat`` and
+  ``sarcos_inv_test.mat``, from ``data/fx``, ``data/weather`` and ``data/sarcos`` of
+  https://github.com/trungngv/cogp;
 - ``co2c0000337.rd.000.gz``, from ``examples/data/smni_eeg/c_1_co2c0000337.tar.gz`` of
   https://github.com/GAMES-UChile/mogptk.
 
 The Friedman cases need no file: complete outputs, where methods differ in time alone.
 
-Nguyen & Bonilla (2014) learn torques of the SARCOS arm from 44,484 samples in ``sarcos_inv.mat``, which could not be
-had: here their test file is divided, so their figures are not comparable. No setting is chosen by a hidden value. Each
-run is kept as OUT/published/CASE-METHOD-SEED.json, and not run again unless ``--redo`` says so; the tables are of all
-runs that are there. OUT/published.png shows the exchange rates.
+Nguyen & Bonilla (2014) learn torques of the SARCOS arm from 44,484 samples in ``sarcos_inv.mat``,
+which could not be had: here their test file is divided, so their figures are not comparable. No
+setting is chosen by a hidden value. Each run is kept as OUT/published/CASE-METHOD-SEED.json, and
+not run again unless ``--redo`` says so; the tables are of all runs that are there.
+OUT/published.png shows the exchange rates.
 """
 
 import sys
@@ -41,7 +44,8 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.metrics import interval_coverage
 
-# SMSE and NLPD; Nguyen & Bonilla (2014), tables 1 and 2; Alvarez et al. (2010); Requeima et al. (2019), from memory
+# SMSE and NLPD; Nguyen & Bonilla (2014), tables 1 and 2; Alvarez et al. (2010); Requeima et al.
+# (2019), from memory
 PUBLISHED: dict[str, dict[str, tuple[float, float | None]]] = {
     "exchange_rates": {
         "collaborative (COGP)": (0.2125, -0.8394),
@@ -64,7 +68,8 @@ LCM_LIMIT = 2000  # values; 200 steps for the 3051 of the exchange rates did not
 class Case(NamedTuple):
     """Inputs (n, 1), outputs (n, P) with NaN where not known, hidden values (n, P) with NaN elsewhere.
 
-    ``centre`` (P,): the means that SMSE is measured from, of known values or of hidden ones, as in the publication.
+    ``centre`` (P,): the means that SMSE is measured from, of known values or of hidden ones, as in
+    the publication.
     """
 
     X: np.ndarray
@@ -116,7 +121,9 @@ def eeg(folder):
 
 def sarcos(folder):
     """Return torques of joints 4 and 7: of 4449 samples 1000 are hidden, and 2000 of joint 4 are known."""
-    samples = np.random.default_rng(0).permutation(loadmat(folder / "sarcos_inv_test.mat")["sarcos_inv_test"])
+    samples = np.random.default_rng(0).permutation(
+        loadmat(folder / "sarcos_inv_test.mat")["sarcos_inv_test"]
+    )
     gaps = {"joint 4": (0, slice(3449, None)), "joint 7": (1, slice(3449, None))}
     case = case_of(samples[:, 0], samples[:, [24, 27]], gaps)
     case.Y[2000:, 0] = np.nan
@@ -160,10 +167,15 @@ def scikit_learn(case, seed):
     mean, std = np.full((2, *case.Y.shape), np.nan)
     X, width = StandardScaler().fit_transform(case.X), np.ones(case.X.shape[1])
     for k in case.tested.values():
-        kernel, rows = ConstantKernel() * RBF(width) + WhiteKernel(), np.flatnonzero(np.isfinite(case.Y[:, k]))
+        kernel, rows = (
+            ConstantKernel() * RBF(width) + WhiteKernel(),
+            np.flatnonzero(np.isfinite(case.Y[:, k])),
+        )
         rows = rows[:SINGLE_LIMIT]
         n_restarts = 2 if X.shape[1] == 1 else 0  # in one input searches end at several optima
-        model = GaussianProcessRegressor(kernel, n_restarts_optimizer=n_restarts, normalize_y=True, random_state=seed)
+        model = GaussianProcessRegressor(
+            kernel, n_restarts_optimizer=n_restarts, normalize_y=True, random_state=seed
+        )
         mean[:, k], std[:, k] = model.fit(X[rows], case.Y[rows, k]).predict(X, return_std=True)
     return mean, std
 
@@ -171,7 +183,8 @@ def scikit_learn(case, seed):
 def gpytorch_lcm(case, seed):
     """Fit the exact linear model of coregionalisation by Cholesky, from a start that is always the same.
 
-    GPyTorch's variance takes missing values for known ones, so it is computed here from GPyTorch's covariance.
+    GPyTorch's variance takes missing values for known ones, so it is computed here from GPyTorch's
+    covariance.
     """
     import gpytorch
     import torch
@@ -181,7 +194,10 @@ def gpytorch_lcm(case, seed):
         raise ValueError(f"left out above {LCM_LIMIT} values")
     X, scaler = StandardScaler().fit_transform(case.X), StandardScaler().fit(case.Y)
     Y = scaler.transform(case.Y)
-    with gpytorch.settings.observation_nan_policy("mask"), gpytorch.settings.max_cholesky_size(LCM_LIMIT):
+    with (
+        gpytorch.settings.observation_nan_policy("mask"),
+        gpytorch.settings.max_cholesky_size(LCM_LIMIT),
+    ):
         model = ExactLCM(n_steps=200).fit(X, Y)
         mean = scaler.inverse_transform(model.predict(X))
     known = np.isfinite(Y).ravel()
@@ -228,7 +244,11 @@ def run(case, method, seed):
         if method == "skdgp":
             raise
         return {"error": str(error).partition("\n")[0][:100] or type(error).__name__}
-    return {"seconds": time.process_time() - start, "outputs": list(case.tested), **scores(case, mean, std)}
+    return {
+        "seconds": time.process_time() - start,
+        "outputs": list(case.tested),
+        **scores(case, mean, std),
+    }
 
 
 def scores(case, mean, std):
@@ -251,7 +271,10 @@ def tables(runs):
     for case in dict.fromkeys(run["case"] for run in runs):
         of_case = [run for run in runs if run["case"] == case]
         outputs: list[str] = next((run["outputs"] for run in of_case if "outputs" in run), [])
-        rows = [row([run for run in of_case if run["method"] == method], method, outputs) for method in METHODS]
+        rows = [
+            row([run for run in of_case if run["method"] == method], method, outputs)
+            for method in METHODS
+        ]
         for name, (smse, nlpd) in PUBLISHED.get(case, {}).items():
             rows.append(empty(f"published: {name}", outputs) | {"SMSE": smse, "NLPD": nlpd})
         found[case] = list(filter(None, rows))
@@ -259,7 +282,15 @@ def tables(runs):
 
 
 def empty(method, outputs):
-    names = ("seeds", "CPU s", *(f"SMSE {name}" for name in outputs), "SMSE", "SMSE, worst", "in the band %", "NLPD")
+    names = (
+        "seeds",
+        "CPU s",
+        *(f"SMSE {name}" for name in outputs),
+        "SMSE",
+        "SMSE, worst",
+        "in the band %",
+        "NLPD",
+    )
     return {"method": method, **dict.fromkeys(names)}
 
 
@@ -273,7 +304,10 @@ def row(runs, method, outputs):
         "method": f"**{method}**" if method == "skdgp" else method,
         "seeds": len(runs),
         "CPU s": round(float(np.median([run["seconds"] for run in runs])), 1),
-        **{f"SMSE {name}": float(value) for name, value in zip(outputs, smse.mean(axis=0), strict=True)},
+        **{
+            f"SMSE {name}": float(value)
+            for name, value in zip(outputs, smse.mean(axis=0), strict=True)
+        },
         "SMSE": float(smse.mean()),
         "SMSE, worst": float(smse.mean(axis=1).max()),
         "in the band %": 100 * float(np.mean([run["held"] for run in runs])),
@@ -287,20 +321,29 @@ def picture(case, runs):
 
     from skdgp._display.style import PALETTE, tidy
 
-    figure, axes = plt.subplots(1, len(case.tested), figsize=(9.6, 3.2), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(case.tested), figsize=(9.6, 3.2), layout="constrained", squeeze=False
+    )
     for i, (ax, (name, k)) in enumerate(zip(axes[0], case.tested.items(), strict=True)):
         x = case.X[:, 0]
         ax.plot(x, case.Y[:, k], ".", color=PALETTE["grey"], markersize=3, label="known")
         ax.plot(x, case.hidden[:, k], ".", color="black", markersize=3, label="hidden")
-        for method, colour in {"skdgp": "blue", "scikit-learn, each output alone": "vermillion"}.items():
+        for method, colour in {
+            "skdgp": "blue",
+            "scikit-learn, each output alone": "vermillion",
+        }.items():
             found = [run for run in runs if run["method"] == method and "mean" in run]
             for run in found[:1]:
                 mean, half = np.array(run["mean"][i]), 1.96 * np.array(run["std"][i])
                 ax.plot(x, mean, color=PALETTE[colour], linewidth=1, label=method)
-                ax.fill_between(x, mean - half, mean + half, color=PALETTE[colour], alpha=0.15, linewidth=0)
+                ax.fill_between(
+                    x, mean - half, mean + half, color=PALETTE[colour], alpha=0.15, linewidth=0
+                )
         ax.set(title=name, xlabel="day")
         tidy(ax)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+    )
     return figure
 
 
@@ -320,12 +363,17 @@ def main(words=None):
         case = load(options.data)
         for method, seed in product(methods, options.seeds):
             key = f"{name}-{method}-{seed}"
-            left_out = (method == "GPAR" and name != "EEG") or (method == "GPyTorch LCM" and seed != options.seeds[0])
+            left_out = (method == "GPAR" and name != "EEG") or (
+                method == "GPyTorch LCM" and seed != options.seeds[0]
+            )
             if left_out or (key in kept and not options.redo):
                 continue
             result = {"case": name, "method": method, "seed": seed, **run(case, method, seed)}
             kept.keep(key, result)
-            said = result.get("error") or f"SMSE {np.mean(result['SMSE']):.4f}, {result['seconds']:.0f} s"
+            said = (
+                result.get("error")
+                or f"SMSE {np.mean(result['SMSE']):.4f}, {result['seconds']:.0f} s"
+            )
             print(f"{key}: {said}", file=sys.stderr, flush=True)
         if options.out and find_spec("matplotlib") and name in ("exchange_rates", "toy"):
             of_case = [run for run in kept.memory.values() if run["case"] == name]

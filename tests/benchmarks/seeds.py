@@ -2,9 +2,9 @@
 
     python tests/benchmarks/seeds.py ../shared/data --out OUT [--flights F] [--seeds S] [--redo]
 
-Flights and scores are those of comparison.py. The seed decides which samples hyperparameters are learned from, and
-which blocks of the log tell the search when to stop. Each run is kept as OUT/seeds/FLIGHT-SEED.json, and not run again
-unless ``--redo`` says so.
+Flights and scores are those of comparison.py. The seed decides which samples hyperparameters are
+learned from, and which blocks of the log tell the search when to stop. Each run is kept as
+OUT/seeds/FLIGHT-SEED.json, and not run again unless ``--redo`` says so.
 """
 
 import sys
@@ -23,10 +23,18 @@ def table(runs):
     for flight in dict.fromkeys(run["flight"] for run in runs):
         some = [run for run in runs if run["flight"] == flight]
         errors = np.array([run["NRMSE"] for run in some])
-        row = {"flight": flight, "NRMSE, median": np.median(errors.mean(axis=1)), "range": _range(errors.mean(axis=1))}
-        row |= {name: _range(column) for name, column in zip(some[0]["outputs"], errors.T, strict=True)}
+        row = {
+            "flight": flight,
+            "NRMSE, median": np.median(errors.mean(axis=1)),
+            "range": _range(errors.mean(axis=1)),
+        }
+        row |= {
+            name: _range(column) for name, column in zip(some[0]["outputs"], errors.T, strict=True)
+        }
         for kind in ("truth", "measured"):
-            held = [100 * np.mean(run["band_holds"][kind]) for run in some if kind in run["band_holds"]]
+            held = [
+                100 * np.mean(run["band_holds"][kind]) for run in some if kind in run["band_holds"]
+            ]
             row[f"band of {kind} holds %"] = f"{min(held):.0f} to {max(held):.0f}" if held else None
         rows.append(row | {"seeds": len(some)})
     return rows
@@ -48,8 +56,15 @@ def main(words=None):
             if name in kept and not options.redo:
                 continue
             model = Identification(parameters={STEP: seed}).fit_flight(task)
-            kept.keep(name, {"flight": flight, **scores(task, model, np.asarray(model.transform(task.test)))})
-            print(f"{name}: NRMSE {np.mean(kept.memory[name]['NRMSE']):.3f}", file=sys.stderr, flush=True)
+            kept.keep(
+                name,
+                {"flight": flight, **scores(task, model, np.asarray(model.transform(task.test)))},
+            )
+            print(
+                f"{name}: NRMSE {np.mean(kept.memory[name]['NRMSE']):.3f}",
+                file=sys.stderr,
+                flush=True,
+            )
     finish(options, "seeds", of_the_defaults=table(list(kept.memory.values())))
 
 

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/sharing.py ../shared/data [--out OUT] [--samples N] [--cases C]
 
-Flights: viggen_uav, N samples of train_lateral learned from, the truth of train_latlon asked, with outputs missing or
-noisy as the case says. Jura: cadmium where nickel and zinc are known. Drawn: four outputs of three regressors that are
-independent, or have nine tenths of their variance in common and one of them on every fifth sample alone.
+Flights: viggen_uav, N samples of train_lateral learned from, the truth of train_latlon asked, with
+outputs missing or noisy as the case says. Jura: cadmium where nickel and zinc are known. Drawn:
+four outputs of three regressors that are independent, or have nine tenths of their variance in
+common and one of them on every fifth sample alone.
 """
 
 import sys
@@ -57,7 +58,13 @@ def case(name, options):
         return X, Y, asked, truth, FLIGHTS[name](Y)
     if name == "Jura":
         X, Y, truth = load(options.data / "jura")
-        return X, Y, X[-len(truth) :], np.column_stack([truth, np.full((len(truth), 2), np.nan)]), slice(0, 1)
+        return (
+            X,
+            Y,
+            X[-len(truth) :],
+            np.column_stack([truth, np.full((len(truth), 2), np.nan)]),
+            slice(0, 1),
+        )
     return drawn(name == OTHERS[-1], 120)
 
 
@@ -66,7 +73,10 @@ def flight(data, n_samples):
     """Return regressors and coefficients of the samples learned from, and of those asked, the true ones."""
     folder = data / "flights"
     aircraft = Aircraft.from_json(folder / "viggen_uav.json")
-    train, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in ("train_lateral", "train_latlon"))
+    train, test = (
+        read_flight(folder / f"viggen_uav_{part}.parquet")
+        for part in ("train_lateral", "train_latlon")
+    )
     Y = thin_targets(aerodynamic_coefficients(train, aircraft), n_samples)
     learned = Y.notna().all(axis=1).to_numpy()
     inputs = make_identification_pipeline(aircraft)[:-1]
@@ -79,7 +89,8 @@ def drawn(dependent, n, d=3, P=4):
     """Return a case drawn from the prior (random Fourier features), noise of a fifth of the standard deviation."""
     rng = np.random.default_rng(0)
     processes = [
-        (rng.normal(size=(d, 200)), rng.uniform(0, 2 * np.pi, 200), rng.normal(size=200)) for _ in range(P + 1)
+        (rng.normal(size=(d, 200)), rng.uniform(0, 2 * np.pi, 200), rng.normal(size=200))
+        for _ in range(P + 1)
     ]
     own, common = (np.sqrt(0.1), np.sqrt(0.9)) if dependent else (1.0, 0.0)
 
@@ -100,7 +111,11 @@ def run(name, options):
     row, start = {"case": name}, time.process_time()
     scored = np.isfinite(truth).all(axis=0)
     for n_latent in (0, 2):
-        mean = DependentGPRegressor(n_latent=n_latent, max_iter=60, random_state=0).fit(X, Y).predict(asked)
+        mean = (
+            DependentGPRegressor(n_latent=n_latent, max_iter=60, random_state=0)
+            .fit(X, Y)
+            .predict(asked)
+        )
         error = normalized_rmse(np.where(scored, truth, mean), mean, multioutput="raw_values")
         error = np.where(scored, error, np.nan)
         for outputs, part in (("all outputs", ALL), ("those of the case", about)):
@@ -111,7 +126,9 @@ def run(name, options):
 
 def main(words=None):
     parser = parser_of(__doc__, data=True)
-    parser.add_argument("--samples", type=int, default=150, help="of the flight, learned from (default: 150)")
+    parser.add_argument(
+        "--samples", type=int, default=150, help="of the flight, learned from (default: 150)"
+    )
     parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
     options = parsed(parser, words)
     warnings.simplefilter("ignore", ConvergenceWarning)

@@ -2,19 +2,22 @@
 
     python tests/benchmarks/sportcub.py FOLDER [--out OUT] [--methods NAME ...] [--redo]
 
-FOLDER is an unpacked copy of the public repository github.com/jgoppert/sysid_litreview_26. It states no licence: fetch
-it yourself; nothing of it stands here. Mass, geometry and largest deflections are read from its ``greybox.py``.
+FOLDER is an unpacked copy of the public repository github.com/jgoppert/sysid_litreview_26. It
+states no licence: fetch it yourself; nothing of it stands here. Mass, geometry and largest
+deflections are read from its ``greybox.py``.
 
-Nine records are learned from, five are predicted: 100 Hz, each cropped to the shortest (1.5 s) as its own loader does.
-The files call their axes NED/FRD, but the data are NWU/FLU; signs of elevator and aileron are opposite to ours. The
-thrust is unknown, so the coefficients contain it, and the throttle is a regressor.
+Nine records are learned from, five are predicted: 100 Hz, each cropped to the shortest (1.5 s) as
+its own loader does. The files call their axes NED/FRD, but the data are NWU/FLU; signs of elevator
+and aileron are opposite to ours. The thrust is unknown, so the coefficients contain it, and the
+throttle is a regressor.
 
-Each record is flown from its first state with its commands. The score is the repository's: root mean square errors of
-13 states (position, velocity in body axes, quaternion, rates) over all records and times, each over the range of the
-truth, averaged.
+Each record is flown from its first state with its commands. The score is the repository's: root
+mean square errors of 13 states (position, velocity in body axes, quaternion, rates) over all
+records and times, each over the range of the truth, averaged.
 
-Choices are made on the nine records alone: each is left out in turn ("left out"), and predicted by a model of the rest.
-Runs are kept as OUT/sportcub/METHOD.json, and not run again unless ``--redo`` says so.
+Choices are made on the nine records alone: each is left out in turn ("left out"), and predicted by
+a model of the rest. Runs are kept as OUT/sportcub/METHOD.json, and not run again unless ``--redo``
+says so.
 """
 
 import ast
@@ -58,7 +61,11 @@ GROUPS = {
 STATES = [name for group in GROUPS.values() for name in group]
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
 STEP, DENSITY = 0.01, 1.225
-NOISE = {name: std for group, std in zip(GROUPS, (0.005, 0.05, 0.01, 0.1), strict=True) for name in GROUPS[group]}
+NOISE = {
+    name: std
+    for group, std in zip(GROUPS, (0.005, 0.05, 0.01, 0.1), strict=True)
+    for name in GROUPS[group]
+}
 """Of the states that motion capture gives, for output error."""
 
 
@@ -77,7 +84,9 @@ METHODS = {
     "least_squares": Method("least squares", LinearRegression()),
     "trend": Method('skdgp, structure="trend"', TREND, bands=True),
     "pipeline": Method("**skdgp pipeline**", bands=True),
-    "output_error": Method('skdgp, structure="trend", then output error', TREND, bands=True, output_error=True),
+    "output_error": Method(
+        'skdgp, structure="trend", then output error', TREND, bands=True, output_error=True
+    ),
 }
 
 
@@ -100,23 +109,30 @@ class Task(NamedTuple):
     test: Records
 
 
-# -- the repository's data ------------------------------------------------------------------------------------------
+# -- the repository's data
+# ------------------------------------------------------------------------------------------
 
 
 def constants(folder, name):
     """Return the dict of constants in ``greybox.py``, wherever the repository keeps it, that has this key."""
     for path in folder.rglob("greybox.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Dict) and name in [getattr(key, "value", None) for key in node.keys]:
+            if isinstance(node, ast.Dict) and name in [
+                getattr(key, "value", None) for key in node.keys
+            ]:
                 return ast.literal_eval(node)
-    raise ValueError(f"{folder} holds no greybox.py with a table of {name!r}; is this sysid_litreview_26?")
+    raise ValueError(
+        f"{folder} holds no greybox.py with a table of {name!r}; is this sysid_litreview_26?"
+    )
 
 
 def aircraft_of(folder):
     found = constants(folder, "Ixx")
     inertia = np.diag([found["Ixx"], found["Iyy"], found["Izz"]])
     inertia[0, 2] = inertia[2, 0] = -found["Ixz"]
-    return Aircraft(mass=found["m"], inertia=inertia, wing_area=found["S"], span=found["b"], chord=found["cbar"])
+    return Aircraft(
+        mass=found["m"], inertia=inertia, wing_area=found["S"], span=found["b"], chord=found["cbar"]
+    )
 
 
 def read(folder, split):
@@ -159,14 +175,17 @@ def task_of(folder):
     return Task(aircraft, *parts)
 
 
-# -- predictions and scores -----------------------------------------------------------------------------------------
+# -- predictions and scores
+# -----------------------------------------------------------------------------------------
 
 
 def learned(method, aircraft, records):
     """Return the fitted pipeline of a method, or its corrected coefficients; None: hold the first state."""
     if method == METHODS["hold"]:
         return None
-    pipeline = make_identification_pipeline(aircraft, regressors=REGRESSORS, regressor=method.regressor)
+    pipeline = make_identification_pipeline(
+        aircraft, regressors=REGRESSORS, regressor=method.regressor
+    )
     seeds = {name: 0 for name in pipeline.get_params() if name.endswith("random_state")}
     X, Y = (pd.concat(part, ignore_index=True) for part in (records.tables, records.coefficients))
     with warnings.catch_warnings():
@@ -174,24 +193,34 @@ def learned(method, aircraft, records):
         pipeline.set_params(**seeds).fit(X, Y)
         if not method.output_error:
             return pipeline
-        return fit_output_error(pipeline, aircraft, records.tables, NOISE, thrust=None, air=Air(density=DENSITY)).model
+        return fit_output_error(
+            pipeline, aircraft, records.tables, NOISE, thrust=None, air=Air(density=DENSITY)
+        ).model
 
 
 def flown(model, aircraft, records, drift=True, **options):
     """Return what the model makes of the records, from their first rows on, by start."""
     starts, air = pd.concat(records.starts, ignore_index=True), Air(drift=drift, density=DENSITY)
-    controls = [table[["time", *SURFACES, "throttle"]].reset_index(drop=True) for table in records.tables]
+    controls = [
+        table[["time", *SURFACES, "throttle"]].reset_index(drop=True) for table in records.tables
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
-        found = simulate(model, aircraft, starts, controls, dt=STEP, thrust=None, air=air, **options)
+        found = simulate(
+            model, aircraft, starts, controls, dt=STEP, thrust=None, air=air, **options
+        )
     return found if "start" in found else found.assign(start=0)
 
 
 def predicted(model, aircraft, records):
     """Return the 13 states of each record (n_records, n, 13)."""
     if model is None:
-        return np.stack([straight_on(*pair) for pair in zip(records.starts, records.tables, strict=True)])
-    return np.stack([states(part) for _, part in flown(model, aircraft, records).groupby("start", sort=True)])
+        return np.stack(
+            [straight_on(*pair) for pair in zip(records.starts, records.tables, strict=True)]
+        )
+    return np.stack(
+        [states(part) for _, part in flown(model, aircraft, records).groupby("start", sort=True)]
+    )
 
 
 def straight_on(start, table):
@@ -205,7 +234,9 @@ def straight_on(start, table):
 def states(table):
     """Return the 13 states (n, 13); quaternions as the file has them, because their range depends on their sign."""
     known = set(QUATERNION) <= set(table)
-    quaternion = table[QUATERNION] if known else euler_to_quaternion(*table[GROUPS["attitude"]].to_numpy().T)
+    quaternion = (
+        table[QUATERNION] if known else euler_to_quaternion(*table[GROUPS["attitude"]].to_numpy().T)
+    )
     return np.hstack([table[STATES[:6]], quaternion, table[GROUPS["rates"]]])
 
 
@@ -214,7 +245,9 @@ def scores(prediction, truth):
     truth = np.stack([states(table) for table in truth])
     sign = np.sign((prediction[..., 6:10] * truth[..., 6:10]).sum(axis=-1, keepdims=True))
     prediction[..., 6:10] *= np.where(sign == 0, 1, sign)
-    return np.sqrt(((prediction - truth) ** 2).mean(axis=(0, 1))) / np.ptp(truth.reshape(-1, 13), axis=0)
+    return np.sqrt(((prediction - truth) ** 2).mean(axis=(0, 1))) / np.ptp(
+        truth.reshape(-1, 13), axis=0
+    )
 
 
 def inside(model, aircraft, records, **options):
@@ -225,7 +258,9 @@ def inside(model, aircraft, records, **options):
         off = table[STATES].to_numpy() - band[STATES].to_numpy()
         turns = [STATES.index(name) for name in GROUPS["attitude"]]
         off[:, turns] = np.angle(np.exp(1j * off[:, turns]))
-        low, high = (band[[f"{name}_{end}" for name in STATES]].to_numpy() for end in ("low", "high"))
+        low, high = (
+            band[[f"{name}_{end}" for name in STATES]].to_numpy() for end in ("low", "high")
+        )
         middle = band[STATES].to_numpy()
         rows.append(((low <= middle + off) & (middle + off <= high))[1:])
     return pd.DataFrame(np.concatenate(rows), columns=STATES)
@@ -243,10 +278,16 @@ def run(task, method, n_paths):
     result = {"cpu_seconds": time.process_time() - start}
     result["test"] = scores(predicted(model, task.aircraft, task.test), task.test.tables).tolist()
     if model is not None and not method.output_error:
-        asked, mean = np.vstack(task.test.coefficients), np.vstack([model.predict(t) for t in task.test.tables])
+        asked, mean = (
+            np.vstack(task.test.coefficients),
+            np.vstack([model.predict(t) for t in task.test.tables]),
+        )
         result["coefficients"] = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
     every = range(len(task.train.tables))
-    models = {k: learned(method, task.aircraft, task.train.some([j for j in every if j != k])) for k in every}
+    models = {
+        k: learned(method, task.aircraft, task.train.some([j for j in every if j != k]))
+        for k in every
+    }
     out = [predicted(models[k], task.aircraft, task.train.some([k])) for k in every]
     result["left_out"] = scores(np.concatenate(out), task.train.tables).tolist()
     if method.bands:
@@ -259,12 +300,16 @@ def run(task, method, n_paths):
                 "test": coverage([test]),
             }
     if method.bands and not method.output_error:
-        shares = [getattr(each[-1], "weights_", {}).get("trend", 0.0) for each in (model, *models.values())]
+        shares = [
+            getattr(each[-1], "weights_", {}).get("trend", 0.0)
+            for each in (model, *models.values())
+        ]
         result["trend"] = [float(np.mean(share)) for share in shares]
     return result
 
 
-# -- tables ---------------------------------------------------------------------------------------------------------
+# -- tables
+# ---------------------------------------------------------------------------------------------------------
 
 
 def tables(runs):
@@ -272,7 +317,10 @@ def tables(runs):
     rows, bands, chosen = [], [], []
     for name, run in sorted(runs.items(), key=lambda item: list(METHODS).index(item[0])):
         first = {"method": METHODS[name].name}
-        row = {f"NRMSE of states, {kind.replace('_', ' ')}": mean_of(run[kind]) for kind in ("left_out", "test")}
+        row = {
+            f"NRMSE of states, {kind.replace('_', ' ')}": mean_of(run[kind])
+            for kind in ("left_out", "test")
+        }
         rows.append(first | row | {"NRMSE of coefficients, test": mean_of(run.get("coefficients"))})
         rows[-1]["CPU s"] = run["cpu_seconds"]
         for drift in ("with", "without"):
@@ -281,7 +329,10 @@ def tables(runs):
                 bands.append(first | {"records": part, "drift": drift, **covered})
         if "trend" in run:
             whole, *others = run["trend"]
-            chosen.append(first | {"all records": whole, "one left out, least": min(others), "most": max(others)})
+            chosen.append(
+                first
+                | {"all records": whole, "one left out, least": min(others), "most": max(others)}
+            )
     return {"states": rows, "bands": bands, "weight_of_the_trend": chosen}
 
 
@@ -291,7 +342,9 @@ def mean_of(errors):
 
 def main(words=None):
     parser = parser_of(__doc__, redo=True)
-    parser.add_argument("folder", type=Path, nargs="?", help="unpacked copy of jgoppert/sysid_litreview_26")
+    parser.add_argument(
+        "folder", type=Path, nargs="?", help="unpacked copy of jgoppert/sysid_litreview_26"
+    )
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--paths", type=int, default=100, help="functions drawn for bands")
     options = parser.parse_args(words)

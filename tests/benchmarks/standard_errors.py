@@ -2,19 +2,22 @@
 
     python tests/benchmarks/standard_errors.py [--out OUT] [--flights 100] [--aircraft example c172p t6texan2]
 
-An aircraft with known truth flies 60 s of inputs of half the limits, in calm or in moderate air. From this flight a
-linear trend is learned, and its noise (`flight_noise`). `plan` chooses 60 s from it and predicts the standard errors of
-all derivatives from these 60 s alone. The plan is flown 100 times by the truth, each time in other gusts and with other
-noise of the sensors. From each flight derivatives at its trim are estimated by the polynomial of second order of least
-squares; predicted is their standard error, found their standard deviation. Columns:
+An aircraft with known truth flies 60 s of inputs of half the limits, in calm or in moderate air.
+From this flight a linear trend is learned, and its noise (`flight_noise`). `plan` chooses 60 s from
+it and predicts the standard errors of all derivatives from these 60 s alone. The plan is flown 100
+times by the truth, each time in other gusts and with other noise of the sensors. From each flight
+derivatives at its trim are estimated by the polynomial of second order of least squares; predicted
+is their standard error, found their standard deviation. Columns:
 
     within 25 %   the share of the 48 derivatives with predicted / found of .75 to 1.25
     goal          predicted / found of the plan's goal, their geometric mean
 
-A second table has what no noise is: of the residuals of the first flight in calm air, at the frequencies of its motion,
-the share of the power that stays the same when the same flight is recorded with other noise of the sensors.
+A second table has what no noise is: of the residuals of the first flight in calm air, at the
+frequencies of its motion, the share of the power that stays the same when the same flight is
+recorded with other noise of the sensors.
 
-An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not done again.
+An aircraft of JSBSim needs the jsbsim wheel. Each case is kept under OUT/standard_errors and not
+done again.
 """
 
 import itertools
@@ -64,9 +67,16 @@ def case(subject: Subject, air: str, n_flights: int) -> dict[str, Any]:
     rows = []
     for k, log in enumerate(subject.fly([inputs] * n_flights, SECONDS, air, [0, 1])):
         rows.append(rows_of(seen(log, [0, 1, k]), subject))
-    flown_at = np.mean([X[time < PAUSE].mean(axis=0) for time, X, _ in rows], axis=0)  # the model's trim differs
+    flown_at = np.mean(
+        [X[time < PAUSE].mean(axis=0) for time, X, _ in rows], axis=0
+    )  # the model's trim differs
     predicted = found.after.std.to_numpy()
-    return {"predicted": predicted, "found": scatter(rows, flown_at), "manoeuvres": found.manoeuvres, "growth": growth}
+    return {
+        "predicted": predicted,
+        "found": scatter(rows, flown_at),
+        "manoeuvres": found.manoeuvres,
+        "growth": growth,
+    }
 
 
 def scatter(rows: list[Any], about: np.ndarray) -> np.ndarray:
@@ -86,14 +96,17 @@ def repeated(name: str, subject: Subject) -> dict[str, Any]:
     for k in range(RECORDED):
         _, X, Y = rows_of(seen(log, [k, 5]), subject)
         terms = [
-            orth(PolynomialFeatures(degree).fit_transform((X - X.mean(axis=0)) / X.std(axis=0))) for degree in (1, 2)
+            orth(PolynomialFeatures(degree).fit_transform((X - X.mean(axis=0)) / X.std(axis=0)))
+            for degree in (1, 2)
         ]
         found.append(Y - terms[1] @ (terms[1].T @ Y))
         moved = moved + power(terms[0]).sum(axis=1) / RECORDED
     whole = np.mean([moved @ power(one) for one in found], axis=0)
     mean = moved @ power(np.mean(found, axis=0))
     share = (mean - whole / RECORDED) / (1 - 1 / RECORDED) / whole
-    return {"aircraft": name} | {one: f"{100 * x:.0f} %" for one, x in zip(COEFFICIENTS, share, strict=True)}
+    return {"aircraft": name} | {
+        one: f"{100 * x:.0f} %" for one, x in zip(COEFFICIENTS, share, strict=True)
+    }
 
 
 def power(values: np.ndarray) -> np.ndarray:
@@ -105,7 +118,12 @@ def summary(name: str, air: str, found: dict[str, Any]) -> dict[str, Any]:
     """Return the share of ratios of predicted to found errors within 25 %, and their geometric mean."""
     ratio = found["predicted"] / found["found"]
     within = f"{100 * np.mean(np.abs(ratio - 1) <= 0.25):.0f} %"
-    return {"aircraft": name, "air": air, "within 25 %": within, "goal": f"{np.exp(np.log(ratio).mean()):.2f}"}
+    return {
+        "aircraft": name,
+        "air": air,
+        "within 25 %": within,
+        "goal": f"{np.exp(np.log(ratio).mean()):.2f}",
+    }
 
 
 def main(words: Any = None) -> None:
@@ -117,7 +135,9 @@ def main(words: Any = None) -> None:
     cases = {}
     for name, air in itertools.product(options.aircraft, AIR):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SimulationWarning)  # of manoeuvres that are then made smaller
+            warnings.simplefilter(
+                "ignore", SimulationWarning
+            )  # of manoeuvres that are then made smaller
             cases[name, air] = kept(
                 folder,
                 f"{name}-{air}-{options.flights}",

@@ -2,17 +2,19 @@
 
     python tests/benchmarks/study.py [--out OUT] [--seeds 10] [--processes 10] [--jobs N] [--aircraft c172p]
 
-Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other sensor noise,
-in calm, light and moderate air. Learned functions are scored at the exact regressors of a flight in calm air along
-another path, derivatives at a trim. A case says which causes of error the training data have:
+Aircraft with known truth fly the same plan again and again, each seed in other gusts and with other
+sensor noise, in calm, light and moderate air. Learned functions are scored at the exact regressors
+of a flight in calm air along another path, derivatives at a trim. A case says which causes of error
+the training data have:
 
     inputs    through the default pipeline from noisy sensors, or exact
     targets   coefficients measured by noisy sensors, or exact
     rates     relative to the earth, as gyros measure them, or to the air, as the aerodynamics feel them
     slopes    alpha_dot and beta_dot: not among the regressors, like the inputs, or exact
 
-``--processes`` seeds are learned by the default and the model for other air, ``--others`` by other dependent processes,
-all ``--seeds`` by least squares. Each fit is kept under OUT/study and not done again. JSBSim needs its wheel.
+``--processes`` seeds are learned by the default and the model for other air, ``--others`` by other
+dependent processes, all ``--seeds`` by least squares. Each fit is kept under OUT/study and not done
+again. JSBSim needs its wheel.
 """
 
 import itertools
@@ -35,7 +37,9 @@ LOGGED, CLASSICAL = Case(), Case(slopes="own")
 ASKED = {LOGGED: "quasi-steady", CLASSICAL: "classical"}
 QUADRATIC = {"trend": PolynomialFeatures(2)}
 SYMMETRIC = {"symmetric": True}
-DEFAULTS = [(air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")]
+DEFAULTS = [
+    (air, case, {}) for case in (LOGGED, CLASSICAL) for air in ("light", "moderate", "calm")
+]
 AIRED = [(air, Case(rates="air"), SYMMETRIC) for air in ("light", "moderate")]
 COMPARED = [  # by processes: air, case, and what replaces parameters of the default regressor
     *((air, LOGGED, QUADRATIC) for air in ("light", "moderate", "calm")),
@@ -50,7 +54,17 @@ DERIVATIVES = [  # label, case, method
 QUANTILES = (0.0, 0.5, 0.8, 1.0)
 PRINTED = ("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cl_p")
 SHOWN = (
-    *("Cm_alpha", "Cm_q", "Cm_alpha_dot", "Cm_elevator", "CZ_alpha", "CY_beta", "Cl_beta", "Cl_p", "Cl_r"),
+    *(
+        "Cm_alpha",
+        "Cm_q",
+        "Cm_alpha_dot",
+        "Cm_elevator",
+        "CZ_alpha",
+        "CY_beta",
+        "Cl_beta",
+        "Cl_p",
+        "Cl_r",
+    ),
     *("Cl_aileron", "Cn_beta", "Cn_p", "Cn_r", "Cn_rudder"),
 )
 
@@ -82,7 +96,9 @@ def process_task(subject, seen, air, seed, case, changes, folder, max_iter, unti
     if time.monotonic() > until and not (folder and (folder / f"{name}.joblib").exists()):
         return None
     start = time.process_time()
-    found, _ = kept(folder, name, partial(process, subject, seen, case, seed, changes, max_iter=max_iter))
+    found, _ = kept(
+        folder, name, partial(process, subject, seen, case, seed, changes, max_iter=max_iter)
+    )
     print(f"{name}: {time.process_time() - start:.0f} s", flush=True)
     return (air, case, method_of(changes)), found
 
@@ -93,11 +109,14 @@ def known_task(subject, seen, seed, folder):
     if path is None or not path.exists():
         return None
     name = f"{subject.name}-light-{seed}-{'-'.join(LOADS)}-known"
-    found, _ = kept(folder, name, partial(process, subject, seen, LOADS, seed, {}, joblib.load(path)[1]))
+    found, _ = kept(
+        folder, name, partial(process, subject, seen, LOADS, seed, {}, joblib.load(path)[1])
+    )
     return ("light", LOADS, "known hyperparameters"), found
 
 
-# -- tables --------------------------------------------------------------------------------------------
+# -- tables
+# --------------------------------------------------------------------------------------------
 
 
 class Results:
@@ -164,7 +183,10 @@ def known_table(results):
     if not all(key in results.found for key in keys):
         return []
     seeds = min(len(results.found[key]) for key in keys)
-    return [{f"NRMSE {key[2]}": float(results.nrmse(key, seeds).mean()) for key in keys} | {"seeds": seeds}]
+    return [
+        {f"NRMSE {key[2]}": float(results.nrmse(key, seeds).mean()) for key in keys}
+        | {"seeds": seeds}
+    ]
 
 
 def place_of(derivative):
@@ -183,7 +205,11 @@ def derivative_table(results):
             for air in flights.AIR:
                 found = results.found.get((air, case, method), [])
                 values = np.array(
-                    [(one.slopes[i, k], one.slopes_std[i, k]) for one in found if not np.isnan(one.slopes[i, k])]
+                    [
+                        (one.slopes[i, k], one.slopes_std[i, k])
+                        for one in found
+                        if not np.isnan(one.slopes[i, k])
+                    ]
                 )
                 row[air] = _estimate(*values.T) if len(values) else None
             if any(row[air] for air in flights.AIR):
@@ -205,18 +231,33 @@ def coverage_table(results):
             if found is None:
                 continue
             matters = (np.abs(subject.known) > 0) & (found[0].slopes_std > 0)
-            inside = np.array([np.abs(one.slopes - subject.known) < 2 * one.slopes_std for one in found])
-            shown = [one[place_of(name)] for one in inside for name in SHOWN if matters[place_of(name)]]
+            inside = np.array(
+                [np.abs(one.slopes - subject.known) < 2 * one.slopes_std for one in found]
+            )
+            shown = [
+                one[place_of(name)] for one in inside for name in SHOWN if matters[place_of(name)]
+            ]
             error = np.array([one.slopes - subject.known for one in found])[:, matters]
             std = np.array([one.slopes_std for one in found])[:, matters]
-            scatter, bias = error.std(axis=0, ddof=min(1, len(error) - 1)), np.abs(error.mean(axis=0))
+            scatter, bias = (
+                error.std(axis=0, ddof=min(1, len(error) - 1)),
+                np.abs(error.mean(axis=0)),
+            )
             stated = std.mean(axis=0)
             rows.append(
                 {"air": air, "method": label}
                 | {"within 2 std, %": float(100 * inside[:, matters].mean())}
                 | {"of those shown, %": float(100 * np.mean(shown))}
-                | {"within 2 std of the posterior alone, %": _share_by_posterior(found, subject.known, matters)}
-                | {"scatter over stated std": float(np.median(scatter / stated)) if len(error) > 1 else None}
+                | {
+                    "within 2 std of the posterior alone, %": _share_by_posterior(
+                        found, subject.known, matters
+                    )
+                }
+                | {
+                    "scatter over stated std": float(np.median(scatter / stated))
+                    if len(error) > 1
+                    else None
+                }
                 | {"bias over stated std": float(np.median(bias / stated))}
                 | {"rms error over stated std": float(np.sqrt(np.mean((error / std) ** 2)))}
                 | {"derivatives": int(matters.sum()), "seeds": len(error)}
@@ -256,7 +297,10 @@ def amplitude_table(subject, seen):
                     strict=True,
                 )
             )
-            rows.append(row | dict(zip(("Cl_p", "Cl_aileron"), map(float, np.mean(found, axis=0)), strict=True)))
+            rows.append(
+                row
+                | dict(zip(("Cl_p", "Cl_aileron"), map(float, np.mean(found, axis=0)), strict=True))
+            )
     return rows
 
 
@@ -265,7 +309,9 @@ def study(subject, options, folder):
     run = joblib.Parallel(n_jobs=options.jobs)
     jobs = [(air, seed) for air in flights.AIR for seed in range(options.seeds)]
     names = [f"{subject.name}-{air}-{seed}-seen" for air, seed in jobs]
-    looks = [partial(flights.seen, subject.logs[air][seed], subject.aircraft, seed) for air, seed in jobs]
+    looks = [
+        partial(flights.seen, subject.logs[air][seed], subject.aircraft, seed) for air, seed in jobs
+    ]
     looked = run(joblib.delayed(kept)(folder, *task) for task in zip(names, looks, strict=True))
     seen = dict(zip(jobs, looked, strict=True))
     lines = [((air, LOGGED, "least squares"), LOGGED.table(log)) for (air, _), log in seen.items()]
@@ -280,25 +326,44 @@ def study(subject, options, folder):
         )
         for (air, case, _, seed), changes in unique.items()
     )
-    known = [known_task(subject, seen["light", seed], seed, folder) for seed in range(options.others)]
-    return Results(subject, [*found, *(one for one in (*processes, *known) if one is not None)]), seen
+    known = [
+        known_task(subject, seen["light", seed], seed, folder) for seed in range(options.others)
+    ]
+    return Results(
+        subject, [*found, *(one for one in (*processes, *known) if one is not None)]
+    ), seen
 
 
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--aircraft", default="example", choices=["example", *flights.KNOTS])
-    parser.add_argument("--seeds", type=int, default=10, help="of gusts and sensor noise, for least squares")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="of gusts and sensor noise, for least squares"
+    )
     parser.add_argument("--processes", type=int, default=3, help="of them, for the default")
-    parser.add_argument("--others", type=int, default=1, help="of them, for other dependent processes")
+    parser.add_argument(
+        "--others", type=int, default=1, help="of them, for other dependent processes"
+    )
     parser.add_argument("--duration", type=float, default=180.0, help="of each flight [s]")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further fit of a process begins")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=np.inf,
+        help="after which no further fit of a process begins",
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=-1, help="processes; set OPENBLAS_NUM_THREADS=1"
+    )
     options = parser.parse_args(words)
     options.max_iter = 60
     folder = options.out / "study" if options.out else None
     name = options.aircraft
-    subject_of = flights.example_subject if name == "example" else partial(flights.jsbsim_subject, name)
-    subject = kept(folder, f"{name}-{options.seeds}", partial(subject_of, options.seeds, options.duration))
+    subject_of = (
+        flights.example_subject if name == "example" else partial(flights.jsbsim_subject, name)
+    )
+    subject = kept(
+        folder, f"{name}-{options.seeds}", partial(subject_of, options.seeds, options.duration)
+    )
     results, seen = study(subject, options, folder)
     finish(
         options,

@@ -2,10 +2,11 @@
 
     python tests/benchmarks/times.py ../shared/data [--no-peers] [--out FOLDER]
 
-2,000 samples are 50 s of viggen's train_latlon, 14,400 all of it; 144,000 are both training flights, brought to five
-times their rate between samples. "Ours" is the regressor of identification with its defaults, choice of structure
-included; the trees learn what a linear trend leaves, each output by itself; GPyTorch's is its sparse variational model,
-2000 steps. The error is that of the coefficients of test_twoalt, whose truth is known. Each fit has its own process.
+2,000 samples are 50 s of viggen's train_latlon, 14,400 all of it; 144,000 are both training
+flights, brought to five times their rate between samples. "Ours" is the regressor of identification
+with its defaults, choice of structure included; the trees learn what a linear trend leaves, each
+output by itself; GPyTorch's is its sparse variational model, 2000 steps. The error is that of the
+coefficients of test_twoalt, whose truth is known. Each fit has its own process.
 """
 
 import json
@@ -45,7 +46,9 @@ def flights(folder, train=("train_latlon",)):
     """Return the task of learning flights of the viggen, and predicting another."""
     folder = Path(folder) / "flights"
     craft = Aircraft.from_json(folder / "viggen_uav.json")
-    *parts, test = (read_flight(folder / f"viggen_uav_{part}.parquet") for part in (*train, "test_twoalt"))
+    *parts, test = (
+        read_flight(folder / f"viggen_uav_{part}.parquet") for part in (*train, "test_twoalt")
+    )
     parts = [part.assign(flight=name) for name, part in zip(train, parts, strict=True)]
     table = pd.concat(parts, ignore_index=True)
     targets = aerodynamic_coefficients(table, craft)
@@ -68,7 +71,10 @@ def dense(X, Y):
     """Return regressors, targets and times at five times the rate, by linear interpolation."""
     known = np.isfinite(Y).all(axis=1)
     place = np.arange(DENSER * len(X)) / DENSER
-    X, Y = (np.column_stack([np.interp(place, np.flatnonzero(known), v[known]) for v in part.T]) for part in (X, Y))
+    X, Y = (
+        np.column_stack([np.interp(place, np.flatnonzero(known), v[known]) for v in part.T])
+        for part in (X, Y)
+    )
     return X, Y, place / RATE
 
 
@@ -93,13 +99,21 @@ def one(folder, method, n):
 
     memory = extra_memory(fit)
     error = task.error(models[0](task.Xt))
-    return {"samples": len(X), "method": method, "fit [s]": taken[0], "memory [GB]": memory / 1e9, "error": error}
+    return {
+        "samples": len(X),
+        "method": method,
+        "fit [s]": taken[0],
+        "memory [GB]": memory / 1e9,
+        "error": error,
+    }
 
 
 def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
-    parser.add_argument("--one", nargs=2, metavar=("METHOD", "SAMPLES"), help="only this row, as JSON")
+    parser.add_argument(
+        "--one", nargs=2, metavar=("METHOD", "SAMPLES"), help="only this row, as JSON"
+    )
     options = parsed(parser, words)
     if options.one:
         print(json.dumps(one(options.data, options.one[0], int(options.one[1]))))

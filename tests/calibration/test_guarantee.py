@@ -30,7 +30,9 @@ def flight(rng):
 def calibrated(flights, **parameters):
     y = np.concatenate(flights)
     groups = np.repeat(np.arange(len(flights)), [len(one) for one in flights])
-    return CalibratedRegressor(Standard().fit(None, None), cv="prefit", **parameters).fit(y[:, None], y, groups=groups)
+    return CalibratedRegressor(Standard().fit(None, None), cv="prefit", **parameters).fit(
+        y[:, None], y, groups=groups
+    )
 
 
 def held_by(model, errors):
@@ -45,25 +47,36 @@ def test_next_flight_is_held_and_pooling_samples_does_not(n_flights, level):
     for _ in range(150):
         flights, to_come = [flight(rng) for _ in range(n_flights)], flight(rng)
         held.append(held_by(calibrated(flights, level=level), to_come))
-        pooled.append(np.mean(np.abs(to_come) <= np.quantile(np.abs(np.concatenate(flights)), level)))
+        pooled.append(
+            np.mean(np.abs(to_come) <= np.quantile(np.abs(np.concatenate(flights)), level))
+        )
     assert np.mean(held) >= level
     assert np.mean(pooled) < level - 0.08
 
 
 def test_many_flights_leave_no_surplus():
     rng = np.random.default_rng(1)
-    bound = calibrated([flight(rng) for _ in range(1500)], level=0.8).predict_interval(np.zeros((1, 1)))[1]
-    assert np.mean([np.mean(np.abs(flight(rng)) <= bound) for _ in range(1500)]) == pytest.approx(0.8, abs=0.02)
+    bound = calibrated([flight(rng) for _ in range(1500)], level=0.8).predict_interval(
+        np.zeros((1, 1))
+    )[1]
+    assert np.mean([np.mean(np.abs(flight(rng)) <= bound) for _ in range(1500)]) == pytest.approx(
+        0.8, abs=0.02
+    )
 
 
 def test_without_a_guarantee_the_band_is_what_held_on_these_flights():
     rng = np.random.default_rng(2)
     flights = [flight(rng) for _ in range(3)]
-    with pytest.warns(UserWarning, match=r"3 flights guarantee no more than 0.75.*Calibrate on 19 .*level=0.75"):
+    with pytest.warns(
+        UserWarning, match=r"3 flights guarantee no more than 0.75.*Calibrate on 19 .*level=0.75"
+    ):
         model = calibrated(flights, level=0.95)
     assert not model.guaranteed_.any()
     assert np.mean([held_by(model, one) for one in flights]) == pytest.approx(0.95, abs=0.03)
-    widths = [model.predict_interval(np.zeros((1, 1)), level=level)[1][0] for level in (0.5, 0.8, 0.95, 0.99)]
+    widths = [
+        model.predict_interval(np.zeros((1, 1)), level=level)[1][0]
+        for level in (0.5, 0.8, 0.95, 0.99)
+    ]
     assert np.isfinite(widths).all()
     assert (np.diff(widths) > 0).all()
 
@@ -72,7 +85,10 @@ def test_a_level_beyond_the_guarantee_is_infinite_and_says_so():
     model = calibrated([flight(np.random.default_rng(k)) for k in range(4)], level=0.8)
     assert model.guaranteed_.all()
     assert model.max_level_ == pytest.approx(0.8)
-    with pytest.warns(UserWarning, match=r"Got level=0.81, but 4 flights guarantee no more than 0.8, .*calibrate on 5"):
+    with pytest.warns(
+        UserWarning,
+        match=r"Got level=0.81, but 4 flights guarantee no more than 0.8, .*calibrate on 5",
+    ):
         lower, upper = model.predict_interval(np.zeros((2, 1)), level=0.81)
     assert (upper == np.inf).all()
     assert (lower == -np.inf).all()
@@ -95,7 +111,14 @@ def test_quantile_against_its_definition(level):
 
 
 def test_flights_needed():
-    assert [units_needed(level) for level in (0.5, 0.75, 0.8, 0.9, 0.95, 0.99)] == [1, 3, 4, 9, 19, 99]
+    assert [units_needed(level) for level in (0.5, 0.75, 0.8, 0.9, 0.95, 0.99)] == [
+        1,
+        3,
+        4,
+        9,
+        19,
+        99,
+    ]
     for level in (0.5, 0.66, 0.9, 0.95, 0.975):
         n = units_needed(level)
         assert n / (n + 1) >= level - 1e-12 > (n - 1) / n - 1e-12

@@ -17,7 +17,9 @@ from skdgp.dynamics import Aircraft
 from skdgp.metrics import SCORERS
 from skdgp.model_selection import BlockSplit, thin_targets
 
-AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+AIRCRAFT = Aircraft(
+    name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
 QUICK = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0)
 
 
@@ -27,12 +29,19 @@ def make_flights(names="abcd", n=200, seed=0):
     tables = []
     for k, name in enumerate(names):
         t = np.arange(n) * 0.05
-        table = pd.DataFrame({"time": t, "flight": name, "airspeed": 20.0, "q": 0.1 * np.sin(0.5 * t + k)})
+        table = pd.DataFrame(
+            {"time": t, "flight": name, "airspeed": 20.0, "q": 0.1 * np.sin(0.5 * t + k)}
+        )
         for j, column in enumerate(["alpha", "elevator"]):
             table[column] = 0.1 * np.sin((0.7 + 0.31 * j) * t + k + j) + 0.002 * rng.normal(size=n)
         tables.append(table.assign(offset=0.05 * rng.normal()))
     table = pd.concat(tables, ignore_index=True)
-    Y = pd.DataFrame({"CZ": -4 * table["alpha"] + table.pop("offset"), "Cm": -0.5 * table["alpha"] - table["elevator"]})
+    Y = pd.DataFrame(
+        {
+            "CZ": -4 * table["alpha"] + table.pop("offset"),
+            "Cm": -0.5 * table["alpha"] - table["elevator"],
+        }
+    )
     return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
 
 
@@ -47,7 +56,11 @@ def flights():
 
 def pipeline(regressor=QUICK):
     return make_identification_pipeline(
-        AIRCRAFT, regressors=["alpha", "q_hat", "elevator"], cutoff=3.0, mixer="passthrough", regressor=regressor
+        AIRCRAFT,
+        regressors=["alpha", "q_hat", "elevator"],
+        cutoff=3.0,
+        mixer="passthrough",
+        regressor=regressor,
     )
 
 
@@ -66,8 +79,12 @@ class TestScikitLearnContract:
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
         results = check_estimator(estimator, on_skip=None, on_fail=None)
-        assert [(r["check_name"], r["exception"]) for r in results if r["status"] in ("failed", "xfail")] == []
-        assert {r["check_name"] for r in results if r["status"] == "skipped"} <= {"check_array_api_input"}
+        assert [
+            (r["check_name"], r["exception"]) for r in results if r["status"] in ("failed", "xfail")
+        ] == []
+        assert {r["check_name"] for r in results if r["status"] == "skipped"} <= {
+            "check_array_api_input"
+        }
         assert Counter(r["status"] for r in results)["passed"] >= 49
 
     def test_serves_in_searches_and_scores(self, flights):
@@ -125,7 +142,9 @@ class TestHeldOut:
         if isinstance(cv, BlockSplit):  # who chooses blocks needs no warning
             model.fit(table, thin_targets(Y, 60))
         else:
-            with pytest.warns(UserWarning, match=r"Got one flight, so [45] blocks of it replace flights"):
+            with pytest.warns(
+                UserWarning, match=r"Got one flight, so [45] blocks of it replace flights"
+            ):
                 model.fit(table, thin_targets(Y, 60))
         assert model.unit_ == "block"
         assert (model.n_units_ >= 4).all()
@@ -142,7 +161,9 @@ class TestScaling:
         own = model.estimator_.predict(table, return_std=True, include_noise=True)[1]
         np.testing.assert_allclose(std, own * model.std_scale_)
         without = model.predict(table, return_std=True, include_noise=False)[1]
-        np.testing.assert_allclose(without, model.estimator_.predict(table, return_std=True)[1] * model.std_scale_)
+        np.testing.assert_allclose(
+            without, model.estimator_.predict(table, return_std=True)[1] * model.std_scale_
+        )
 
     def test_offsets_that_no_single_flight_shows_widen_their_output_alone(self, model):
         assert model.std_scale_[0] > 1.5 * model.std_scale_[1]
@@ -150,20 +171,25 @@ class TestScaling:
     def test_variance_makes_squares_one_on_average_of_flights(self, flights):
         model = CalibratedRegressor(pipeline(), method="variance").fit(*flights)
         standardized = model.calibration_scores_ / model.std_scale_
-        by_flight = [np.nanmean(standardized[model.calibration_units_ == k] ** 2, axis=0) for k in range(4)]
+        by_flight = [
+            np.nanmean(standardized[model.calibration_units_ == k] ** 2, axis=0) for k in range(4)
+        ]
         np.testing.assert_allclose(np.mean(by_flight, axis=0), 1.0)
         assert not model.guaranteed_.any()
         mean, std = model.predict(flights[0], return_std=True)
         for level in (0.5, 0.95):
             np.testing.assert_allclose(
-                model.predict_interval(flights[0], level=level)[1], mean + norm.ppf(0.5 + level / 2) * std
+                model.predict_interval(flights[0], level=level)[1],
+                mean + norm.ppf(0.5 + level / 2) * std,
             )
 
     def test_an_output_seen_in_fewer_flights_guarantees_less(self, flights):
         table, Y = flights
         Y = Y.copy()
         Y.loc[table["flight"] == "a", "Cm"] = np.nan
-        with pytest.warns(UserWarning, match=r"3 flights guarantee no more than 0.75: the intervals of \['Cm'\]"):
+        with pytest.warns(
+            UserWarning, match=r"3 flights guarantee no more than 0.75: the intervals of \['Cm'\]"
+        ):
             model = CalibratedRegressor(pipeline(), level=0.8).fit(table, Y)
         assert model.n_units_.tolist() == [4, 3]
         assert model.guaranteed_.tolist() == [True, False]
@@ -195,7 +221,9 @@ class TestFunctions:
         assert (np.abs(values.mean(axis=0) - mean) < 5 * std / np.sqrt(2000)).all()
         found = np.cov(values.swapaxes(1, 2).reshape(2000, -1).T)
         size = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(found / size / size[:, None], covariance / size / size[:, None], atol=0.1)
+        np.testing.assert_allclose(
+            found / size / size[:, None], covariance / size / size[:, None], atol=0.1
+        )
         _, slope_std = inside.predict_gradient(at, return_std=True)
         np.testing.assert_allclose(paths.gradient(at).std(axis=0), slope_std, rtol=0.1)
 
@@ -216,12 +244,16 @@ class TestFunctions:
 class TestErrors:
     def test_no_deviation_no_calibration(self, flights):
         with pytest.raises(TypeError, match="takes no return_std"):
-            CalibratedRegressor(pipeline(LinearRegression()), level=0.5).fit(flights[0], make_flights()[1])
+            CalibratedRegressor(pipeline(LinearRegression()), level=0.5).fit(
+                flights[0], make_flights()[1]
+            )
 
     def test_never_observed_where_it_counts(self, flights):
         fitted = pipeline().fit(*flights)
         table, Y = make_flights("efgh")
-        with pytest.raises(ValueError, match=r"no value of the outputs \['Cm'\] in held-out flights"):
+        with pytest.raises(
+            ValueError, match=r"no value of the outputs \['Cm'\] in held-out flights"
+        ):
             CalibratedRegressor(fitted, cv="prefit").fit(table, Y.assign(Cm=np.nan))
 
     def test_says_what_it_expects(self, model, flights):
@@ -233,4 +265,6 @@ class TestErrors:
         with pytest.raises(ValueError, match="expected at least 6"):
             CalibratedRegressor(BayesianRidge()).fit(np.zeros((4, 1)), np.zeros(4))
         with pytest.raises(ValueError, match="Got 3 flight identifiers"):
-            CalibratedRegressor(BayesianRidge()).fit(np.zeros((40, 1)), np.zeros(40), groups=[1, 2, 3])
+            CalibratedRegressor(BayesianRidge()).fit(
+                np.zeros((40, 1)), np.zeros(40), groups=[1, 2, 3]
+            )

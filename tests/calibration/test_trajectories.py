@@ -31,14 +31,20 @@ def rng():
 
 def stay(bands, recorded, names):
     """Whether the recorded states are inside of their bands from the first time to the last."""
-    inside = [recorded[n].between(bands[f"{n}_low"] - 1e-12, bands[f"{n}_high"] + 1e-12).to_numpy() for n in names]
+    inside = [
+        recorded[n].between(bands[f"{n}_low"] - 1e-12, bands[f"{n}_high"] + 1e-12).to_numpy()
+        for n in names
+    ]
     return np.all(inside)
 
 
 @pytest.mark.parametrize(("n_others", "level"), [(9, 0.9), (9, 0.5), (4, 0.8)])
 def test_of_exchangeable_flights_exactly_the_level_is_held(rng, n_others, level):
     """Each of n + 1 flights held out in turn: those with the ceil((n + 1) level) smallest scores are inside."""
-    paths, recorded = ensemble(n_others + 1, rng), [table(3 * walk(rng), flight=k) for k in range(n_others + 1)]
+    paths, recorded = (
+        ensemble(n_others + 1, rng),
+        [table(3 * walk(rng), flight=k) for k in range(n_others + 1)],
+    )
     held = []
     for k in range(n_others + 1):
         others = [part for j, part in enumerate(recorded) if j != k]
@@ -50,7 +56,9 @@ def test_of_exchangeable_flights_exactly_the_level_is_held(rng, n_others, level)
 def test_each_flight_counts_once(rng):
     """A flight of many segments weighs as much as one of few."""
     recorded = [
-        table(k * walk(rng), flight=name) for name, n in (("a", 1), ("b", 7), ("c", 3)) for k in range(1, n + 1)
+        table(k * walk(rng), flight=name)
+        for name, n in (("a", 1), ("b", 7), ("c", 3))
+        for k in range(1, n + 1)
     ]
     calibrated = CalibratedBands.from_flights(ensemble(11, rng), recorded)
     scores, units = calibrated.scores["rates"], calibrated.units
@@ -67,8 +75,12 @@ def test_too_few_flights_say_so_and_assume_a_distribution(rng):
     n, level = 4, 0.95
     held = []
     for log_scores in rng.normal(1.0, 0.5, (200, n)):
-        calibrated = CalibratedBands(pd.DataFrame({"rates": np.exp(log_scores)}), np.arange(n), "flight", {}, {})
-        with pytest.warns(UserWarning, match=r"4 flights guarantee no more than 0.8.*Calibrate on 19.*level=0.8\."):
+        calibrated = CalibratedBands(
+            pd.DataFrame({"rates": np.exp(log_scores)}), np.arange(n), "flight", {}, {}
+        )
+        with pytest.warns(
+            UserWarning, match=r"4 flights guarantee no more than 0.8.*Calibrate on 19.*level=0.8\."
+        ):
             q = calibrated.factors(level)["rates"]
         assert q >= calibrated.factors(0.8)["rates"]
         held.append(norm.cdf(np.log(q), 1.0, 0.5))
@@ -77,14 +89,18 @@ def test_too_few_flights_say_so_and_assume_a_distribution(rng):
 
 def test_segments_of_one_flight_replace_flights(rng):
     with pytest.warns(UserWarning, match=r"one flight, so its 3 segments"):
-        calibrated = CalibratedBands.from_flights(ensemble(3, rng), [table(walk(rng)) for _ in range(3)])
+        calibrated = CalibratedBands.from_flights(
+            ensemble(3, rng), [table(walk(rng)) for _ in range(3)]
+        )
     assert (calibrated.unit, calibrated.n_units) == ("segment", 3)
 
 
 def test_angles_are_compared_on_the_circle_and_gaps_are_left_out(rng):
     paths, recorded = ensemble(2, rng), [table(walk(rng), flight=k) for k in range(2)]
     turned = [part.assign(theta=part["theta"] + 2 * np.pi) for part in recorded]
-    first, second = (CalibratedBands.from_flights(paths, parts).scores for parts in (recorded, turned))
+    first, second = (
+        CalibratedBands.from_flights(paths, parts).scores for parts in (recorded, turned)
+    )
     np.testing.assert_allclose(first, second)
     recorded[0].loc[2, "q"] = np.nan
     assert np.isfinite(CalibratedBands.from_flights(paths, recorded).scores).all(axis=None)
@@ -92,7 +108,9 @@ def test_angles_are_compared_on_the_circle_and_gaps_are_left_out(rng):
 
 def test_noise_of_the_records_widens_bands_and_lowers_scores(rng):
     paths, recorded = ensemble(2, rng), [table(walk(rng), flight=k) for k in range(2)]
-    exact, noisy = (CalibratedBands.from_flights(paths, recorded, noise=n) for n in (None, {"q": 0.3}))
+    exact, noisy = (
+        CalibratedBands.from_flights(paths, recorded, noise=n) for n in (None, {"q": 0.3})
+    )
     assert (noisy.scores["rates"] < exact.scores["rates"]).all()
     np.testing.assert_array_equal(noisy.scores["attitude"], exact.scores["attitude"])
     at_start = noisy.bands(paths, level=0.6).query("time == 0")

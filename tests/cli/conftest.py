@@ -52,16 +52,35 @@ def identified(folder, once, cut_short):
     """Return what a whole run wrote and said, but for its report, which takes longer to draw than all else."""
 
     def write(results):
-        arguments = ["identify", "lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
+        arguments = [
+            "identify",
+            "lateral.csv",
+            "latlon.csv",
+            "--aircraft",
+            "uav.json",
+            "--test",
+            "test.csv",
+        ]
         words = [*arguments, *QUICK, "--horizons", "1", "-o", str(results / "deep" / "er")]
         said = io.StringIO(), io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, cut_short(), redirect_stdout(said[0]), redirect_stderr(said[1]):
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            cut_short(),
+            redirect_stdout(said[0]),
+            redirect_stderr(said[1]),
+        ):
             patch.chdir(folder)
             leave_report_out(patch)
-            done = subprocess.CompletedProcess(words, main(words), *(stream.getvalue() for stream in said))
+            done = subprocess.CompletedProcess(
+                words, main(words), *(stream.getvalue() for stream in said)
+            )
         (results / "said.pickle").write_bytes(pickle.dumps(done))
 
     results = once("results", write)
     output, done = results / "deep" / "er", pickle.loads((results / "said.pickle").read_bytes())
     assert done.returncode == 0, done.stderr
-    return output, done, json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail)
+    return (
+        output,
+        done,
+        json.loads((output / "metrics.json").read_text(), parse_constant=pytest.fail),
+    )

@@ -47,7 +47,11 @@ def refused(path, tmp_path, capsys):
 
     def refused(message, command, *words, model=path, output="new/out"):
         assert main([command, str(model), *map(str, words), "-o", str(tmp_path / output)]) == 1
-        (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+        (error,) = [
+            line
+            for line in capsys.readouterr().err.splitlines()
+            if not line.startswith("warning: ")
+        ]
         assert re.search(f"^error: .*({message})", error)
         assert not (tmp_path / "new").exists()
 
@@ -64,7 +68,12 @@ class TestPredict:
         assert files(tmp_path) == {"out.csv", "out.config.toml"}
         table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
         mean, std = predict_flight(model.pipeline, flight)
-        assert list(table) == ["flight", "time", *COEFFICIENTS, *(f"{name}_std" for name in COEFFICIENTS)]
+        assert list(table) == [
+            "flight",
+            "time",
+            *COEFFICIENTS,
+            *(f"{name}_std" for name in COEFFICIENTS),
+        ]
         np.testing.assert_array_equal(table["time"], flight["time"])
         np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
         np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
@@ -74,17 +83,25 @@ class TestPredict:
     def test_noise_and_parquet(self, run, model, tmp_path):
         run("predict", "test.csv", "lateral.csv", output="a.csv")
         run("predict", "test.csv", "lateral.csv", "--include-noise", output="b.parquet")
-        function, measured = pd.read_csv(tmp_path / "a.csv"), pd.read_parquet(tmp_path / "b.parquet")
+        function, measured = (
+            pd.read_csv(tmp_path / "a.csv"),
+            pd.read_parquet(tmp_path / "b.parquet"),
+        )
         assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
         names = [f"{name}_std" for name in COEFFICIENTS]
         noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
-        np.testing.assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
+        np.testing.assert_allclose(
+            noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6
+        )
 
     def test_rows_that_were_not_sampled_are_left_out(self, path, tmp_path, capsys):
         table = pd.read_csv("test.csv")
         table.loc[100:109, "alpha"] = np.nan
         table.to_csv(tmp_path / "holes.csv", index=False)
-        assert main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")]) == 0
+        assert (
+            main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")])
+            == 0
+        )
         said = capsys.readouterr()
         assert "10 of 300 rows are left out" in said.err
         assert "290 rows of flight two_altitudes" in said.out
@@ -94,7 +111,10 @@ class TestPredict:
         with pytest.raises(SystemExit) as end:
             main(["predict", path, "test.csv", "-o", "out.xlsx"])
         assert end.value.code == 2
-        assert "got out.xlsx, but expected a name that ends in .csv or .parquet" in capsys.readouterr().err
+        assert (
+            "got out.xlsx, but expected a name that ends in .csv or .parquet"
+            in capsys.readouterr().err
+        )
 
     def test_never_replaces_what_was_there(self, path, tmp_path, capsys):
         table, own = tmp_path / "flight.csv", tmp_path / "flight.config.toml"
@@ -111,7 +131,11 @@ class TestPredict:
 class TestModel:
     def test_there_is_none(self, refused):
         refused(
-            "Got none.joblib, but there is no such file", "predict", "test.csv", model="none.joblib", output="a.csv"
+            "Got none.joblib, but there is no such file",
+            "predict",
+            "test.csv",
+            model="none.joblib",
+            output="a.csv",
         )
 
     def test_a_pipeline_of_another_kind(self, refused, tmp_path, model):
@@ -122,7 +146,9 @@ class TestModel:
 
 class TestAllOrNone:
     def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_predict, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT))
+        monkeypatch.setattr(
+            _predict, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT)
+        )
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
         assert not (tmp_path / "new").exists()
         assert capsys.readouterr().err == "stopped: no output was written\n"
@@ -137,10 +163,14 @@ class TestValidate:
             assert said[key] == identified[2][key]
         assert said["options"] == identified[2]["options"]
         assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == said
-        assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(
+            encoding="utf-8"
+        )
 
     def test_needs_no_folder_and_no_facts(self, path, model, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(_identification, "render_report", lambda content: pytest.fail("rendered"))
+        monkeypatch.setattr(
+            _identification, "render_report", lambda content: pytest.fail("rendered")
+        )
         save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
         assert main(["validate", str(tmp_path / "bare.joblib"), "test.csv", "--horizons", "1"]) == 0
         said = capsys.readouterr()
@@ -155,11 +185,21 @@ class TestValidate:
 
 class TestSimulate:
     def test_a_trim_stays(self, run, tmp_path):
-        said = run("simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "30")
-        expected = {"trajectory.csv", "bands.csv", "trajectory.png", "simulation.json", "config.toml"}
+        said = run(
+            "simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "30"
+        )
+        expected = {
+            "trajectory.csv",
+            "bands.csv",
+            "trajectory.png",
+            "simulation.json",
+            "config.toml",
+        }
         assert files(tmp_path / "out") == expected
         assert (tmp_path / "out" / "trajectory.png").read_bytes().startswith(b"\x89PNG")
-        flown, bands = (pd.read_csv(tmp_path / "out" / name) for name in ("trajectory.csv", "bands.csv"))
+        flown, bands = (
+            pd.read_csv(tmp_path / "out" / name) for name in ("trajectory.csv", "bands.csv")
+        )
         assert len(flown) == len(bands) == 51
         assert np.ptp(flown["altitude"]) < 1e-6
         assert bands.iloc[-1]["airspeed_low"] < 35 < bands.iloc[-1]["airspeed_high"]
@@ -170,11 +210,16 @@ class TestSimulate:
         assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
         assert low < high
 
-    def test_gusts_are_those_of_the_training_flights_unless_none_are_asked_for(self, model, tmp_path, capsys):
+    def test_gusts_are_those_of_the_training_flights_unless_none_are_asked_for(
+        self, model, tmp_path, capsys
+    ):
         pipeline, name = copy(model.pipeline), str(tmp_path / "gusty.joblib")
         pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
         save_model(name, pipeline, model.aircraft, options=model.options)
-        words, found = [name, "--trim", "35", "--duration", ".5", "--paths", "10", "--json", "-o"], []
+        words, found = (
+            [name, "--trim", "35", "--duration", ".5", "--paths", "10", "--json", "-o"],
+            [],
+        )
         for more in ([], ["--gusts", "none"]):
             assert main(["simulate", *words, str(tmp_path / f"out{len(more)}"), *more]) == 0
             found.append(json.loads(capsys.readouterr().out)["paths"])
@@ -199,9 +244,13 @@ class TestSimulate:
         pd.DataFrame({"time": time, "elevator": moved}).to_csv(tmp_path / "moved.csv", index=False)
         words = ("simulate", "--trim", "35", "--duration", "3.2", "--paths", "0")
         said = run(*words, "--doublet", "elevator=0.03")
-        assert run(*words, "--deviations", tmp_path / "moved.csv", output="table")["end"] == pytest.approx(said["end"])
+        assert run(*words, "--deviations", tmp_path / "moved.csv", output="table")[
+            "end"
+        ] == pytest.approx(said["end"])
         flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
-        np.testing.assert_allclose(flown["elevator"] - said["trim"]["elevator"], moved[: len(flown)], atol=1e-12)
+        np.testing.assert_allclose(
+            flown["elevator"] - said["trim"]["elevator"], moved[: len(flown)], atol=1e-12
+        )
         assert (flown["aileron"] == said["trim"]["aileron"]).all()
 
     @pytest.mark.parametrize("off", [0.004, 0.006])
@@ -210,29 +259,71 @@ class TestSimulate:
         left, right = (held["elevator"] + off + sign * held["aileron"] for sign in (1, -1))
         table = pd.DataFrame({"time": [0, 0.1, 0.2], "elevon_left": left, "elevon_right": right})
         table.to_csv(tmp_path / "held.csv", index=False)
-        words = ["--trim", "35", "--controls", str(tmp_path / "held.csv"), "--paths", "0", "-o", str(tmp_path / "out")]
+        words = [
+            "--trim",
+            "35",
+            "--controls",
+            str(tmp_path / "held.csv"),
+            "--paths",
+            "0",
+            "-o",
+            str(tmp_path / "out"),
+        ]
         assert main(["simulate", path, *words]) == 0
         assert ("give --deviations TABLE" in capsys.readouterr().err) == (off > 0.005)
 
     def test_a_moment_of_a_log(self, run, tmp_path):
-        words = ("--flight", "test.csv", "--at", "25", "--duration", ".5", "--paths", "2", "--format", "parquet")
+        words = (
+            "--flight",
+            "test.csv",
+            "--at",
+            "25",
+            "--duration",
+            ".5",
+            "--paths",
+            "2",
+            "--format",
+            "parquet",
+        )
         said = run("simulate", *words)
         assert {"trajectory.parquet", "bands.parquet"} <= files(tmp_path / "out")
-        flown, log = pd.read_parquet(tmp_path / "out" / "trajectory.parquet"), pd.read_csv("test.csv")
+        flown, log = (
+            pd.read_parquet(tmp_path / "out" / "trajectory.parquet"),
+            pd.read_csv("test.csv"),
+        )
         assert flown["time"].iloc[0] == pytest.approx(25.0)
         truth = log[log["time"] >= 25.5].iloc[0]
-        for name, tolerance in (("airspeed", 1.0), ("phi", 0.1), ("theta", 0.05), ("altitude", 2.0)):
-            assert abs(said["end"][name] - truth[f"{name}_true" if f"{name}_true" in log else name]) < tolerance
+        for name, tolerance in (
+            ("airspeed", 1.0),
+            ("phi", 0.1),
+            ("theta", 0.05),
+            ("altitude", 2.0),
+        ):
+            assert (
+                abs(said["end"][name] - truth[f"{name}_true" if f"{name}_true" in log else name])
+                < tolerance
+            )
         drift = flown["wind_north"].iloc[0]  # told by the reconstruction of the flight's path
         assert abs(drift - log.loc[log["time"] >= 25, "wind_north_true"].iloc[0]) < 1.5
 
     def test_says_when_it_ends_and_leaves_what_was_flown(self, path, tmp_path, capsys):
         table = pd.DataFrame({"time": np.arange(31.0), "elevator": 0.3})
         table.to_csv(tmp_path / "dive.csv", index=False)
-        words = ["--trim", "35", "--controls", str(tmp_path / "dive.csv"), "--duration", "30", "--dt", "1"]  # too long
+        words = [
+            "--trim",
+            "35",
+            "--controls",
+            str(tmp_path / "dive.csv"),
+            "--duration",
+            "30",
+            "--dt",
+            "1",
+        ]  # too long
         assert main(["simulate", path, *words, "--paths", "3", "-o", str(tmp_path / "out")]) == 0
         said = capsys.readouterr()
-        summary = json.loads((tmp_path / "out" / "simulation.json").read_text(), parse_constant=pytest.fail)
+        summary = json.loads(
+            (tmp_path / "out" / "simulation.json").read_text(), parse_constant=pytest.fail
+        )
         flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
         assert summary["ended"]
         assert summary["flown"] < 30
@@ -255,12 +346,24 @@ class TestSimulate:
                 "Got --climb, --bank without --trim",
             ),
             (["--flight", "test.csv"], "Got --flight without --at"),
-            (["--flight", "test.csv", "--at", "7"], "--at 7, but expected a moment .*: two_altitudes 22.5 to 29.9"),
-            (["--flight", "test.csv", "--at", "25", "--duration", "99"], "lasts 99 s: give a shorter duration"),
+            (
+                ["--flight", "test.csv", "--at", "7"],
+                "--at 7, but expected a moment .*: two_altitudes 22.5 to 29.9",
+            ),
+            (
+                ["--flight", "test.csv", "--at", "25", "--duration", "99"],
+                "lasts 99 s: give a shorter duration",
+            ),
             (["--flight", "none.csv", "--at", "25"], "Got none.csv, but there is no such file"),
             (["--trim", "350"], "There is no trim of brumby"),
-            (["--flight", "test.csv", "--at", "25", "--doublet", "elevator=1"], "Got --doublet without --trim"),
-            (["--trim", "35", "--doublet", "elevatr=.1"], "trim's controls lack 'elevatr' .nearest: 'elevator'"),
+            (
+                ["--flight", "test.csv", "--at", "25", "--doublet", "elevator=1"],
+                "Got --doublet without --trim",
+            ),
+            (
+                ["--trim", "35", "--doublet", "elevatr=.1"],
+                "trim's controls lack 'elevatr' .nearest: 'elevator'",
+            ),
             (
                 ["--trim", "35", "--doublet", "rudder=.1", "--deviations", "a.csv"],
                 "--deviations and --doublet, but exp",
@@ -272,10 +375,23 @@ class TestSimulate:
         refused(message, "simulate", *words)
 
     def test_known_loads_and_gusts_that_are_not_flown(self, run, path, model, tmp_path, capsys):
-        options, pipeline = model.options | {"external_forces": ["tether"], "thrust": None}, copy(model.pipeline)
+        options, pipeline = (
+            model.options | {"external_forces": ["tether"], "thrust": None},
+            copy(model.pipeline),
+        )
         pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
         save_model(tmp_path / "kite.joblib", pipeline, model.aircraft, options=options)
-        words = ["--trim", "35", "--duration", ".1", "--paths", "0", "-o", str(tmp_path / "out"), "--json"]
+        words = [
+            "--trim",
+            "35",
+            "--duration",
+            ".1",
+            "--paths",
+            "0",
+            "-o",
+            str(tmp_path / "out"),
+            "--json",
+        ]
         assert main(["simulate", str(tmp_path / "kite.joblib"), *words]) == 0
         said = capsys.readouterr()
         assert "flies without the external forces ['tether']" in said.err
@@ -285,9 +401,21 @@ class TestSimulate:
 
 class TestDerivatives:
     def test_are_those_of_the_model(self, run, model, tmp_path):
-        said = run("derivatives", "--airspeed", "35", "--altitude", "100", "--paths", "10", "--axes", "stability")
+        said = run(
+            "derivatives",
+            "--airspeed",
+            "35",
+            "--altitude",
+            "100",
+            "--paths",
+            "10",
+            "--axes",
+            "stability",
+        )
         at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)
-        table = stability_derivatives(model.pipeline, model.aircraft, at, axes="stability", n_paths=10)
+        table = stability_derivatives(
+            model.pipeline, model.aircraft, at, axes="stability", n_paths=10
+        )
         (point,) = said["points"]
         assert point["alpha"] == pytest.approx(at.alpha)
         assert list(point["derivatives"]) == list(table.index)
@@ -296,7 +424,9 @@ class TestDerivatives:
             assert point["derivatives"][name] == pytest.approx(expected)
         assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0
-        assert files(tmp_path / "out") == {f"{n}.csv" for n in ("derivatives", "modes", "trims")} | {
+        assert files(tmp_path / "out") == {
+            f"{n}.csv" for n in ("derivatives", "modes", "trims")
+        } | {
             "derivatives.json",
             "config.toml",
         }
@@ -326,23 +456,37 @@ class TestDerivatives:
         assert "No picture: it needs pip install" in said.err
         assert said.out.splitlines()[-1] == "wrote " + ", ".join(
             str(tmp_path / "out" / name)
-            for name in ("derivatives.csv", "modes.csv", "trims.csv", "derivatives.json", "config.toml")
+            for name in (
+                "derivatives.csv",
+                "modes.csv",
+                "trims.csv",
+                "derivatives.json",
+                "config.toml",
+            )
         )
         assert "derivatives.png" not in files(tmp_path / "out")
 
 
 @pytest.mark.usefixtures("few_manoeuvres")
 class TestPlan:
-    WORDS = shlex.split("--airspeed 35 --seconds 10 --axes rudder --altitude 300 --gusts none --rate 25")
+    WORDS = shlex.split(
+        "--airspeed 35 --seconds 10 --axes rudder --altitude 300 --gusts none --rate 25"
+    )
 
     def test_writes_what_autopilots_fly(self, run, tmp_path):
-        more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20")
+        more = shlex.split(
+            "--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder function --growth 2 --paths 20"
+        )
         said = run("plan", *self.WORDS, *more)
         names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json", "config.toml"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1
-        assert table["time"].iloc[-2] + 3.0 < said["seconds"] <= min(table["time"].iloc[-1] + 3.0, 10.0)
+        assert (
+            table["time"].iloc[-2] + 3.0
+            < said["seconds"]
+            <= min(table["time"].iloc[-1] + 3.0, 10.0)
+        )
         assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
         assert said["errors"]["Cn_rudder"]["after"] < said["errors"]["Cn_rudder"]["before"]
         assert said["errors"]["function"]["after"] < said["errors"]["function"]["before"]
@@ -353,21 +497,39 @@ class TestPlan:
         rudder = one["inputs"]["rudder"]
         moved = np.interp(time - time[0] - 4.0, said["step"] * np.arange(len(rudder)), rudder)
         flight.assign(rudder=0.01 + moved).to_csv(tmp_path / "flown.csv", index=False)
-        judged = run("validate", tmp_path / "flown.csv", "--plan", tmp_path / "out" / "plan.json", "--horizons", "1")
+        judged = run(
+            "validate",
+            tmp_path / "flown.csv",
+            "--plan",
+            tmp_path / "out" / "plan.json",
+            "--horizons",
+            "1",
+        )
         found = judged["plan"]["manoeuvres"][0]
         assert found["start"] == pytest.approx(time[0] + 4.0, abs=0.05)
         assert found["name"] == one["name"]
         errors = judged["plan"]["errors"]["Cn_rudder"]
         assert errors["expected"] == said["errors"]["Cn_rudder"]["after"]
-        assert errors["model"] == pytest.approx(errors["before"], rel=0.01)  # it is that of the plan
+        assert errors["model"] == pytest.approx(
+            errors["before"], rel=0.01
+        )  # it is that of the plan
         known = run("derivatives", "--airspeed", "35", "--altitude", "300", "--paths", "500")
         known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws
-        assert said["errors"]["Cn_rudder"]["before"] == pytest.approx(known["std_unmerged"], rel=0.1)
+        assert said["errors"]["Cn_rudder"]["before"] == pytest.approx(
+            known["std_unmerged"], rel=0.1
+        )
         assert said["errors"]["Cn_rudder"]["std"] == pytest.approx(known["std"], rel=0.1)
-        assert "The plan and the flight" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        assert "The plan and the flight" in (tmp_path / "out" / "report.html").read_text(
+            encoding="utf-8"
+        )
 
-    def test_what_an_earlier_plan_wrote_does_not_stay(self, path, run, tmp_path, capsys, monkeypatch):
-        """Its script would be flown with the card of another plan. One airspeed of two has nothing planned."""
+    def test_what_an_earlier_plan_wrote_does_not_stay(
+        self, path, run, tmp_path, capsys, monkeypatch
+    ):
+        """Its script would be flown with the card of another plan.
+
+        One airspeed of two has nothing planned.
+        """
         monkeypatch.setattr(_card, "_pictures", lambda *args: "")
         plan_flight, plans = _plan.plan_flight, []
 
@@ -382,7 +544,9 @@ class TestPlan:
         for name in (*old, "plan_b.csv", "my_plan.lua"):
             (folder / name).write_text("old")
         (folder / "config.toml").write_text("# python -m skdgp simulate --config THIS_FILE")
-        more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20 --airspeed 35 36")
+        more = shlex.split(
+            "--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20 --airspeed 35 36"
+        )
         run("plan", *self.WORDS, *more)
         assert old < files(folder)  # no plan wrote them
         assert main(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
@@ -395,17 +559,29 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            ("elevator=0.5", r"Got full deflections of \['elevator'\], but expected also .* move with the rudder: add"),
+            (
+                "elevator=0.5",
+                r"Got full deflections of \['elevator'\], but expected also .* move with the "
+                r"rudder: add",
+            ),
             ("rudder=0", "Got 0 as the full deflection of the rudder, but expected a number > 0"),
             ("rudder=0.4 elevator=nan", "Got nan as the full deflection of the elevator"),
             ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
         ],
     )
-    def test_full_deflections_are_checked_before_the_search(self, words, message, refused, monkeypatch):
+    def test_full_deflections_are_checked_before_the_search(
+        self, words, message, refused, monkeypatch
+    ):
         monkeypatch.setattr(_plan, "plan_flight", lambda *a, **k: pytest.fail("searched"))
         refused(message, "plan", *self.WORDS, "--full", *words.split())
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
-        refused("controls of the trim lack 'elevon_left'.*elevator", "plan", *self.WORDS, "--axes", "elevon_left")
+        refused(
+            "controls of the trim lack 'elevon_left'.*elevator",
+            "plan",
+            *self.WORDS,
+            "--axes",
+            "elevon_left",
+        )
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")
         refused("add --limits", "plan", *self.WORDS, "--rates", "rudder=1")

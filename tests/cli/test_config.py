@@ -39,7 +39,9 @@ class TestRepeat:
         assert again["test"] == metrics["test"]
         assert again["options"] == metrics["options"]
         assert capsys.readouterr().out.startswith("brumby: fitted in")
-        first, second = ((folder / "config.toml").read_text() for folder in (output, tmp_path / "again"))
+        first, second = (
+            (folder / "config.toml").read_text() for folder in (output, tmp_path / "again")
+        )
         assert first == second
 
     @pytest.mark.parametrize(
@@ -52,7 +54,16 @@ class TestRepeat:
     )  # fmt: skip
     def test_of_what_uses_a_model(self, command, words, table, identified, tmp_path, capsys):
         first, second = tmp_path / "first", tmp_path / "second"
-        assert main([command, str(identified[0] / "model.joblib"), *(word.format(first) for word in words)]) == 0
+        assert (
+            main(
+                [
+                    command,
+                    str(identified[0] / "model.joblib"),
+                    *(word.format(first) for word in words),
+                ]
+            )
+            == 0
+        )
         kept = next(first.glob("*.toml"))
         output = second / words[-1].format("").lstrip("/")
         assert main([command, "--config", str(kept), "-o", str(output)]) == 0
@@ -64,12 +75,33 @@ class TestRepeat:
         "words",
         [
             ["demo"],
-            ["identify", "a.csv", "--aircraft", "u.json", "--samples", "all", "--regressors", "alpha,q_hat"],
-            ["validate", "m.joblib", "a.csv", "--external-forces", "tether", "--horizons", "1", ".1"],
+            [
+                "identify",
+                "a.csv",
+                "--aircraft",
+                "u.json",
+                "--samples",
+                "all",
+                "--regressors",
+                "alpha,q_hat",
+            ],
+            [
+                "validate",
+                "m.joblib",
+                "a.csv",
+                "--external-forces",
+                "tether",
+                "--horizons",
+                "1",
+                ".1",
+            ],
             ["predict", "m.joblib", "a.csv", "b.csv", "--include-noise"],
             ["simulate", "m.joblib", "--trim", "35", "--wind", "-3", "1e-3", "0", "--bank", "-.1"],
             ["derivatives", "m.joblib", "--airspeed", "30", "35.5", "--json"],
-            shlex.split("plan m --airspeed 30 --seconds 9 --axes rudder --full rudder=1 --beta -.1 .1 --pilot"),
+            shlex.split(
+                "plan m --airspeed 30 --seconds 9 --axes rudder --full rudder=1 --beta -.1 .1 "
+                "--pilot"
+            ),
         ],
         ids=lambda words: words[0],
     )
@@ -81,7 +113,13 @@ class TestRepeat:
         assert command.config_text(again) == kept
 
     def test_every_value_comes_back(self):
-        values = {"text": 'a "b" \\ é \n\x7f', "number": 0.1 + 0.2, "whole": 755, "yes": True, "several": [1.5, 2.0]}
+        values = {
+            "text": 'a "b" \\ é \n\x7f',
+            "number": 0.1 + 0.2,
+            "whole": 755,
+            "yes": True,
+            "several": [1.5, 2.0],
+        }
         options = Namespace(traceback=True, nothing=None, output="out", **values)
         kept = tomllib.loads(COMMANDS["simulate"].config_text(options))
         assert kept.pop("command") == "simulate"
@@ -96,7 +134,9 @@ class TestRepeat:
 
 class TestReading:
     def test_words_win(self, config):
-        path = config('model = "m.joblib"\nflight = ["a.csv"]\ninclude-noise = true\noutput = "out.csv"\n')
+        path = config(
+            'model = "m.joblib"\nflight = ["a.csv"]\ninclude-noise = true\noutput = "out.csv"\n'
+        )
         assert parse("predict", "--config", path)["flight"] == ["a.csv"]
         assert parse("predict", f"--config={path}")["output"] == "out.csv"
         found = parse("predict", "other.joblib", "--config", path, "b.csv", "-o", "b.csv", "c.csv")
@@ -110,14 +150,19 @@ class TestReading:
         [
             ("sampels = 40", "unknown option 'sampels' in .*config.toml: did you mean 'samples'"),
             ("weather = 1", "unknown option 'weather' in .*: known options are .*horizons"),
-            ("samples = 1", "samples = 1 in .*: got 1, but expected a whole number, 2 or more, or all"),
+            (
+                "samples = 1",
+                "samples = 1 in .*: got 1, but expected a whole number, 2 or more, or all",
+            ),
             ("inference = 'magic'", 'inference = "magic" in .*invalid choice'),
             ("seed = true", "seed = true in .*: expected text or numbers"),
             ("json = 1", "json = 1 in .*: expected true or false"),
             ("horizons = [[1]]", "horizons = .*: expected text or numbers"),
             ("samples = ", "config.toml is not a TOML file"),
             pytest.param(
-                "samples = " + "[" * 50_000, "config.toml is not a TOML file: it is nested too deeply", id="deep"
+                "samples = " + "[" * 50_000,
+                "config.toml is not a TOML file: it is nested too deeply",
+                id="deep",
             ),
             ("versions = 3", "Got versions = 3 in .*config.toml, but expected a table"),
             ("seed = inf", "seed = Infinity in .*: got inf, but expected a whole number"),
@@ -164,7 +209,9 @@ class TestHelp:
         with pytest.raises(SystemExit):
             main([*([command] if command else []), "--help"])
         text = capsys.readouterr().out
-        examples = [line.strip() for line in text.splitlines() if line.startswith("  python -m skdgp")]
+        examples = [
+            line.strip() for line in text.splitlines() if line.startswith("  python -m skdgp")
+        ]
         assert examples
         for example in examples:
             name, *words = shlex.split(re.split(r"\s{2,}", example)[0])[3:]
@@ -173,7 +220,9 @@ class TestHelp:
 
 
 def test_tables_of_a_repeat_have_every_digit(tmp_path):
-    table = pd.DataFrame({"time": np.arange(3) * 0.1, "CX": np.random.default_rng(0).normal(size=3), "ended": ""})
+    table = pd.DataFrame(
+        {"time": np.arange(3) * 0.1, "CX": np.random.default_rng(0).normal(size=3), "ended": ""}
+    )
     for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
         table_writer(table, suffix)(tmp_path / f"table{suffix}")
         found = read(tmp_path / f"table{suffix}")

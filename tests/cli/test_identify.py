@@ -88,8 +88,12 @@ class TestIdentify:
     def test_metrics_say_how_they_came_about(self, identified, folder):
         _, _, metrics = identified
         assert metrics["format"] == 1
-        assert metrics["command"].startswith("python -m skdgp identify lateral.csv latlon.csv --aircraft uav.json")
-        assert {"skdgp", "scikit-learn", "numpy", "scipy", "pandas", "python"} <= set(metrics["versions"])
+        assert metrics["command"].startswith(
+            "python -m skdgp identify lateral.csv latlon.csv --aircraft uav.json"
+        )
+        assert {"skdgp", "scikit-learn", "numpy", "scipy", "pandas", "python"} <= set(
+            metrics["versions"]
+        )
         assert Aircraft.from_dict(metrics["aircraft"]) == Aircraft.from_json(folder / "uav.json")
         assert metrics["held_out"] is None
         assert_only_stopped(metrics["messages"])
@@ -99,7 +103,9 @@ class TestIdentify:
     def test_metrics_say_how_the_fit_went(self, identified):
         fit = identified[2]["fit"]
         assert fit["paths_reconstructed"] is True
-        assert fit["reconstruction"].startswith("reconstructed from all sensors: expected errors airspeed")
+        assert fit["reconstruction"].startswith(
+            "reconstructed from all sensors: expected errors airspeed"
+        )
         assert all(0 < fit["input_noise_std"][name] < 0.1 for name in ("alpha", "beta", "q_hat"))
         assert fit["samples"] == 40
         assert fit["samples_available"] == 800
@@ -136,8 +142,12 @@ class TestIdentify:
         of = next(iter(metrics["test"].values()))["coefficients"]["measured"]
         error = median_relative_error(Y, mean, multioutput="raw_values")
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")
-        np.testing.assert_allclose(error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9)
-        np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
+        np.testing.assert_allclose(
+            error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9
+        )
+        np.testing.assert_allclose(
+            inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9
+        )
 
     def test_the_function_gives_what_the_command_gives(self, folder, identified, monkeypatch):
         monkeypatch.undo()  # flight mechanics are among the metrics
@@ -148,7 +158,9 @@ class TestIdentify:
         with warnings.catch_warnings():
             warnings.simplefilter("default")
             warnings.showwarning = lambda *_: None
-            result = identify_flights(["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options)
+            result = identify_flights(
+                ["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options
+            )
         found, expected = dict(result.metrics), dict(identified[2])
         assert json.loads(json.dumps(found, allow_nan=False)) == found
         for metrics in (found, expected):
@@ -167,7 +179,18 @@ class TestIdentify:
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
 
     def test_all_samples_of_sparse_inference(self, tmp_path):
-        options = ["--samples", "all", "--inference", "sparse", "--inducing", "8", "--max-iter", "2", "--trend", "none"]
+        options = [
+            "--samples",
+            "all",
+            "--inference",
+            "sparse",
+            "--inducing",
+            "8",
+            "--max-iter",
+            "2",
+            "--trend",
+            "none",
+        ]
         assert identify(*options, "--test", "test.csv", output=tmp_path) == 0
         fit = json.loads((tmp_path / "metrics.json").read_text())["fit"]
         assert fit["inference"] == "sparse"
@@ -175,14 +198,19 @@ class TestIdentify:
 
     def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, capsys):
         """By a model of a flight too short for it, which is remarked on too."""
-        pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(tmp_path / "bare.csv", index=False)
+        pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(
+            tmp_path / "bare.csv", index=False
+        )
         pd.read_csv(folder / "latlon.csv").iloc[:160].to_csv(tmp_path / "short.csv", index=False)
         files = {"train": [str(tmp_path / "short.csv")], "output": tmp_path / "out"}
         assert identify("--test", str(tmp_path / "bare.csv"), **files) == 0
         said = capsys.readouterr().err
         assert "The training flights last 3.98 s, in which" in said
         assert "is not replayed: it lacks ['phi']" in said
-        assert "Got flights without ['phi'], which those of the fit had: they are smoothed channel by channel" in said
+        assert (
+            "Got flights without ['phi'], which those of the fit had: they are smoothed channel "
+            "by channel" in said
+        )
         (flight,) = json.loads((tmp_path / "out" / "metrics.json").read_text())["test"].values()
         assert flight["states"] == {}
         assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
@@ -190,20 +218,34 @@ class TestIdentify:
     def test_what_makes_a_model_poor_is_remarked_on(self, tmp_path, folder, monkeypatch, capsys):
         """Rows without alpha, or between gaps, a surface that never moves, a test on what was learned, no pictures."""
         monkeypatch.setattr(_identification, "find_spec", lambda name: None)
-        table = pd.read_csv(folder / "latlon.csv").drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
+        table = (
+            pd.read_csv(folder / "latlon.csv")
+            .drop(index=[*range(100, 150), *range(151, 200)])
+            .assign(rudder=0.01)
+        )
         table.loc[250:259, "alpha"] = np.nan
         table.to_csv(tmp_path / "gaps.csv", index=False)
-        assert identify("--test", "latlon.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]) == 0
+        assert (
+            identify(
+                "--test", "latlon.csv", output=tmp_path / "out", train=[str(tmp_path / "gaps.csv")]
+            )
+            == 0
+        )
         said = capsys.readouterr().err
         assert "10 of 301 rows are left out" in said
-        assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {"latlon": 290}
+        assert json.loads((tmp_path / "out" / "metrics.json").read_text())["fit"]["flights"] == {
+            "latlon": 290
+        }
         assert "1 rows that stand alone between gaps are left out" in said
         assert "['rudder'] never change, so the model cannot learn" in said
         assert "'latlon' is both learned from and tested on" in said
         assert 'No pictures in the report: they need pip install "skdgp[plot]"' in said
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, capsys):
-        assert identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path) == 0
+        assert (
+            identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path)
+            == 0
+        )
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
         together = metrics["test_together"]["coefficients"]
@@ -221,7 +263,11 @@ class TestBadInput:
     def refused(self, folder, tmp_path, capsys):
         def check(message, *arguments, **options):
             assert identify(*arguments, output=tmp_path / "new" / "out", **options) == 1
-            (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+            (error,) = [
+                line
+                for line in capsys.readouterr().err.splitlines()
+                if not line.startswith("warning: ")
+            ]
             assert re.search(f"^error: .*({message})", error)
             assert not (tmp_path / "new").exists()
 
@@ -231,26 +277,46 @@ class TestBadInput:
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
 
     def test_no_row_is_complete(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(tmp_path / "empty.csv", index=False)
+        pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(
+            tmp_path / "empty.csv", index=False
+        )
         refused("no row in which all of .*'beta': 300", train=[str(tmp_path / "empty.csv")])
 
     def test_a_flight_of_one_row(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").iloc[:1].to_csv(tmp_path / "one.csv", index=False)
-        refused("1 usable rows, none beside another", "--test", "test.csv", train=[str(tmp_path / "one.csv")])
+        refused(
+            "1 usable rows, none beside another",
+            "--test",
+            "test.csv",
+            train=[str(tmp_path / "one.csv")],
+        )
 
     def test_two_flights_of_one_name(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
         table.to_csv(tmp_path / "copy.csv", index=False)
         copy = str(tmp_path / "copy.csv")
-        refused("'latlon' in latlon.csv and in .*stands in column 'flight' of .*copy.csv", train=["latlon.csv", copy])
+        refused(
+            "'latlon' in latlon.csv and in .*stands in column 'flight' of .*copy.csv",
+            train=["latlon.csv", copy],
+        )
         refused("name the file once", train=["latlon.csv", "./latlon.csv"])
         table.drop(columns="flight").to_csv(tmp_path / "latlon.csv", index=False)
         refused("rename one of the files", train=["latlon.csv", str(tmp_path / "latlon.csv")])
 
-    def test_a_test_flight_that_lacks_a_column_is_noticed_before_the_fit(self, refused, folder, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identify, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted"))
-        pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(tmp_path / "bare.csv", index=False)
-        refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", str(tmp_path / "bare.csv"))
+    def test_a_test_flight_that_lacks_a_column_is_noticed_before_the_fit(
+        self, refused, folder, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr(
+            _identify, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted")
+        )
+        pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(
+            tmp_path / "bare.csv", index=False
+        )
+        refused(
+            r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute",
+            "--test",
+            str(tmp_path / "bare.csv"),
+        )
 
     @pytest.mark.parametrize(
         ("change", "message"),
@@ -259,8 +325,14 @@ class TestBadInput:
             ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
             ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
             ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
-            ({"thrust_line": {"position": [10**400, 0, 0]}}, "thrust-line position .*, but expected three finite"),
-            ({"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}}, "Got diameter='x' of a propeller"),
+            (
+                {"thrust_line": {"position": [10**400, 0, 0]}},
+                "thrust-line position .*, but expected three finite",
+            ),
+            (
+                {"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}},
+                "Got diameter='x' of a propeller",
+            ),
         ],
     )
     def test_a_wrong_aircraft(self, refused, folder, tmp_path, change, message):
@@ -271,7 +343,9 @@ class TestBadInput:
     def test_a_name_that_no_file_could_hold(self, capsys):
         with pytest.raises(SystemExit, match="2"):
             identify("--test", os.fsdecode(b"t\xff.csv"))
-        assert r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
+        assert (
+            r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
+        )
 
     @pytest.mark.parametrize("option", ["--test", "--aircraft", "-o", "--config"])
     @pytest.mark.parametrize("name", ["loop", "a" * 300])
@@ -283,7 +357,9 @@ class TestBadInput:
     def test_a_missing_aircraft(self, refused):
         refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")
 
-    def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(self, folder, capsys):
+    def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(
+        self, folder, capsys
+    ):
         assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
         assert "nothing can be written there (it is a file)" in capsys.readouterr().err
 
@@ -314,12 +390,21 @@ class TestBadInput:
             ),
             (["land"], "argument COMMAND: invalid choice: 'land'"),
             (["demo", "--inference", "magic"], "--inference: invalid choice: 'magic'"),
-            (["demo", "--samples", "1"], "--samples: got 1, but expected a whole number, 2 or more, or all"),
-            (["demo", "--max-iter", "2.5"], "--max-iter: got 2.5, but expected a whole number, 1 or more"),
+            (
+                ["demo", "--samples", "1"],
+                "--samples: got 1, but expected a whole number, 2 or more, or all",
+            ),
+            (
+                ["demo", "--max-iter", "2.5"],
+                "--max-iter: got 2.5, but expected a whole number, 1 or more",
+            ),
             (["demo", "--horizons", "-2"], "--horizons: got -2, but expected seconds > 0"),
             (["demo", "--n-jobs", "0"], "--n-jobs: got 0, but expected a number of processes"),
             (["demo", "--sample", "50"], "unknown option --sample: did you mean --samples?"),
-            (["identify", "a.csv", "--aircrat=uav.json", "-o", "out"], "unknown option --aircrat: did you mean --airc"),
+            (
+                ["identify", "a.csv", "--aircrat=uav.json", "-o", "out"],
+                "unknown option --aircrat: did you mean --airc",
+            ),
             (["demo", "--weather"], "unknown option --weather: --help lists the options"),
         ],
     )
@@ -344,9 +429,16 @@ class TestCalibrate:
 
     @pytest.fixture
     def calibrated(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: content.model.extra["Calibration"])
+        monkeypatch.setattr(
+            _identification, "render_report", lambda content: content.model.extra["Calibration"]
+        )
         train = ["lateral.csv", "latlon.csv"]
-        assert identify("--calibrate", "--test", "test.csv", "--horizons", "1", train=train, output=tmp_path) == 0
+        assert (
+            identify(
+                "--calibrate", "--test", "test.csv", "--horizons", "1", train=train, output=tmp_path
+            )
+            == 0
+        )
         assert "2 flights guarantee no more than 0.667" in capsys.readouterr().err
         return tmp_path
 
@@ -360,7 +452,8 @@ class TestCalibrate:
         of = metrics["test"]["two_altitudes"]["coefficients"]["measured"]
         np.testing.assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS])
         np.testing.assert_allclose(
-            list(metrics["fit"]["std_scale"].values()), model.pipeline["calibratedregressor"].std_scale_
+            list(metrics["fit"]["std_scale"].values()),
+            model.pipeline["calibratedregressor"].std_scale_,
         )
         assert metrics["options"]["calibrate"] is True
         assert set(metrics["fit"]["guaranteed_level"].values()) == {2 / 3}
@@ -369,16 +462,35 @@ class TestCalibrate:
 
         path, table = str(calibrated / "model.joblib"), str(calibrated / "p.csv")
         assert main(["predict", path, "test.csv", "--include-noise", "-o", table]) == 0
-        np.testing.assert_allclose(pd.read_csv(table)[[f"{name}_std" for name in COEFFICIENTS]], std, rtol=1e-9)
+        np.testing.assert_allclose(
+            pd.read_csv(table)[[f"{name}_std" for name in COEFFICIENTS]], std, rtol=1e-9
+        )
         capsys.readouterr()
         assert main(["validate", path, "test.csv", "--horizons", "1", "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["test"] == metrics["test"]
-        assert main(["simulate", path, "--trim", "35", "--duration", ".1", "--paths", "2", "-o", table[:-4]]) == 0
+        assert (
+            main(
+                [
+                    "simulate",
+                    path,
+                    "--trim",
+                    "35",
+                    "--duration",
+                    ".1",
+                    "--paths",
+                    "2",
+                    "-o",
+                    table[:-4],
+                ]
+            )
+            == 0
+        )
 
     def test_needs_two_flights(self, tmp_path, capsys):
         assert identify("--calibrate", "--test", "test.csv", output=tmp_path / "new") == 1
         assert (
-            "Got one training flight ('latlon') to calibrate on, but expected at least two" in capsys.readouterr().err
+            "Got one training flight ('latlon') to calibrate on, but expected at least two"
+            in capsys.readouterr().err
         )
         assert not (tmp_path / "new").exists()
 
@@ -390,7 +502,9 @@ def late(tmp_path_factory):
     table = data.train[data.train["flight"] == "latlon"].iloc[:2400].reset_index(drop=True)
     table = table[[name for name in table if not name.endswith("_true")]]
     air = ("airspeed", "alpha", "beta")
-    table = table.assign(**{name: np.interp(table["time"] - 0.08, table["time"], table[name]) for name in air})
+    table = table.assign(
+        **{name: np.interp(table["time"] - 0.08, table["time"], table[name]) for name in air}
+    )
     path = tmp_path_factory.mktemp("late") / "late.csv"
     table.to_csv(path, index=False)
     return str(path)
@@ -408,24 +522,38 @@ class TestLags:
         assert abs(lags["air"]["lag"] - 0.08) < 0.01
 
     def test_are_corrected_on_request(self, late, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identification, "render_report", lambda content: content.model.extra["Lags"])
-        assert identify("--lags", "--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
+        monkeypatch.setattr(
+            _identification, "render_report", lambda content: content.model.extra["Lags"]
+        )
+        assert (
+            identify(
+                "--lags", "--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path
+            )
+            == 0
+        )
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["options"]["lags"] == "auto"
         assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01
-        assert load_model(tmp_path / "model.joblib").pipeline.named_steps["lagcorrector"].lags == "auto"
+        assert (
+            load_model(tmp_path / "model.joblib").pipeline.named_steps["lagcorrector"].lags
+            == "auto"
+        )
         assert (tmp_path / "report.html").read_text().startswith("air 0.07")
 
     def test_are_not_looked_for_without_a_flight_that_shows_them(self, tmp_path, capsys):
         pd.read_csv("test.csv")[["time", "alpha"]].to_csv(tmp_path / "bare.csv", index=False)
         assert main(["inspect", str(tmp_path / "bare.csv")]) == 0
-        assert re.search("not estimated: The flight .*lacks the columns 'ax'", capsys.readouterr().out)
+        assert re.search(
+            "not estimated: The flight .*lacks the columns 'ax'", capsys.readouterr().out
+        )
 
 
 @pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
     def test_keeps_the_best_so_far(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(_identification, "render_report", lambda content: "; ".join(content.messages))
+        monkeypatch.setattr(
+            _identification, "render_report", lambda content: "; ".join(content.messages)
+        )
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", "--max-iter", "50", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
@@ -448,8 +576,28 @@ class TestInterrupt:
     def test_the_real_thing(self, folder, tmp_path):
         pty = pytest.importorskip("pty")
         ours, theirs = pty.openpty()
-        arguments = ["identify", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv", "--horizons", "1"]
-        command = [sys.executable, "-m", "skdgp", *arguments, "--samples", "60", "--max-iter", "5000", "-o", tmp_path]
+        arguments = [
+            "identify",
+            "latlon.csv",
+            "--aircraft",
+            "uav.json",
+            "--test",
+            "test.csv",
+            "--horizons",
+            "1",
+        ]
+        command = [
+            sys.executable,
+            "-m",
+            "skdgp",
+            *arguments,
+            "--samples",
+            "60",
+            "--max-iter",
+            "5000",
+            "-o",
+            tmp_path,
+        ]
         command += ["--structure", "joint"]
         seen, begun = bytearray(), threading.Event()
 
@@ -461,7 +609,9 @@ class TestInterrupt:
                         begun.set()
 
         reader = threading.Thread(target=read)
-        with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs) as job:
+        with subprocess.Popen(
+            command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=theirs
+        ) as job:
             os.close(theirs)
             reader.start()
             try:
@@ -544,7 +694,9 @@ class TestConsole:
                 console.progress(f"output {k + 1}", 10, -5.0)
             assert "6 outputs, each alone · 60 evaluations" in stream.getvalue()
             console.progress("fit", 7, 123.456)
-            assert "all outputs together · 7 evaluations · log likelihood 123.5" in stream.getvalue()
+            assert (
+                "all outputs together · 7 evaluations · log likelihood 123.5" in stream.getvalue()
+            )
         assert "\n" not in stream.getvalue()
         assert stream.getvalue().endswith(CLEAR)
 
@@ -591,7 +743,9 @@ def test_noise_of_a_flight_too_short_for_a_spectrum():
     t = np.arange(100) * 0.02
     t[50:] += 30.0  # a gap, over which nothing is differenced
     rng = np.random.default_rng(0)
-    table = pd.DataFrame({"time": t, "p": 0.1 * t + rng.normal(0, 0.01, 100), "phi": np.angle(np.exp(1j * t))})
+    table = pd.DataFrame(
+        {"time": t, "p": 0.1 * t + rng.normal(0, 0.01, 100), "phi": np.angle(np.exp(1j * t))}
+    )
     table.loc[::17, "p"] = np.nan
     found = _evaluation.sensor_noise(table)
     assert found["p"] == pytest.approx(0.01, rel=0.3)
@@ -620,7 +774,11 @@ def test_demo_is_honest(tmp_path, capsys):
     ("short_flights", "name", "arguments"),
     [
         (1000, "identify_example_flights", ["--samples", "24"]),
-        (400, "grid_search_flights", ["--samples", "24", "--max-iter", "2", "--n-jobs", "1", "--days", "1"]),
+        (
+            400,
+            "grid_search_flights",
+            ["--samples", "24", "--max-iter", "2", "--n-jobs", "1", "--days", "1"],
+        ),
         (400, "compare_methods", ["--samples", "90"]),
         (1000, "fly_the_model", ["--samples", "60", "--paths", "5"]),
     ],
@@ -631,7 +789,9 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     picture = tmp_path / "picture.png"
     example = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
     if "GRID" in example.__globals__:  # one candidate of eight
-        example.__globals__["GRID"] = {key: values[:1] for key, values in example.__globals__["GRID"].items()}
+        example.__globals__["GRID"] = {
+            key: values[:1] for key, values in example.__globals__["GRID"].items()
+        }
     example([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out

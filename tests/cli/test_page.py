@@ -15,7 +15,9 @@ QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
     "simulate": ["--duration", ".2", "--paths", "2"],
     "derivatives": ["--paths", "4"],
-    "plan": shlex.split("--seconds 10 --rate 25 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"),
+    "plan": shlex.split(
+        "--seconds 10 --rate 25 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"
+    ),
 }
 
 
@@ -44,8 +46,12 @@ def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
         words = shlex.split(line)[3:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line
     assert (tmp_path / "exact" / "model.joblib").is_file()
-    assert (tmp_path / "steeper" / "bands.csv").read_text() != (tmp_path / "again" / "bands.csv").read_text()
-    assert (tmp_path / "turn" / "bands.csv").read_text() == (tmp_path / "again" / "bands.csv").read_text()
+    assert (tmp_path / "steeper" / "bands.csv").read_text() != (
+        tmp_path / "again" / "bands.csv"
+    ).read_text()
+    assert (tmp_path / "turn" / "bands.csv").read_text() == (
+        tmp_path / "again" / "bands.csv"
+    ).read_text()
 
 
 def test_every_command_is_on_it(page):

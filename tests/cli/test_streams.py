@@ -23,7 +23,15 @@ def predict(identified, tmp_path):
     """Predict a flight into a folder whose name is not ASCII; return the exit code."""
 
     def predict():
-        return main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(tmp_path / "Flüge_α.csv")])
+        return main(
+            [
+                "predict",
+                str(identified[0] / "model.joblib"),
+                "test.csv",
+                "-o",
+                str(tmp_path / "Flüge_α.csv"),
+            ]
+        )
 
     return predict
 
@@ -82,7 +90,9 @@ def warned(function):
 
 class TestDisk:
     @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-    def test_that_is_full_is_told_with_the_file(self, suffix, identified, tmp_path, monkeypatch, capsys):
+    def test_that_is_full_is_told_with_the_file(
+        self, suffix, identified, tmp_path, monkeypatch, capsys
+    ):
         def write(table, suffix):
             def write(path):
                 path.write_text("half of")
@@ -92,7 +102,10 @@ class TestDisk:
 
         monkeypatch.setattr(_predict, "table_writer", write)
         output = tmp_path / f"out.{suffix}"
-        assert main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(output)]) == 1
+        assert (
+            main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(output)])
+            == 1
+        )
         assert capsys.readouterr().err == f"error: {output}: No space left on device\n"
         assert list(tmp_path.iterdir()) == []
 
@@ -104,21 +117,31 @@ def test_an_error_that_nobody_expected_is_one_line_too(monkeypatch, tmp_path, ca
     monkeypatch.setitem(COMMANDS, "demo", replace(COMMANDS["demo"], run=demo))
     assert main(["demo", "-o", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err == (
-        "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what it says.\n"
+        "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what "
+        "it says.\n"
     )
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal to send")
-@pytest.mark.skipif(signal.getsignal(signal.SIGINT) is signal.SIG_IGN, reason="Ctrl-C is ignored, as in the background")
+@pytest.mark.skipif(
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN,
+    reason="Ctrl-C is ignored, as in the background",
+)
 @pytest.mark.parametrize("module", ["numpy", "skdgp.dynamics"])
 def test_ctrl_c_while_it_imports(module, folder):
     """Stopped when the interpreter has said that it imported the module."""
     command = [sys.executable, "-X", "importtime", "-m", "skdgp", "--help"]
-    with subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as job:
+    with subprocess.Popen(
+        command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as job:
         for line in job.stderr:
             if line.split()[-1].decode() == module:
                 job.send_signal(signal.SIGINT)
                 break
-        rest = [line for line in job.stderr.read().decode().splitlines() if not line.startswith("import time:")]
+        rest = [
+            line
+            for line in job.stderr.read().decode().splitlines()
+            if not line.startswith("import time:")
+        ]
     assert rest == ["stopped"]
     assert job.returncode == 130

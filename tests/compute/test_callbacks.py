@@ -15,7 +15,9 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.preprocessing import RateNondimensionalizer
 
-callback = pytest.importorskip("sklearn.callback", reason="scikit-learn knows callbacks from version 1.9 on")
+callback = pytest.importorskip(
+    "sklearn.callback", reason="scikit-learn knows callbacks from version 1.9 on"
+)
 
 RNG = np.random.default_rng(0)
 X = RNG.uniform(-2, 2, (40, 2))
@@ -38,7 +40,9 @@ class Recorder:
     def on_fit_task_begin(self, estimator, context):
         self.calls.append(("begin", context.estimator_name, context.task_name))
 
-    def on_fit_task_end(self, estimator, context, *, X=None, y=None, metadata=None, fitted_estimator=None):
+    def on_fit_task_end(
+        self, estimator, context, *, X=None, y=None, metadata=None, fitted_estimator=None
+    ):
         self.calls.append(("end", context.estimator_name, context.task_name))
         if fitted_estimator is not None and context.parent is None:
             self.score = fitted_estimator.score(X, y)
@@ -70,7 +74,9 @@ def test_a_fit_alone():
     assert together[-1] == pytest.approx(model.log_marginal_likelihood_value_)
     assert recorder.calls[0] == "setup"
     assert recorder.calls[-1] == "teardown"
-    begun, ended = ([call[1:] for call in recorder.calls[1:-1] if call[0] == word] for word in ("begin", "end"))
+    begun, ended = (
+        [call[1:] for call in recorder.calls[1:-1] if call[0] == word] for word in ("begin", "end")
+    )
     assert sorted(begun) == sorted(ended)
     assert begun[0] == ended[-1] == ("DependentGPRegressor", "fit")
     assert recorder.score == pytest.approx(model.score(X, Y))
@@ -87,7 +93,10 @@ def test_stages(inference, more):
 
 
 def test_transformers_of_flight_tables_carry_callbacks_without_a_word():
-    recorder, table = Recorder(), pd.DataFrame({"airspeed": 20 + X[:, 0], "p": X[:, 1], "alpha": 0.1 * X[:, 0]})
+    recorder, table = (
+        Recorder(),
+        pd.DataFrame({"airspeed": 20 + X[:, 0], "p": X[:, 1], "alpha": 0.1 * X[:, 0]}),
+    )
     pipeline = make_pipeline(RateNondimensionalizer(span=2.0, chord=0.5), quick())
     pipeline.set_callbacks(recorder).fit(table, Y)
     assert ("end", "RateNondimensionalizer", "fit") in recorder.calls
@@ -96,7 +105,9 @@ def test_transformers_of_flight_tables_carry_callbacks_without_a_word():
 
 def test_in_a_search():
     recorder = Recorder()
-    search = GridSearchCV(make_pipeline(StandardScaler(), quick()), {"dependentgpregressor__n_latent": [0, 1]}, cv=2)
+    search = GridSearchCV(
+        make_pipeline(StandardScaler(), quick()), {"dependentgpregressor__n_latent": [0, 1]}, cv=2
+    )
     search.set_callbacks(recorder).fit(X, Y)
     starts = [k for k, each in enumerate(recorder.news) if each["n_evaluations"] == 1]
     assert len(starts) == 5  # two numbers of latents on two folds, and the best on all

@@ -13,7 +13,9 @@ from sklearn.model_selection import GridSearchCV
 from skdgp import DependentGPRegressor
 from skdgp._compute.parallel import share_map
 
-distributed = pytest.importorskip("distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"')
+distributed = pytest.importorskip(
+    "distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"'
+)
 
 SHARES = [np.full(3, float(k)) for k in range(5)]
 
@@ -31,7 +33,10 @@ def page():
 
     Two worker processes import the package once for all tests.
     """
-    names, code = {}, re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    names, code = (
+        {},
+        re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE),
+    )
     blocks = list(enumerate(code, start=1))
     while "client" not in names:
         run(*blocks.pop(0), names)
@@ -50,7 +55,9 @@ def test_the_same_model_and_the_same_search(client):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(600, 2))  # so many that an output has two shares
     Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1])]) + 0.1 * rng.normal(size=(600, 2))
-    model = DependentGPRegressor(n_latent=1, max_iter=3, inference="sparse", n_inducing=6, random_state=0)
+    model = DependentGPRegressor(
+        n_latent=1, max_iter=3, inference="sparse", n_inducing=6, random_state=0
+    )
     search = GridSearchCV(model.set_params(max_iter=1), {"trend": ["linear", "constant"]}, cv=2)
     here = model.fit(X, Y).predict(X), search.fit(X, Y).cv_results_["mean_test_score"]
     with parallel_config(backend="dask", client=client):

@@ -51,7 +51,9 @@ for number in count():
     print(flush=True)
 """
     for moment in np.random.default_rng(3).uniform(0.0, 0.05, 4):
-        with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE) as writer:
+        with subprocess.Popen(
+            [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE
+        ) as writer:
             writer.stdout.readline()  # the first file is in its place
             time.sleep(moment)
             writer.kill()
@@ -126,7 +128,9 @@ class TestErrorsOfWriting:
 
     def test_of_another_file_stay(self, tmp_path):
         with pytest.raises(FileNotFoundError) as caught:
-            write_atomically(tmp_path / "a.txt", lambda path: path.write_text((tmp_path / "absent").read_text()))
+            write_atomically(
+                tmp_path / "a.txt", lambda path: path.write_text((tmp_path / "absent").read_text())
+            )
         assert caught.value.filename == str(tmp_path / "absent")
 
 

@@ -26,11 +26,15 @@ def fortran(K):
 
 class TestCholesky:
     def test_of_a_covariance(self, K):
-        np.testing.assert_allclose(np.tril(jittered_cholesky(fortran(K))), np.linalg.cholesky(K), rtol=1e-12)
+        np.testing.assert_allclose(
+            np.tril(jittered_cholesky(fortran(K))), np.linalg.cholesky(K), rtol=1e-12
+        )
 
     def test_reads_the_lower_triangle_alone(self, K):
         garbled = np.tril(K) + np.triu(np.full_like(K, np.nan), 1)
-        np.testing.assert_allclose(np.tril(jittered_cholesky(fortran(garbled))), np.linalg.cholesky(K), rtol=1e-12)
+        np.testing.assert_allclose(
+            np.tril(jittered_cholesky(fortran(garbled))), np.linalg.cholesky(K), rtol=1e-12
+        )
 
     def test_of_a_singular_matrix_raises_the_diagonal_and_says_so(self):
         x = np.random.default_rng(1).normal(size=(6, 3))
@@ -51,7 +55,8 @@ class TestCholesky:
 
     def test_of_an_indefinite_matrix_is_refused_with_the_remedy(self):
         with pytest.raises(
-            np.linalg.LinAlgError, match=r"2 values is not positive definite even with 0\.0001.*Raise the noise"
+            np.linalg.LinAlgError,
+            match=r"2 values is not positive definite even with 0\.0001.*Raise the noise",
         ):
             jittered_cholesky(fortran(np.array([[1.0, 2.0], [2.0, 1.0]])))
 
@@ -79,7 +84,9 @@ def test_solve_inverse_and_determinant(K):
     np.testing.assert_allclose(cholesky_solve(L, b), np.linalg.solve(K, b), rtol=1e-10)
     assert log_determinant(L) == pytest.approx(np.linalg.slogdet(K)[1])
     B = np.asfortranarray(np.random.default_rng(2).normal(size=(7, 3)))
-    np.testing.assert_allclose(triangular_solve(L, B.copy(order="F")), np.linalg.solve(np.tril(L), B), rtol=1e-10)
+    np.testing.assert_allclose(
+        triangular_solve(L, B.copy(order="F")), np.linalg.solve(np.tril(L), B), rtol=1e-10
+    )
     inverse = np.tril(cholesky_inverse(L))
     np.testing.assert_allclose(inverse, np.tril(np.linalg.inv(K)), rtol=1e-9, atol=1e-12)
     assert np.shares_memory(cholesky_inverse(jittered_cholesky(fortran(K))), L) is False

@@ -26,7 +26,8 @@ class Ended(NamedTuple):
     interrupted: bool = False
 
 
-# Functions for workers are made inside functions: they travel by value, for no worker can import this file.
+# Functions for workers are made inside functions: they travel by value, for no worker can import
+# this file.
 
 
 def processes():
@@ -71,7 +72,9 @@ SUMS = [share.sum() for share in SHARES]
 
 
 class TestWhoWorks:
-    @pytest.mark.parametrize("config", [{}, {"backend": "threading", "n_jobs": 2}, {"backend": "loky", "n_jobs": 1}])
+    @pytest.mark.parametrize(
+        "config", [{}, {"backend": "threading", "n_jobs": 2}, {"backend": "loky", "n_jobs": 1}]
+    )
     def test_this_process_unless_others_are_asked(self, config):
         with parallel_config(**config):
             found = share_map(processes(), (1.0,), SHARES)
@@ -135,7 +138,9 @@ class TestLoss:
         with pytest.warns(RuntimeWarning, match="pickle"), parallel_config(**LOKY):
             assert values(share_map(at_home, (), SHARES)) == SUMS
 
-    @pytest.mark.parametrize("error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")])
+    @pytest.mark.parametrize(
+        "error", [np.linalg.LinAlgError("not positive definite"), ArithmeticError("in the work")]
+    )
     def test_an_error_of_the_work_itself_comes_through(self, error):
         def fail(share):
             raise error
@@ -192,12 +197,17 @@ class TestFits:
         assert found[3].pid == home
 
     def test_an_interrupted_fit_is_the_last_one(self):
-        assert fit_map(lambda k: Ended(k, k == 1), [{"k": k} for k in range(4)]) == [Ended(0), Ended(1, True)]
+        assert fit_map(lambda k: Ended(k, k == 1), [{"k": k} for k in range(4)]) == [
+            Ended(0),
+            Ended(1, True),
+        ]
 
     def test_a_search_in_processes_around_fits_of_members(self):
         X, Y = data()
         model = quick(n_jobs=2)
-        search = GridSearchCV(model, {"n_latent": [0, 1]}, cv=2, n_jobs=2, error_score="raise").fit(X, Y)
+        search = GridSearchCV(model, {"n_latent": [0, 1]}, cv=2, n_jobs=2, error_score="raise").fit(
+            X, Y
+        )
         assert np.isfinite(search.best_score_)
 
 
@@ -208,7 +218,9 @@ class TestJobs:
 
     @pytest.mark.parametrize("n_jobs", [0, "two", 1.5, -1000, True, np.nan, [2]])
     def test_nonsense(self, n_jobs):
-        with pytest.raises(ValueError, match=r"Got n_jobs=.*, but expected None .* from 1 on, .* -1 is all"):
+        with pytest.raises(
+            ValueError, match=r"Got n_jobs=.*, but expected None .* from 1 on, .* -1 is all"
+        ):
             check_n_jobs(n_jobs)
 
 

@@ -28,12 +28,18 @@ def test_no_text_is_a_formula(text):
 
 def test_every_csv_is_written_so():
     source = Path(skdgp.__file__).parent
-    writers = [path.name for path in source.rglob("*.py") if re.search(r"\bto_csv\(", path.read_text(encoding="utf-8"))]
+    writers = [
+        path.name
+        for path in source.rglob("*.py")
+        if re.search(r"\bto_csv\(", path.read_text(encoding="utf-8"))
+    ]
     assert writers == ["files.py"]
 
 
 def test_numbers_and_words_stay(tmp_path):
-    table = pd.DataFrame({"flight": ["=cmd|x", "-1", "a", None], "@sum": [-1.5, 2.0, 0.1 + 0.2, 1e-300], "ok": True})
+    table = pd.DataFrame(
+        {"flight": ["=cmd|x", "-1", "a", None], "@sum": [-1.5, 2.0, 0.1 + 0.2, 1e-300], "ok": True}
+    )
     csv_writer(table)(tmp_path / "a.csv")
     with open(tmp_path / "a.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))

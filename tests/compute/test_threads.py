@@ -89,7 +89,9 @@ def test_context_goes_along(threads):
 
 
 def test_ctrl_c_ends_the_map(threads):
-    timer = threading.Timer(0.15, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    timer = threading.Timer(
+        0.15, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)
+    )
     timer.start()
     started = []
     with pytest.raises(KeyboardInterrupt):

@@ -24,7 +24,9 @@ def test_derivatives_are_those_of_central_differences(envelope):
     steps = 1e-5 * np.eye(len(REGRESSORS))
     points = envelope[:, None, :]
     differences = (brumby_coefficients(points + steps) - brumby_coefficients(points - steps)) / 2e-5
-    np.testing.assert_allclose(brumby_derivatives(envelope), differences.swapaxes(-1, -2), atol=2e-8)
+    np.testing.assert_allclose(
+        brumby_derivatives(envelope), differences.swapaxes(-1, -2), atol=2e-8
+    )
 
 
 def test_mirrored_flight_has_mirrored_coefficients(envelope):
@@ -63,11 +65,15 @@ def test_lift_slope_rises_with_the_vortex_and_collapses_where_it_breaks_down():
 def test_controls_lose_effect_with_deflection_and_elevator_takes_from_aileron():
     small, large = (-derivative(at(elevator=e), "CZ", "elevator") for e in (0.02, 0.25))
     assert large < 0.6 * small
-    alone, shared = (derivative(at(elevator=e, aileron=0.02), "Cl", "aileron") for e in (0.0, -0.25))
+    alone, shared = (
+        derivative(at(elevator=e, aileron=0.02), "Cl", "aileron") for e in (0.0, -0.25)
+    )
     assert shared < 0.6 * alone
 
 
-@pytest.mark.parametrize(("of", "by"), [("Cl", "beta"), ("Cl", "p"), ("Cl", "r"), ("Cn", "p"), ("CY", "beta")])
+@pytest.mark.parametrize(
+    ("of", "by"), [("Cl", "beta"), ("Cl", "p"), ("Cl", "r"), ("Cn", "p"), ("CY", "beta")]
+)
 def test_lateral_derivatives_change_with_alpha(of, by):
     low, high = (derivative(at(alpha=alpha), of, by) for alpha in (0.05, 0.18))
     assert abs(high - low) > 0.04 * abs(low)
@@ -85,7 +91,9 @@ def test_aircraft_can_be_trimmed_at_its_cruise():
         pitching = pressure * BRUMBY.chord * brumby_coefficients(regressors)[4] + moment[1]
         thrust -= excess[0]
         regressors[0] -= excess[2] / (pressure * derivative(regressors, "CZ", "alpha"))
-        regressors[7] -= pitching / (pressure * BRUMBY.chord * derivative(regressors, "Cm", "elevator"))
+        regressors[7] -= pitching / (
+            pressure * BRUMBY.chord * derivative(regressors, "Cm", "elevator")
+        )
     assert abs(excess[[0, 2]]).max() < 1e-6
     assert abs(pitching) < 1e-6
     assert 0.03 < regressors[0] < 0.15

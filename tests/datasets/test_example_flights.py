@@ -37,7 +37,11 @@ def inverse_turn(flight, vectors):
 def noise_free(flight):
     """What perfect sensors, and rate-derivative sensors, would have logged."""
     kept = [name for name in flight if name + "_true" not in flight]
-    return flight[kept].rename(columns=lambda name: name.removesuffix("_true")).drop(columns=list(COEFFICIENTS))
+    return (
+        flight[kept]
+        .rename(columns=lambda name: name.removesuffix("_true"))
+        .drop(columns=list(COEFFICIENTS))
+    )
 
 
 @pytest.fixture(params=FLIGHTS)
@@ -47,25 +51,41 @@ def flight(request, flights):
 
 class TestEquationsOfFlight:
     def test_newton(self, flight, data):
-        pressure = 0.5 * flight.density.to_numpy() * flight.airspeed_true.to_numpy() ** 2 * data.aircraft.wing_area
+        pressure = (
+            0.5
+            * flight.density.to_numpy()
+            * flight.airspeed_true.to_numpy() ** 2
+            * data.aircraft.wing_area
+        )
         aerodynamic = pressure[:, None] * true(flight, "CX", "CY", "CZ")
         thrust = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
         specific_force = true(flight, "ax", "ay", "az")
-        np.testing.assert_allclose(data.aircraft.mass * specific_force, aerodynamic + thrust, atol=1e-9)
+        np.testing.assert_allclose(
+            data.aircraft.mass * specific_force, aerodynamic + thrust, atol=1e-9
+        )
 
     def test_euler(self, flight, data):
         inertia = data.aircraft.inertia
-        pressure = 0.5 * flight.density.to_numpy() * flight.airspeed_true.to_numpy() ** 2 * data.aircraft.wing_area
+        pressure = (
+            0.5
+            * flight.density.to_numpy()
+            * flight.airspeed_true.to_numpy() ** 2
+            * data.aircraft.wing_area
+        )
         moment = pressure[:, None] * true(flight, "Cl", "Cm", "Cn") * data.aircraft.moment_lengths
         moment += flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy()
         rates = true(flight, "p", "q", "r")
-        turning = true(flight, "p_dot", "q_dot", "r_dot") @ inertia.T + np.cross(rates, rates @ inertia.T)
+        turning = true(flight, "p_dot", "q_dot", "r_dot") @ inertia.T + np.cross(
+            rates, rates @ inertia.T
+        )
         np.testing.assert_allclose(turning, moment, atol=1e-9)
 
     def test_thrust_acts_on_its_line(self, flight, data):
         line = data.aircraft.thrust_line
         force = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
-        torque = flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy() - np.cross(line.position, force)
+        torque = flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy() - np.cross(
+            line.position, force
+        )
         assert abs(np.cross(force, line.direction)).max() < 1e-9
         assert abs(np.cross(torque, line.direction)).max() < 1e-9
         propeller = data.aircraft.propeller
@@ -83,7 +103,9 @@ class TestEquationsOfFlight:
     def test_path_is_the_integral_of_velocity_and_velocity_of_acceleration(self, flight):
         velocity = true(flight, "v_north", "v_east", "v_down")
         position = np.c_[true(flight, "north", "east"), -flight.altitude]
-        acceleration = np.einsum("nij,nj->ni", rotation(flight), true(flight, "ax", "ay", "az")) + GRAVITY
+        acceleration = (
+            np.einsum("nij,nj->ni", rotation(flight), true(flight, "ax", "ay", "az")) + GRAVITY
+        )
         for rate, value, tolerance in ((velocity, position, 1e-4), (acceleration, velocity, 1e-2)):
             gained = simpson(np.stack([rate[:-2], rate[1:-1], rate[2:]]), dx=0.025, axis=0)
             error = value[2:] - value[:-2] - gained
@@ -117,7 +139,10 @@ def regressors(flight, data):
 def test_true_model_gives_the_true_coefficients_in_calm_air(data):
     for table in fly(1, 0.0, 0.0, 4.0):
         np.testing.assert_allclose(
-            data.aerodynamics(regressors(table, data)), true(table, *COEFFICIENTS), rtol=1e-9, atol=1e-13
+            data.aerodynamics(regressors(table, data)),
+            true(table, *COEFFICIENTS),
+            rtol=1e-9,
+            atol=1e-13,
         )
 
 
@@ -161,7 +186,9 @@ def test_learnable_and_still_hard(data):
     curve = GaussianProcessRegressor(RBF(5.0) + WhiteKernel(0.1), optimizer=None, normalize_y=True)
     curve.fit(scaler.transform(X[chosen]), residue[chosen])
     straight = root_mean_square_error(line.predict(X_test), Y_test)
-    bent = root_mean_square_error(line.predict(X_test) + curve.predict(scaler.transform(X_test)), Y_test)
+    bent = root_mean_square_error(
+        line.predict(X_test) + curve.predict(scaler.transform(X_test)), Y_test
+    )
     assert (bent < straight).all()
     assert bent.mean() < 0.75 * straight.mean()
 
@@ -191,7 +218,11 @@ class TestLoader:
         train, test = fly(0, 1.0, 1.0, 2.0)
         pd.testing.assert_frame_equal(test, data.test[: len(test)], rtol=1e-9, atol=1e-9)
         pd.testing.assert_frame_equal(
-            train[: len(test)], data.train[: len(test)], rtol=1e-9, atol=1e-9, check_categorical=False
+            train[: len(test)],
+            data.train[: len(test)],
+            rtol=1e-9,
+            atol=1e-9,
+            check_categorical=False,
         )
 
     def test_other_seed_other_gusts(self, data):
@@ -222,7 +253,9 @@ class TestLoader:
         assert seeds[0] == 3
         assert seeds[1] == seeds[2] != seeds[3]
 
-    @pytest.mark.parametrize("wrong", [{"turbulence": -1.0}, {"sensor_noise": "none"}, {"random_state": "seed"}])
+    @pytest.mark.parametrize(
+        "wrong", [{"turbulence": -1.0}, {"sensor_noise": "none"}, {"random_state": "seed"}]
+    )
     def test_wrong_arguments_are_named(self, wrong):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             load_example_flights(**wrong)

@@ -15,7 +15,9 @@ def truth():
 
 @pytest.fixture(scope="module")
 def errors(truth):
-    return measure(truth, 1.0, np.random.default_rng(4)) - truth.rename(columns=lambda name: name[:-5])
+    return measure(truth, 1.0, np.random.default_rng(4)) - truth.rename(
+        columns=lambda name: name[:-5]
+    )
 
 
 def test_noise_has_the_stated_levels(errors):

@@ -7,7 +7,9 @@ from skdgp._mechanics.air import Gusts, GustyAir, LocalAir
 from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body
 
-STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15]
+STATE = np.r_[
+    120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15
+]
 CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
 WIND = np.array([3.0, -2.0, 0.5])
 GUST = Gusts(np.array([0.7, -0.9, 0.5]), np.array([1.0, 2.0, -1.5]), np.array([0.05, 0.04, -0.06]))
@@ -42,7 +44,10 @@ def test_slopes_are_derivatives_of_air_data_along_the_motion():
     """A short flight ahead and back, the gust growing at its rate, the wind steady over the earth."""
     now, dt = settled(STATE), 1e-5
     ahead, back = (
-        at(STATE + h * now.derivative, gust=GUST._replace(velocity=GUST.velocity + h * GUST.acceleration))
+        at(
+            STATE + h * now.derivative,
+            gust=GUST._replace(velocity=GUST.velocity + h * GUST.acceleration),
+        )
         for h in (dt, -dt)
     )
     assert (ahead.alpha - back.alpha) / (2 * dt) == pytest.approx(now.implicit[0], abs=1e-7)

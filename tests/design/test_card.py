@@ -29,7 +29,9 @@ PAUSE = 2.0
 @pytest.fixture(scope="module")
 def plan():
     """Return a plan of two kinds of manoeuvres, one of them flown twice, whose numbers are all known."""
-    aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55, name="<uav>")
+    aircraft = Aircraft(
+        mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55, name="<uav>"
+    )
 
     def linear(X):
         alpha, q, elevator, rudder = X.T
@@ -38,7 +40,9 @@ def plan():
         return np.stack([-0.02 * lift, 0 * q, -lift, 0 * q, moment, -0.06 * rudder], axis=-1)
 
     pulse = {"elevator": doublet(0.5, np.deg2rad(4.0))}
-    sines = dict(orthogonal_multisines({"elevator": 0.05, "rudder": 0.05}, 5.0, (0.4, 2.0), n_starts=1))
+    sines = dict(
+        orthogonal_multisines({"elevator": 0.05, "rudder": 0.05}, 5.0, (0.4, 2.0), n_starts=1)
+    )
     train = wavetrain([pulse, sines, pulse], pause=PAUSE)
     rows = pd.DataFrame({
         "train": 0, "airspeed": 20.0, "start": [2.0, 5.0, 12.0], "name": ["pulse", "sines", "pulse"],
@@ -46,11 +50,15 @@ def plan():
         "gain": [0.5, 0.2, 0.1],
     })  # fmt: skip
     time = np.arange(0.0, 3.0, 0.04)
-    one = pd.DataFrame({name: 0.01 * np.sin(time) for name in ("alpha", "beta", "phi", "q", "elevator", "rudder")})
+    one = pd.DataFrame(
+        {name: 0.01 * np.sin(time) for name in ("alpha", "beta", "phi", "q", "elevator", "rudder")}
+    )
     one = one.assign(time=time, airspeed=20.0, altitude=100.0, az=-9.80665)
     for k, name in enumerate(QUANTITIES):
         one = one.assign(**{f"{name}_low": -1.0 - k, f"{name}_high": 1.0 + k})
-    limits = pd.DataFrame(Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(Aerodynamics(linear, NAMES))).T
+    limits = pd.DataFrame(
+        Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(Aerodynamics(linear, NAMES))
+    ).T
     limits.columns = ["low", "high"]
     limits.loc["growth of alpha"] = [-0.05, 0.3]
     before = Information(np.stack([np.eye(5) * 4.0]), ("Cm",), NAMES)
@@ -95,7 +103,10 @@ def test_steps_are_the_inputs(html):
     words = words_of(html)
     assert "nose down 0.00 0.50 +4.0 deg" in words
     assert re.search(r"nose up 0\.50 0\.50 −4\.0 deg \S+ deg −20 ", words)
-    assert "By hand, or by the autopilot. Elevator 4.0 deg, nose down, for 0.5 s; elevator 4.0 deg, nose up," in words
+    assert (
+        "By hand, or by the autopilot. Elevator 4.0 deg, nose down, for 0.5 s; elevator 4.0 deg, "
+        "nose up," in words
+    )
     assert "By the autopilot: sums of sines up to 1.8 Hz, which" in words
 
 
@@ -110,12 +121,17 @@ def test_steps_name_their_control_and_its_unit(plan, tmp_path):
     assert "1 manoeuvre of 1 kind · planned" in words
     assert "throttle: more power 0.00 6.40 +0.58 0.58 " in words
     assert "aileron: roll left 1.00 1.00 −8.0 deg −8.0 deg " in words
-    assert "Throttle 0.58, more power, for 6.4 s; throttle 0.58, less power, for 6.4 s; throttle back to trim;" in words
+    assert (
+        "Throttle 0.58, more power, for 6.4 s; throttle 0.58, less power, for 6.4 s; throttle "
+        "back to trim;" in words
+    )
     assert "aileron 8.0 deg, roll right, for 1 s;" in words
 
 
 def test_a_flight_without_limits_says_so(plan, tmp_path):
-    free = pd.DataFrame(Envelope(growth=np.inf).bounds(Aerodynamics(lambda X: 0 * X, NAMES)), ["low", "high"]).T
+    free = pd.DataFrame(
+        Envelope(growth=np.inf).bounds(Aerodynamics(lambda X: 0 * X, NAMES)), ["low", "high"]
+    ).T
     path = write_flight_card(tmp_path / "card.html", replace(plan, limits=free))
     words = words_of(path.read_text(encoding="utf-8"))
     assert "Nothing limits this flight, not even a floor" in words
@@ -123,17 +139,17 @@ def test_a_flight_without_limits_says_so(plan, tmp_path):
 
 
 def test_what_is_expected_may_pass_a_limit_after_the_time_that_the_risk_counts(html):
-    assert "up to 3 s after the inputs with the controls held. This may pass a limit: the risk counts only 1 s" in (
-        words_of(html)
+    assert (
+        "up to 3 s after the inputs with the controls held. This may pass a limit: the risk "
+        "counts only 1 s" in (words_of(html))
     )
 
 
 def test_limits_are_the_narrower_and_in_degrees(html):
     words = words_of(html)
     assert (
-        f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} asked, flown −57.3 … 57.3 −57.3 … 57.3".replace(
-            "-", "−"
-        )
+        f"alpha deg {np.rad2deg(-0.05):.1f} {np.rad2deg(0.2):.1f} asked, flown −57.3 … 57.3 −57.3 "
+        f"… 57.3".replace("-", "−")
         in words
     )
     assert "altitude m 60 – asked −6 … 6 −6 … 6" in words
@@ -159,7 +175,9 @@ def test_errors_that_no_flight_lowers_stand_beside_the_others(plan, tmp_path):
     one = replace(plan, merged={"Cm_q": 1.2, "Cm_alpha": 0.0})
     assert one.errors["std"].to_dict() == pytest.approx({"Cm_alpha": 0.5, "Cm_q": 1.3})
     words = words_of(write_flight_card(tmp_path / "card.html", one).read_text(encoding="utf-8"))
-    assert re.search(r"before after std now left \[%\] C m alpha 500 100 500 20 C m q 500 250 1300 50 ", words)
+    assert re.search(
+        r"before after std now left \[%\] C m alpha 500 100 500 20 C m q 500 250 1300 50 ", words
+    )
 
 
 def test_each_kind_stands_once_with_its_times_and_what_it_teaches(html):
@@ -178,7 +196,8 @@ def test_without_posterior_or_matplotlib_it_says_so(plan, tmp_path, monkeypatch)
     monkeypatch.setattr(page, "find_spec", lambda name: None)
     bare = plan.flight[[name for name in plan.flight if not name.endswith(("_low", "_high"))]]
     write_flight_card(
-        tmp_path / "card.html", replace(plan, flight=bare, manoeuvres=plan.manoeuvres.assign(risk=np.nan))
+        tmp_path / "card.html",
+        replace(plan, flight=bare, manoeuvres=plan.manoeuvres.assign(risk=np.nan)),
     )
     words = words_of((tmp_path / "card.html").read_text(encoding="utf-8"))
     assert "of the mean of the model" in words

@@ -25,7 +25,10 @@ from skdgp.dynamics import Aerodynamics, Aircraft
 STEP = 0.04
 REGRESSORS = ("alpha", "elevator")
 NOISE = pd.DataFrame({"white": 0.002, "drift": 0.001, "memory": 0.5}, index=["CZ", "Cm"])
-SIGNALS = {"doublet": {"elevator": doublet(0.6, 0.05)}, "3-2-1-1": {"rudder": three_two_one_one(0.4, 0.1)}}
+SIGNALS = {
+    "doublet": {"elevator": doublet(0.6, 0.05)},
+    "3-2-1-1": {"rudder": three_two_one_one(0.4, 0.1)},
+}
 BEFORE = Information(np.stack([np.diag([1e4, 100.0, 400.0])]), ("Cm",), REGRESSORS)
 
 
@@ -40,9 +43,20 @@ def plan(uav):
     for name in ("doublet", "3-2-1-1", "doublet"):
         inputs = SIGNALS[name]
         duration = max(signal.duration for signal in inputs.values())
-        sampled = {axis: signal(np.arange(0, duration + STEP, STEP)).tolist() for axis, signal in inputs.items()}
+        sampled = {
+            axis: signal(np.arange(0, duration + STEP, STEP)).tolist()
+            for axis, signal in inputs.items()
+        }
         expected = {quantity: {"low": -0.2, "high": 0.3} for quantity in QUANTITIES}
-        rows.append({"name": name, "duration": duration, "pause": 2.0, "inputs": sampled, "expected": expected})
+        rows.append(
+            {
+                "name": name,
+                "duration": duration,
+                "pause": 2.0,
+                "inputs": sampled,
+                "expected": expected,
+            }
+        )
     return {
         "aircraft": uav.to_dict(), "at": dict.fromkeys(REGRESSORS, 0.0), "manoeuvres": rows,
         "step": STEP, "curvature": False, "weights": {},
@@ -62,7 +76,11 @@ def flown(events, rate=50.0, seconds=40.0):
             table[axis] += size * signal(time - start)
     noise = 5e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
     table[["elevator", "rudder"]] += noise
-    alpha = 0.08 + 0.01 * np.sin(0.7 * time) + np.convolve(table["elevator"] + 0.03, np.ones(25) / 25, "same")
+    alpha = (
+        0.08
+        + 0.01 * np.sin(0.7 * time)
+        + np.convolve(table["elevator"] + 0.03, np.ones(25) / 25, "same")
+    )
     return table.assign(alpha=alpha, beta=0.0, airspeed=20.0, altitude=100.0, az=-9.81, phi=0.0)
 
 
@@ -132,7 +150,10 @@ def test_fast_manoeuvres_are_recognised_wherever_they_begin(plan, uav, name, lat
 @pytest.mark.parametrize(("width", "lag"), [(0.16, 0.1), (0.1, 0.1), (0.3, 0.2)])
 def test_what_a_slow_servo_flew_is_recognised(plan, uav, width, lag):
     inputs = {"elevator": design.doublet(width, 0.1)}
-    record, flight = made(plan, uav, "doublet", inputs, {"elevator": design.Limits(0.2, lag=lag)}), still()
+    record, flight = (
+        made(plan, uav, "doublet", inputs, {"elevator": design.Limits(0.2, lag=lag)}),
+        still(),
+    )
     time = flight["time"].to_numpy()
     flight["elevator"] += lsim(([1.0], [lag, 1.0]), inputs["elevator"](time - 20.0), time)[1]
     (found,) = compare_with_plan(record, flight, uav, NOISE, BEFORE).manoeuvres.to_dict("records")
@@ -143,7 +164,9 @@ def test_what_a_slow_servo_flew_is_recognised(plan, uav, width, lag):
 def test_rows_without_a_value_in_a_manoeuvre_teach_nothing(plan, uav):
     flight = flown([("doublet", 20.0, 1.0)])
     lost = flight["time"].between(20.3, 20.36)
-    found = compare_with_plan(plan, flight.assign(elevator=flight["elevator"].mask(lost)), uav, NOISE, BEFORE)
+    found = compare_with_plan(
+        plan, flight.assign(elevator=flight["elevator"].mask(lost)), uav, NOISE, BEFORE
+    )
     assert found.manoeuvres["name"].tolist() == ["doublet"]
     assert found.errors["found"].iloc[0] == pytest.approx(
         compare_with_plan(plan, flight, uav, NOISE, BEFORE).errors["found"].iloc[0], rel=0.05
@@ -163,20 +186,31 @@ def made(plan, uav, name, inputs, limits=None):
     train = design.Wavetrain({axis: {1.0: signal} for axis, signal in inputs.items()}, limits or {})
     row = plan["manoeuvres"][0] | {"name": name, "duration": duration}
     table = pd.DataFrame(
-        [{"train": 0, "start": 1.0, "risk": np.nan} | {key: row[key] for key in ("name", "duration", "pause")}]
+        [
+            {"train": 0, "start": 1.0, "risk": np.nan}
+            | {key: row[key] for key in ("name", "duration", "pause")}
+        ]
     )
     flight = flown([]).assign(flight=0)
-    one = design.Plan((train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, flight, (), pd.DataFrame(), uav, {})
+    one = design.Plan(
+        (train,), (), ("Cm_elevator",), BEFORE, BEFORE, table, flight, (), pd.DataFrame(), uav, {}
+    )
     return plan | {key: one.to_dict()[key] for key in ("step", "manoeuvres")}
 
 
 def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
     flight = flown([("doublet", 20.0, 1.0)])
-    other = Aircraft(mass=12, inertia=uav.inertia, wing_area=1.3, span=3.0, chord=0.55, name="other")
-    with pytest.raises(ValueError, match=r"with a span of 2\.6, but the model is of 'other' with 3"):
+    other = Aircraft(
+        mass=12, inertia=uav.inertia, wing_area=1.3, span=3.0, chord=0.55, name="other"
+    )
+    with pytest.raises(
+        ValueError, match=r"with a span of 2\.6, but the model is of 'other' with 3"
+    ):
         compare_with_plan(plan, flight, other, NOISE, BEFORE)
     with pytest.raises(ValueError, match="judge a model with the regressors"):
-        compare_with_plan(plan, flight, uav, NOISE, Information(np.eye(2)[None], ("Cm",), ("alpha",)))
+        compare_with_plan(
+            plan, flight, uav, NOISE, Information(np.eye(2)[None], ("Cm",), ("alpha",))
+        )
     with pytest.raises(ValueError, match="rudder"):
         compare_with_plan(plan, flight.drop(columns="rudder"), uav, NOISE, BEFORE)
     with pytest.raises(FileNotFoundError, match="as the plan, but there is no such file"):
@@ -186,16 +220,25 @@ def test_what_cannot_be_compared_is_said(plan, uav, tmp_path):
 @pytest.mark.parametrize(
     ("events", "words"),
     [
-        ([], r"but expected at least 0\.85 and 0\.5 to 2 times\. Give the flights that flew this plan"),
+        (
+            [],
+            r"but expected at least 0\.85 and 0\.5 to 2 times\. Give the flights that flew this "
+            r"plan",
+        ),
         (
             [("3-2-1-1", 20.0, 0.4)],
-            r"'3-2-1-1' at 20\.00 s of flight 'a', .* of 1\.00 and 0\.4 times its size.* Check the units",
+            r"'3-2-1-1' at 20\.00 s of flight 'a', .* of 1\.00 and 0\.4 times its size.* Check "
+            r"the units",
         ),
         (
             [("3-2-1-1", 20.0, 57.3)],
-            r"a correlation of 1\.00 and 57 times its size.* Check the units of the deflections \(rad\)",
+            r"a correlation of 1\.00 and 57 times its size.* Check the units of the deflections "
+            r"\(rad\)",
         ),
-        ([("3-2-1-1", 20.0, -1.0)], r"a correlation of -1\.00 and 1 times .* opposite sign: check the signs"),
+        (
+            [("3-2-1-1", 20.0, -1.0)],
+            r"a correlation of -1\.00 and 1 times .* opposite sign: check the signs",
+        ),
     ],
 )
 def test_a_flight_without_a_manoeuvre_of_the_plan_says_what_is_nearest(plan, uav, events, words):
@@ -225,20 +268,27 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
     holder[last] = value
     (tmp_path / "plan.json").write_text(json.dumps(whole["plan"]))
     damaged = rf"whose '{where[0]}' is missing" if where else "which is none"
-    with pytest.raises(ValueError, match=rf"{damaged}.*expected the plan.json that python -m skdgp plan"):
+    with pytest.raises(
+        ValueError, match=rf"{damaged}.*expected the plan.json that python -m skdgp plan"
+    ):
         read_plan(tmp_path / "plan.json")
 
 
 @pytest.mark.parametrize(
-    "words", ["no plan", 100_000 * "[" + 100_000 * "]", 100_000 * '{"known": ' + "0" + 100_000 * "}"]
+    "words",
+    ["no plan", 100_000 * "[" + 100_000 * "]", 100_000 * '{"known": ' + "0" + 100_000 * "}"],
 )
 def test_a_file_that_is_no_plan_is_refused(tmp_path, words):
     (tmp_path / "plan.json").write_text(words)
-    with pytest.raises(ValueError, match=r"expected the plan.json that python -m skdgp plan writes"):
+    with pytest.raises(
+        ValueError, match=r"expected the plan.json that python -m skdgp plan writes"
+    ):
         read_plan(tmp_path / "plan.json")
 
 
-def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown_more(uav, monkeypatch):
+def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown_more(
+    uav, monkeypatch
+):
     """Its slopes are known the less well the larger the angle of attack."""
     monkeypatch.setattr(_library, "MULTISINES", ())  # for time
 
@@ -246,7 +296,9 @@ def test_a_model_knows_what_its_plan_says_was_known_though_one_airspeed_is_flown
         alpha, q, elevator = np.moveaxis(X, -1, 0)
         lift, zero = 0.3 + 4.5 * alpha, 0 * q
         drag = 0.03 + 0.06 * lift**2 - lift * alpha
-        return np.stack([-drag, zero, -lift, zero, 0.02 - 0.6 * alpha - 9 * q - elevator, zero], axis=-1)
+        return np.stack(
+            [-drag, zero, -lift, zero, 0.02 - 0.6 * alpha - 9 * q - elevator, zero], axis=-1
+        )
 
     def covariance(X):
         features = np.column_stack([np.ones(len(X)), X, 5 * X**2])

@@ -5,7 +5,13 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.design import coefficient_noise, doublet, expected_information, multisine, posterior_information
+from skdgp.design import (
+    coefficient_noise,
+    doublet,
+    expected_information,
+    multisine,
+    posterior_information,
+)
 from skdgp.dynamics import stability_derivatives
 
 TIME = np.arange(0.0, 8.0, 0.04)
@@ -17,9 +23,13 @@ NOISE = pd.DataFrame(
 @pytest.fixture(scope="module")
 def flight():
     elevator = doublet(0.6, 0.05)(TIME - 1.0) + multisine(6.0, range(2, 9), rms=0.02)(TIME - 2.0)
-    alpha = 0.05 + 0.04 * np.sin(2.5 * TIME) * np.exp(-0.2 * TIME) - 0.3 * np.cumsum(elevator) * 0.04
+    alpha = (
+        0.05 + 0.04 * np.sin(2.5 * TIME) * np.exp(-0.2 * TIME) - 0.3 * np.cumsum(elevator) * 0.04
+    )
     q = np.gradient(alpha, TIME) + 0.05 * np.sin(1.3 * TIME)
-    return pd.DataFrame({"time": TIME, "airspeed": 20.0 + TIME, "alpha": alpha, "q": q, "elevator": elevator})
+    return pd.DataFrame(
+        {"time": TIME, "airspeed": 20.0 + TIME, "alpha": alpha, "q": q, "elevator": elevator}
+    )
 
 
 def dense(time, white, drift, memory):
@@ -42,7 +52,9 @@ def test_standard_errors_are_those_of_generalised_least_squares(flight, uav, abo
         X = np.column_stack([X, *(z[:, i] * z[:, j] for i in range(3) for j in range(i, 3))])
     for k, name in enumerate(NOISE.index):
         scale = np.abs(X).max(axis=0)
-        expected = np.linalg.inv((X / scale).T @ np.linalg.solve(dense(TIME, *NOISE.loc[name]), X / scale))
+        expected = np.linalg.inv(
+            (X / scale).T @ np.linalg.solve(dense(TIME, *NOISE.loc[name]), X / scale)
+        )
         expected = (expected / np.outer(scale, scale))[1:4, 1:4]
         np.testing.assert_allclose(found.covariance[k], expected, rtol=1e-6)
         np.testing.assert_allclose(found.std.loc[name], np.sqrt(np.diag(expected)), rtol=1e-6)
@@ -56,7 +68,10 @@ def test_standard_errors_are_the_scatter_of_estimates(flight, uav):
     for name in NOISE.index:
         V = dense(TIME, *NOISE.loc[name])
         weights = np.linalg.solve(V, X)
-        measured = X @ [0.1, -0.6, -9.0, -1.0] + rng.standard_normal((3000, len(TIME))) @ np.linalg.cholesky(V).T
+        measured = (
+            X @ [0.1, -0.6, -9.0, -1.0]
+            + rng.standard_normal((3000, len(TIME))) @ np.linalg.cholesky(V).T
+        )
         estimates = np.linalg.solve(X.T @ weights, weights.T @ measured.T)
         np.testing.assert_allclose(estimates[1:].std(axis=1), found.std.loc[name], rtol=0.05)
         np.testing.assert_allclose(estimates[1:].mean(axis=1), [-0.6, -9.0, -1.0], rtol=0.05)
@@ -65,7 +80,9 @@ def test_standard_errors_are_the_scatter_of_estimates(flight, uav):
 def test_information_of_flights_adds_up(flight, uav):
     names = ["alpha", "elevator"]
     one = expected_information(flight, uav, names, NOISE)
-    both = expected_information(pd.concat([flight.assign(flight=k) for k in "ab"]), uav, names, NOISE)
+    both = expected_information(
+        pd.concat([flight.assign(flight=k) for k in "ab"]), uav, names, NOISE
+    )
     np.testing.assert_allclose((one + one).std, both.std)
     np.testing.assert_allclose(both.std, one.std / np.sqrt(2))
     bent = expected_information(flight, uav, names, NOISE, about=[0.05, 0.0])
@@ -81,15 +98,20 @@ def test_what_a_flight_cannot_tell_is_said(flight, uav):
     std = found.std.loc["Cm"]
     assert np.isinf(std[["aileron", "beta", "elevator"]]).all()
     assert std["alpha"] == pytest.approx(
-        expected_information(flight, uav, ["alpha", "elevator"], NOISE).std.loc["Cm", "alpha"], rel=1e-6
+        expected_information(flight, uav, ["alpha", "elevator"], NOISE).std.loc["Cm", "alpha"],
+        rel=1e-6,
     )
 
 
 def test_pairs_that_move_alike_are_confounded(flight, uav):
     """Pitch rate and alpha_dot differ by the slow turn of the flight path alone."""
-    found = expected_information(flight, uav, ["alpha", "alpha_dot_hat", "q_hat", "elevator"], NOISE)
+    found = expected_information(
+        flight, uav, ["alpha", "alpha_dot_hat", "q_hat", "elevator"], NOISE
+    )
     pairs = found.confounded(0.7)
-    assert {"alpha_dot_hat", "q_hat"} in [set(pair) for pair in zip(pairs["first"], pairs["second"], strict=True)]
+    assert {"alpha_dot_hat", "q_hat"} in [
+        set(pair) for pair in zip(pairs["first"], pairs["second"], strict=True)
+    ]
     assert (pairs["correlation"].abs().diff()[1:] <= 0).all()
     assert pairs["correlation"].abs().min() >= 0.7
 
@@ -139,8 +161,12 @@ def test_what_a_model_knows_is_what_its_derivatives_say_of_themselves(uav):
     rng, names = np.random.default_rng(0), ["alpha", "q_hat", "elevator"]
     X = 0.1 * rng.normal(size=(80, 3))
     slopes = np.array([[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]])
-    Y = pd.DataFrame(X @ slopes + 0.01 * rng.normal(size=(80, 6)), columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
-    model = DependentGPRegressor(structure="trend", input_noise=0.02).fit(pd.DataFrame(X, columns=names), Y)
+    Y = pd.DataFrame(
+        X @ slopes + 0.01 * rng.normal(size=(80, 6)), columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+    )
+    model = DependentGPRegressor(structure="trend", input_noise=0.02).fit(
+        pd.DataFrame(X, columns=names), Y
+    )
     state = np.array([0, 0, -100, 20, 0, 1, 1, 0, 0, 0, 0, 0, 0.0])
     table = stability_derivatives(model, uav, state, {"elevator": 0.0}, n_paths=400, thrust=None)
     found = posterior_information(model, [np.arctan2(1.0, 20.0), 0.0, 0.0]).std

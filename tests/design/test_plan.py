@@ -39,7 +39,12 @@ TABLE = np.array([
     [0.02, -0.6, 0, 0, -9, 0, -1, 0, 0],
     [0, 0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
 ])  # fmt: skip
-FLOWN = {"airspeed": (5.0, 35.0), "altitude": (50.0, 100.0), "phi": (-1.0, 1.0), "az": (-30.0, 10.0)}
+FLOWN = {
+    "airspeed": (5.0, 35.0),
+    "altitude": (50.0, 100.0),
+    "phi": (-1.0, 1.0),
+    "az": (-30.0, 10.0),
+}
 SPREAD = 0.08
 NOISE = pd.DataFrame({"white": 0.002, "drift": 0.002, "memory": 0.5}, index=["CZ", "Cm"])
 AXES = {
@@ -52,7 +57,8 @@ AXES = {
     "gusts": None,
 }
 BANDS = pd.DataFrame(
-    {"doublet_width": 0.4, "three_two_one_one_width": 0.3, "lowest": 0.3, "highest": 1.2}, index=["elevator"]
+    {"doublet_width": 0.4, "three_two_one_one_width": 0.3, "lowest": 0.3, "highest": 1.2},
+    index=["elevator"],
 )
 
 
@@ -84,7 +90,9 @@ def model():
         )
 
     def covariance(X):
-        blocks = [features(X) @ np.diag((SPREAD * row) ** 2 + 1e-8) @ features(X).T for row in TABLE]
+        blocks = [
+            features(X) @ np.diag((SPREAD * row) ** 2 + 1e-8) @ features(X).T for row in TABLE
+        ]
         return np.einsum("pq,pnm->pnqm", np.eye(6), blocks).reshape(6 * len(X), -1)
 
     low = np.array([-0.1, -0.2, -0.1, -0.03, -0.1, -0.3, -0.3, -0.3])
@@ -110,7 +118,9 @@ def test_expected_errors_are_those_of_the_whole_flight(planned, model, uav):
     whole = sum(found.parts, found.before)
     np.testing.assert_allclose(found.errors["after"], whole.std.loc["Cm", ["alpha", "q_hat"]])
     pairs = whole.confounded()
-    of_goal = (pairs["coefficient"] == "Cm") & pairs[["first", "second"]].isin(["alpha", "q_hat"]).any(axis=1)
+    of_goal = (pairs["coefficient"] == "Cm") & pairs[["first", "second"]].isin(
+        ["alpha", "q_hat"]
+    ).any(axis=1)
     pd.testing.assert_frame_equal(found.confounded, pairs[of_goal].reset_index(drop=True))
     assert (found.errors["after"] < found.errors["before"]).all()
     gains = found.manoeuvres["gain"]
@@ -128,14 +138,19 @@ def test_the_time_is_kept(planned):
 
 
 def test_surfaces_follow_with_the_lag_of_their_servo_and_teach_less(model, uav):
-    lag, options = 0.1, AXES | {"seconds": 8.0, "bands": BANDS, "goal": ["Cm_elevator"], "random_state": 0}
+    lag, options = (
+        0.1,
+        AXES | {"seconds": 8.0, "bands": BANDS, "goal": ["Cm_elevator"], "random_state": 0},
+    )
     quick = plan(model, uav, **options)
     slow = plan(model, uav, **options | {"limits": {"elevator": Limits(0.06, lag=lag)}})
     rows, time = slow.flight[slow.flight["flight"] == 0], np.arange(0.0, 5.0, 0.001)
     follows = lsim(([1.0], [lag, 1.0]), slow.inputs(0)["elevator"](time), time)[1]
     deflection = rows["elevator"].to_numpy() - slow.trims[0].controls["elevator"]
     wanted = slow.inputs(0)["elevator"]
-    np.testing.assert_allclose(deflection, np.interp(rows["time"], time, follows), atol=0.1 * wanted.peak)
+    np.testing.assert_allclose(
+        deflection, np.interp(rows["time"], time, follows), atol=0.1 * wanted.peak
+    )
     assert np.abs(deflection - wanted(rows["time"].to_numpy())).max() > 0.5 * wanted.peak
     assert slow.errors.loc["Cm_elevator", "after"] > 1.05 * quick.errors.loc["Cm_elevator", "after"]
 
@@ -156,7 +171,9 @@ def test_of_a_longer_pause_three_seconds_are_response_and_end_the_flight(model, 
     found = plan(model, uav, seconds=22.0, bands=BANDS, pause=8.0, goal=["Cm_q"], **options)
     first, last = found.manoeuvres.iloc[0], found.manoeuvres.iloc[-1]
     assert (first["start"], first["pause"], last["pause"]) == (8.0, 8.0, 3.0)
-    assert found.flight["time"].max() == pytest.approx(found.manoeuvres["duration"].max() + 3.0, abs=0.04)
+    assert found.flight["time"].max() == pytest.approx(
+        found.manoeuvres["duration"].max() + 3.0, abs=0.04
+    )
     assert found.seconds == pytest.approx(last["start"] + last["duration"] + 3.0)
     assert 22.0 - 8.0 < found.seconds <= 22.0
 
@@ -173,13 +190,24 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
             model, uav, found.trims[0], table, 0.04, n_paths=200, random_state=7,
             air=Turbulence.low_altitude(100.0, 1.5),
         )  # fmt: skip
-        left = Envelope(alpha=(-0.03, 0.055)).left(paths, uav, model).groupby(paths["flight"], observed=True).any()
+        left = (
+            Envelope(alpha=(-0.03, 0.055))
+            .left(paths, uav, model)
+            .groupby(paths["flight"], observed=True)
+            .any()
+        )
         assert left.any(axis=1).mean() <= 0.05 + 0.03
 
 
 @pytest.mark.parametrize("curvature", [False, True])
 def test_the_same_seed_gives_the_same_plan(model, uav, curvature):
-    options = {"seconds": 8.0, "goal": ["Cm_q"], "bands": BANDS, "random_state": 3, "curvature": curvature}
+    options = {
+        "seconds": 8.0,
+        "goal": ["Cm_q"],
+        "bands": BANDS,
+        "random_state": 3,
+        "curvature": curvature,
+    }
     one = plan(model, uav, **AXES, **options)
     if curvature:
         two = plan(model, uav, **AXES, **options)
@@ -188,7 +216,9 @@ def test_the_same_seed_gives_the_same_plan(model, uav, curvature):
     about = [*one.to_dict()["at"].values()] if curvature else None
     still = one.before + expected_information(one.flight, uav, NAMES, NOISE, about=about)
     ratio = one.after.std.loc["Cm", "q_hat"] / still.std.loc["Cm", "q_hat"]
-    assert ratio < 1 if curvature else ratio == pytest.approx(1)  # entries beside the trim teach more
+    assert (
+        ratio < 1 if curvature else ratio == pytest.approx(1)
+    )  # entries beside the trim teach more
 
 
 def test_the_posterior_is_the_information_of_a_linear_model(model):
@@ -202,7 +232,15 @@ def test_the_posterior_is_the_information_of_a_linear_model(model):
 def test_a_manoeuvre_beside_others_flies_as_alone(model, uav):
     limits = {"elevator": Limits(0.06)}
     rehearsal = Rehearsal(
-        model, uav, trim(model, uav, 20.0), limits, Envelope(n_paths=20, gusts=None), 50.0, 1.0, "auto", 0
+        model,
+        uav,
+        trim(model, uav, 20.0),
+        limits,
+        Envelope(n_paths=20, gusts=None),
+        50.0,
+        1.0,
+        "auto",
+        0,
     )
     several = [{"elevator": doublet(0.3, 0.02)}, {"elevator": doublet(0.5, 0.01)}]
     for beside, one in zip(rehearsal.flown(several), several, strict=True):
@@ -225,23 +263,40 @@ def test_responses_may_grow_until_one_path_more_leaves_than_is_allowed():
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, uav):
     found, _ = planned
-    trimmed, elevator, envelope = found.trims[0], 1 + NAMES.index("elevator"), Envelope(alpha=(-0.03, 0.055))
+    trimmed, elevator, envelope = (
+        found.trims[0],
+        1 + NAMES.index("elevator"),
+        Envelope(alpha=(-0.03, 0.055)),
+    )
     stronger = TABLE.copy()
     stronger[:, elevator] *= 1 + envelope.margin
-    stronger[:, 0] -= envelope.margin * TABLE[:, elevator] * trimmed.controls["elevator"]  # the same trim
+    stronger[:, 0] -= (
+        envelope.margin * TABLE[:, elevator] * trimmed.controls["elevator"]
+    )  # the same trim
     aircraft = Aerodynamics(lambda X: features(X) @ stronger.T, NAMES)
-    flown = simulate(aircraft, uav, trimmed, found.trains[0].table(50.0, trim=trimmed.controls, pause=3.0), 0.04)
+    flown = simulate(
+        aircraft, uav, trimmed, found.trains[0].table(50.0, trim=trimmed.controls, pause=3.0), 0.04
+    )
     assert not envelope.left(flown, uav, aircraft).to_numpy().any()
 
 
 def test_a_pilot_flies_steps_that_he_can_count(model, uav):
-    options = AXES | {"seconds": 20.0, "bands": BANDS, "goal": ["Cm_q"], "envelope": Envelope(alpha=(-0.03, 0.055))}
+    options = AXES | {
+        "seconds": 20.0,
+        "bands": BANDS,
+        "goal": ["Cm_q"],
+        "envelope": Envelope(alpha=(-0.03, 0.055)),
+    }
     found = plan(model, uav, **options, pause=3.2, detents={"elevator": 0.008})
     assert found.manoeuvres["start"][0] == 3.5
     whole = []
     for k, row in found.manoeuvres.iterrows():
         (signal,) = found.inputs(k).values()
-        whole += [*np.divide(signal.durations, 0.5), row["start"] / 0.5, *np.divide(signal.levels, 0.008)]
+        whole += [
+            *np.divide(signal.durations, 0.5),
+            row["start"] / 0.5,
+            *np.divide(signal.levels, 0.008),
+        ]
         assert row["scale"] == pytest.approx(signal.peak / 0.06)
     np.testing.assert_allclose(whole, np.round(whole), atol=1e-9)
     with pytest.raises(ValueError, match="axes with detents lack 'aileron'"):
@@ -264,20 +319,28 @@ def test_ctrl_c_keeps_what_was_checked(model, uav):
 def test_the_goal_decides_what_is_learned_best(model, uav):
     """A plan for the function lowers its expected error more than a plan for a derivative, and the reverse."""
     axes = {"elevator": 0.06, "aileron": 0.06}
-    options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
+    options = AXES | {
+        "axes": list(axes),
+        "limits": axes,
+        "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes)),
+    }
     options |= {"seconds": 14.0, "noise": NOISE.set_axis(["Cl", "Cm"])}
     plans = {goal: plan(model, uav, **options, goal=[goal]) for goal in ("function", "Cm_q")}
     weights = plans["function"].weights["function"]
-    errors = pd.DataFrame({asked: errors_of(one.after, {"function": weights}) for asked, one in plans.items()}).loc[
-        ["function", "Cm_q"]
-    ]
+    errors = pd.DataFrame(
+        {asked: errors_of(one.after, {"function": weights}) for asked, one in plans.items()}
+    ).loc[["function", "Cm_q"]]
     assert errors.loc["function", "function"] < 0.99 * errors.loc["function", "Cm_q"]
     assert errors.loc["Cm_q", "Cm_q"] < 0.99 * errors.loc["Cm_q", "function"]
-    assert plans["function"].errors.loc["function", "after"] == pytest.approx(errors.loc["function", "function"])
+    assert plans["function"].errors.loc["function", "after"] == pytest.approx(
+        errors.loc["function", "function"]
+    )
 
 
 def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(model, uav):
-    weights = _information.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)["function"]
+    weights = _information.goal_weights(["function"], model, uav, [], COEFFICIENTS, None)[
+        "function"
+    ]
     rows = np.random.default_rng(1).uniform(*model.limits, size=(3000, 8))
     variance = np.stack([features(rows) ** 2 @ ((SPREAD * row) ** 2 + 1e-8) for row in TABLE])
     expected = np.sqrt(np.mean(variance.mean(axis=1) / (features(rows) @ TABLE.T).var(axis=0)))
@@ -289,9 +352,17 @@ def test_the_error_of_the_function_is_the_posterior_deviation_over_the_envelope(
 def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
     """By a coefficient that is off by a constant, after two seconds from the trim."""
     point, off = trim(model, uav, 20.0), np.eye(6)[k] * 1e-4
-    table = pd.DataFrame({"time": [0.0, 2.0], **{name: [value] * 2 for name, value in point.controls.items()}})
+    table = pd.DataFrame(
+        {"time": [0.0, 2.0], **{name: [value] * 2 for name, value in point.controls.items()}}
+    )
     ends = [
-        simulate(Aerodynamics(lambda X, more=more: features(X) @ TABLE.T + more, NAMES), uav, point, table, 0.02)
+        simulate(
+            Aerodynamics(lambda X, more=more: features(X) @ TABLE.T + more, NAMES),
+            uav,
+            point,
+            table,
+            0.02,
+        )
         for more in (off, -off)
     ]
     names = ["alpha", "beta", "phi", "theta"]
@@ -316,19 +387,37 @@ def test_the_error_of_free_flight_is_that_of_a_simulation(model, uav, k):
         ({"axes": "elevator"}, "Got axes='elevator', but expected different controls in a list"),
         ({"axes": ["elevator", "elevator"]}, "different controls"),
         ({"seconds": -5.0}, "Got seconds=-5.0, but expected a number > 0"),
-        ({"n_paths": 10**9}, "Got n_paths=1000000000, but expected a number of aircraft to draw, 0 to 10000"),
+        (
+            {"n_paths": 10**9},
+            "Got n_paths=1000000000, but expected a number of aircraft to draw, 0 to 10000",
+        ),
         ({"seconds": 1e9}, "Got seconds=1e[+]09, but expected at most 1800"),
-        ({"airspeeds": 39.0, "n_paths": 30}, "by flown airspeed .* fly at 4[.0-9]* to 34[.0-9]* m/s, widen this limit"),
+        (
+            {"airspeeds": 39.0, "n_paths": 30},
+            "by flown airspeed .* fly at 4[.0-9]* to 34[.0-9]* m/s, widen this limit",
+        ),
         ({"airspeeds": 4.0}, "no trim .* Flown were 5 to 35 m/s"),
         ({"rate": 1e9}, "at 1e[+]09 Hz, .* rows, but expected at most 1000000"),
         ({"noise": {"Cq": 0.1}}, "coefficients lack 'Cq'"),
-        ({"goal": ["Cm_beta"]}, r"manoeuvres of \['elevator'\] within their limits lower its errors by 0.0"),
+        (
+            {"goal": ["Cm_beta"]},
+            r"manoeuvres of \['elevator'\] within their limits lower its errors by 0.0",
+        ),
         ({"seconds": 5.0}, "give more seconds, a shorter pause"),
         ({"rate": 10.0}, "Got a rate of 10 Hz"),
         ({"n_paths": 5}, "at least 18"),
-        ({"envelope": Envelope(altitude=200.0)}, "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor"),
-        ({"seconds": 7.0, "limits": {"elevator": 1.5}}, "every manoeuvre leaves .* by flown .*--growth"),
-        ({"information": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))}, "same regressors and noise"),
+        (
+            {"envelope": Envelope(altitude=200.0)},
+            "trimmed flight at 20 m/s and 100 m leaves .* by altitude .*--floor",
+        ),
+        (
+            {"seconds": 7.0, "limits": {"elevator": 1.5}},
+            "every manoeuvre leaves .* by flown .*--growth",
+        ),
+        (
+            {"information": Information(np.zeros((1, 2, 2)), ("Cm",), ("alpha",))},
+            "same regressors and noise",
+        ),
     ],
 )
 def test_what_cannot_be_planned_is_said(model, uav, changed, words):
@@ -374,7 +463,12 @@ def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, 
     known = planned[0].after
     for _ in range(10):
         known = known + known
-    options = AXES | {"information": known, "bands": BANDS, "goal": ["Cm_alpha", "Cm_q"], "seconds": 60.0}
+    options = AXES | {
+        "information": known,
+        "bands": BANDS,
+        "goal": ["Cm_alpha", "Cm_q"],
+        "seconds": 60.0,
+    }
     found = plan(model, uav, **options).manoeuvres
     assert len(found) > 5
     assert found["gain"].max() < 0.002 < found["gain"].sum()
@@ -387,7 +481,9 @@ def test_little_that_each_of_many_manoeuvres_teaches_is_planned(planned, model, 
         ("aileron", "Cl_aileron", "phi", (-0.3, 0.2), {"bank": 3.0}),
     ],
 )
-def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch, axis, goal, channel, flown, given):
+def test_without_options_a_plan_stays_in_what_was_flown(
+    model, uav, monkeypatch, axis, goal, channel, flown, given
+):
     monkeypatch.setattr(_library, "WIDTHS", (2.5,))
     narrow = copy(model)
     narrow.flown = FLOWN | {channel: flown}
@@ -399,7 +495,9 @@ def test_without_options_a_plan_stays_in_what_was_flown(model, uav, monkeypatch,
         assert found.trims[0].altitude == 100.0  # the highest
         table = found.trains[0].table(50.0, trim=found.trims[0].controls, pause=3.0)
         values = simulate(narrow, uav, found.trims[0], table, 0.04)[channel]
-        inside.append(values.between(flown[0] - 0.1 * np.ptp(flown), flown[1] + 0.1 * np.ptp(flown)).all())
+        inside.append(
+            values.between(flown[0] - 0.1 * np.ptp(flown), flown[1] + 0.1 * np.ptp(flown)).all()
+        )
     assert inside == [True, False]
 
 
@@ -421,14 +519,23 @@ def test_limits_are_what_was_flown(model, uav):
     found = plan(model, uav, **options)
     elevator = found.trims[0].controls["elevator"]
     assert found.trains[0].limits["elevator"].amplitude == pytest.approx(0.3 - abs(elevator))
-    with pytest.warns(UserWarning, match="risks are those without gusts"), pytest.raises(ValueError, match="no trim"):
+    with (
+        pytest.warns(UserWarning, match="risks are those without gusts"),
+        pytest.raises(ValueError, match="no trim"),
+    ):
         plan(model, uav, **options | {"gusts": "auto", "airspeeds": 1.0})
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, **options)
     with pytest.raises(ValueError, match="'function', but the model does not say what was flown"):
-        plan(Aerodynamics(model.function, NAMES), uav, **AXES | {"goal": ["function"], "seconds": 7.0})
+        plan(
+            Aerodynamics(model.function, NAMES),
+            uav,
+            **AXES | {"goal": ["function"], "seconds": 7.0},
+        )
     still = Aerodynamics(model.function, NAMES, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1])
-    with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights .* knows nothing"):
+    with pytest.raises(
+        ValueError, match=r"Cm_beta.*beta did not move in the flights .* knows nothing"
+    ):
         plan(still, uav, **options | {"goal": ["Cm_beta"]})
 
 
@@ -438,7 +545,13 @@ def test_pitch_rate_is_told_from_alpha_dot_in_a_turn(uav, monkeypatch):
     table = np.column_stack([TABLE, [0, 0, 0, 0, -3, 0]])
     model = Aerodynamics(lambda X: features(X) @ table.T, [*NAMES, "alpha_dot_hat"])
     axes = {"elevator": 0.12, "aileron": 0.12}
-    options = AXES | {"axes": list(axes), "limits": axes, "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes))}
+    options = AXES | {
+        "axes": list(axes),
+        "limits": axes,
+        "bands": pd.concat([BANDS, BANDS]).set_axis(list(axes)),
+    }
     found = plan(model, uav, **options, seconds=20.0, goal=["Cm_q", "Cm_alpha_dot"], banks=(1.0,))
     assert abs(found.after.correlation("Cm").loc["q_hat", "alpha_dot_hat"]) < 0.7
-    assert {"alpha_dot_hat", "q_hat"} not in [set(pair) for pair in found.confounded[["first", "second"]].to_numpy()]
+    assert {"alpha_dot_hat", "q_hat"} not in [
+        set(pair) for pair in found.confounded[["first", "second"]].to_numpy()
+    ]

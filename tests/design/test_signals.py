@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from skdgp.design import Limits, Multisine, Steps, chirp, doublet, multisine, orthogonal_multisines, three_two_one_one
+from skdgp.design import (
+    Limits,
+    Multisine,
+    Steps,
+    chirp,
+    doublet,
+    multisine,
+    orthogonal_multisines,
+    three_two_one_one,
+)
 
 TIME = np.arange(-1.0, 40.0, 0.01)
 LIMITS = Limits(0.1, rate=0.8)
@@ -56,7 +65,9 @@ def test_ramps_leave_the_mean_of_steps_as_it_was():
 
 def test_three_two_one_one_is_three_two_one_one():
     middles = 0.5 * (np.arange(8) + 0.5)
-    np.testing.assert_array_equal(three_two_one_one(0.5, 0.1)(middles), [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0])
+    np.testing.assert_array_equal(
+        three_two_one_one(0.5, 0.1)(middles), [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0]
+    )
 
 
 def test_steps_are_not_late_by_the_rounding_of_a_clock():
@@ -87,10 +98,14 @@ def test_a_multisine_has_its_power_in_its_harmonics_alone():
 def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
     order = np.arange(1, 13)
     phases = multisine(10.0, order, rms=1.0).phases
-    np.testing.assert_allclose(np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12))
+    np.testing.assert_allclose(
+        np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12)
+    )
 
 
-@pytest.mark.parametrize(("duration", "band"), [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))])
+@pytest.mark.parametrize(
+    ("duration", "band"), [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))]
+)
 def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
     inputs = orthogonal_multisines(dict.fromkeys(axes, 0.1), duration, band, n_tones=8, n_starts=2)
@@ -110,7 +125,9 @@ def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band
         assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
 
 
-@pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (1, 7, 6), (2, 2, 1), (3, 1, 30), (3, 2, 0), (3, 7, 2)])
+@pytest.mark.parametrize(
+    ("axes", "tones", "more"), [(1, 1, 0), (1, 7, 6), (2, 2, 1), (3, 1, 30), (3, 2, 0), (3, 7, 2)]
+)
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s
     names = ("elevator", "aileron", "rudder")[:axes]
@@ -124,7 +141,9 @@ def test_tones_are_dealt_out_over_the_band(axes, tones, more):
         assert found[-1] - 1 >= 0.7 * (count - 1)
 
 
-@pytest.mark.parametrize("signal", [chirp(100.0, (0.1, 50.0), 0.1), multisine(100.0, range(100, 5001, 700), rms=0.1)])
+@pytest.mark.parametrize(
+    "signal", [chirp(100.0, (0.1, 50.0), 0.1), multisine(100.0, range(100, 5001, 700), rms=0.1)]
+)
 def test_bounds_of_the_longest_signals_are_as_sure_if_not_as_close(signal):
     time = np.linspace(0.0, 100.0, 200_001)
     values = signal(time)
@@ -160,10 +179,12 @@ def test_bounds_of_the_longest_signals_are_as_sure_if_not_as_close(signal):
         (lambda: Multisine(-1.0, [1, 2], [1, 1], [0, 0]), "duration"),
         (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
         (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "Got no axis"),
-        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at most 100 s"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at "
+                                                                                "most 100 s"),
         (lambda: chirp(3600.0, (0.1, 50.0), 0.1), "at most 5000: at most 100 s"),
         (lambda: multisine(10.0, [1, 10**9], rms=0.1), "at most 5000"),
-        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=10**9), "number from 1 to 1000"),
+        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=10**9), "number from 1 to "
+                                                                             "1000"),
         (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=0), "number from 1 to 1000"),
         (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.2, 0.5)), "forbids every input"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 0.0, (0.2, 0.5)), "duration of 0"),

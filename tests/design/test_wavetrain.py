@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skdgp.design import Limits, Wavetrain, doublet, input_bands, multisine, three_two_one_one, wavetrain
+from skdgp.design import (
+    Limits,
+    Wavetrain,
+    doublet,
+    input_bands,
+    multisine,
+    three_two_one_one,
+    wavetrain,
+)
 from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
 from skdgp.dynamics._linearize import Matrices
 
@@ -57,7 +65,9 @@ def test_a_table_with_its_trim_is_flown_and_returns_to_it(uav, point):
 
 def test_overlapping_inputs_add_up_within_limits():
     signals = {0.0: doublet(1.0, 0.06), 0.5: doublet(1.0, 0.06)}
-    np.testing.assert_allclose(Wavetrain({"rudder": signals})("rudder", [0.25, 0.75, 1.25]), [0.06, 0.12, 0.0])
+    np.testing.assert_allclose(
+        Wavetrain({"rudder": signals})("rudder", [0.25, 0.75, 1.25]), [0.06, 0.12, 0.0]
+    )
     with pytest.raises(ValueError, match="overlap with a peak of 0"):
         Wavetrain({"rudder": signals}, {"rudder": Limits(0.1)}).table(50.0)
     both = {start: doublet(1.0, 0.05, limits=Limits(0.1, rate=0.5)) for start in (0.0, 0.01)}
@@ -97,8 +107,14 @@ def test_doublets_of_the_suggested_width_have_their_spectrum_at_the_mode(uav, po
         assert bands.loc[axis, "frequency"] == pytest.approx(frequency)
         spectrum = abs(np.fft.rfft(doublet(bands.loc[axis, "doublet_width"], 1.0)(time)))
         assert 2 * np.pi * spectrum.argmax() / 2000.0 == pytest.approx(frequency, rel=0.03)
-        assert bands.loc[axis, "lowest"] * 2 * np.pi < frequency < bands.loc[axis, "highest"] * 2 * np.pi
-    assert (bands.loc[["aileron", "rudder"], "highest"] >= modes.loc["roll", "frequency"] / (2 * np.pi)).all()
+        assert (
+            bands.loc[axis, "lowest"] * 2 * np.pi
+            < frequency
+            < bands.loc[axis, "highest"] * 2 * np.pi
+        )
+    assert (
+        bands.loc[["aileron", "rudder"], "highest"] >= modes.loc["roll", "frequency"] / (2 * np.pi)
+    ).all()
 
 
 def test_modes_that_are_missing_are_said(uav, point):
@@ -110,8 +126,12 @@ def test_modes_that_are_missing_are_said(uav, point):
 def test_a_band_is_wider_where_modes_are_uncertain(uav, point):
     """All rates of a path are those of the mean times a factor: frequencies spread by a tenth."""
     known = linearize(MODEL, uav, point)
-    paths = Matrices(*(np.stack([f * table.to_numpy() for f in (0.9, 1.0, 1.1)]) for table in known._tables()))
-    sure, unsure = (input_bands(model).loc["elevator"] for model in (known, replace(known, paths=paths)))
+    paths = Matrices(
+        *(np.stack([f * table.to_numpy() for f in (0.9, 1.0, 1.1)]) for table in known._tables())
+    )
+    sure, unsure = (
+        input_bands(model).loc["elevator"] for model in (known, replace(known, paths=paths))
+    )
     assert unsure["frequency"] == sure["frequency"]
     assert unsure["lowest"] == pytest.approx(0.8 * sure["lowest"])
     assert unsure["highest"] == pytest.approx(1.2 * sure["highest"])

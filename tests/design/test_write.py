@@ -42,7 +42,9 @@ lua.globals().dofile(sys.argv[1])
 @pytest.fixture(scope="module")
 def train():
     """Return all kinds of inputs on all axes, some of them at times between rows."""
-    multisines = orthogonal_multisines({name: LIMITS[name] for name in FULL}, 10.0, (0.2, 2.0), n_starts=1)
+    multisines = orthogonal_multisines(
+        {name: LIMITS[name] for name in FULL}, 10.0, (0.2, 2.0), n_starts=1
+    )
     return wavetrain(
         [
             {"elevator": doublet(0.333, 0.05, limits=LIMITS["elevator"])},
@@ -59,7 +61,9 @@ def train():
 
 def test_a_csv_is_the_table(train, tmp_path):
     table = write_csv(tmp_path / "plan.csv", train, 50.0)
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "plan.csv"), table, check_exact=False, rtol=1e-15)
+    pd.testing.assert_frame_equal(
+        pd.read_csv(tmp_path / "plan.csv"), table, check_exact=False, rtol=1e-15
+    )
     pd.testing.assert_frame_equal(table, train.table(50.0))
 
 
@@ -69,7 +73,9 @@ def test_px4_has_normalised_setpoints_of_its_signs(tmp_path):
     table = pd.read_csv(tmp_path / "plan.csv")
     assert table["timestamp"].dtype == np.int64
     assert np.diff(table["timestamp"]).tolist() == [10_000] * 200
-    np.testing.assert_allclose(table.iloc[50, 1:], [0.1 / 0.35, -0.1 / 0.4, 0.0])  # trailing edge up pitches up
+    np.testing.assert_allclose(
+        table.iloc[50, 1:], [0.1 / 0.35, -0.1 / 0.4, 0.0]
+    )  # trailing edge up pitches up
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +113,9 @@ def test_limits_hold_at_every_step_of_the_script(flown, jitter, train):
         assert logged[axis].abs().max() <= limit.amplitude
         assert (np.abs(np.diff(logged[axis], prepend=0.0)) <= limit.rate * step * (1 + 1e-9)).all()
     late = logged["time"] <= train.duration
-    off = np.abs(logged["rudder"] - train("rudder", logged["time"]))[late]  # it has no limit of rate
+    off = np.abs(logged["rudder"] - train("rudder", logged["time"]))[
+        late
+    ]  # it has no limit of rate
     assert off.max() < 1e-6
 
 
@@ -138,14 +146,28 @@ def test_flaperons_and_v_tails_of_the_script_are_read_back_as_planned(flown, ver
     full = {"flaperon_left": 0.35, "flaperon_right": 0.35, "vtail_left": 0.8, "vtail_right": 0.8}
     logged, _ = flown(full=full, version=version)
     widths = {f"C{k}": logged[f"servo{k}"].to_numpy() for k in range(1, 12)}
-    functions = {"SERVO8_FUNCTION": 24.0, "SERVO9_FUNCTION": 25.0, "SERVO10_FUNCTION": 79.0, "SERVO11_FUNCTION": 80.0}
-    ends = {f"SERVO{k}_{end}": width for k in range(8, 12) for end, width in (("MIN", 1000.0), ("MAX", 2000.0))}
+    functions = {
+        "SERVO8_FUNCTION": 24.0,
+        "SERVO9_FUNCTION": 25.0,
+        "SERVO10_FUNCTION": 79.0,
+        "SERVO11_FUNCTION": 80.0,
+    }
+    ends = {
+        f"SERVO{k}_{end}": width
+        for k in range(8, 12)
+        for end, width in (("MIN", 1000.0), ("MAX", 2000.0))
+    }
     mixing = mixing_of(widths, functions | ends)
     found = {
-        name: sum(weight * (widths[each.channel.removeprefix("RCOU.")] - 1500) / 500 for weight, each in parts)
+        name: sum(
+            weight * (widths[each.channel.removeprefix("RCOU.")] - 1500) / 500
+            for weight, each in parts
+        )
         for name, parts in mixing.items()
     }
-    np.testing.assert_allclose(0.35 * (found["aileron"] - 0.05), logged["aileron"], atol=4e-4)  # half a microsecond
+    np.testing.assert_allclose(
+        0.35 * (found["aileron"] - 0.05), logged["aileron"], atol=4e-4
+    )  # half a microsecond
     np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
     np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
 
@@ -172,13 +194,17 @@ class Noise(Signal):
 @pytest.mark.parametrize(
     ("write", "inputs", "rate", "full", "words"),
     [
-        (write_px4, {"throttle": {0.0: doublet(1, 0.1)}}, 50.0, {"throttle": 1.0}, "PX4's torque setpoint lack"),
+        (write_px4, {"throttle": {0.0: doublet(1, 0.1)}}, 50.0, {"throttle": 1.0}, "PX4's torque "
+                                                                                   "setpoint lack"),
         (write_px4, {"elevator": {0.0: doublet(1, 0.5)}}, 50.0, FULL, "full deflection is 0.4"),
-        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "surfaces that move with the elevator: add"),
+        (write_px4, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {}, "surfaces that move with the "
+                                                                    "elevator: add"),
         (write_px4, {"elevator": {0.0: doublet(0.1, 0.1)}}, 20.0, FULL, "at least 50 Hz"),
-        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "that move with the thrust: add"),
+        (write_ardupilot_lua, {"thrust": {0.0: doublet(1, 5.0)}}, 50.0, FULL, "that move with the "
+                                                                              "thrust: add"),
         (write_ardupilot_lua, {"rudder": {0.0: doublet(1, 0.1)}}, 50.0, {"rudder": np.nan}, "expected a number > 0"),
-        (write_px4, {"rudder": {0.0: doublet(1, 0.1)}}, 50.0, {"rudder": -0.5}, "Got -0.5 as the full deflection"),
+        (write_px4, {"rudder": {0.0: doublet(1, 0.1)}}, 50.0, {"rudder": -0.5}, "Got -0.5 as the "
+                                                                                "full deflection"),
         (write_ardupilot_lua, {"elevator": {0.0: doublet(1, 0.1)}}, 50.0, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
         (
             write_ardupilot_lua,
@@ -188,7 +214,8 @@ class Noise(Signal):
             "elevon_left up to 0.2",
         ),
         (write_ardupilot_lua, {"rudder": {0.0: Noise()}}, 50.0, FULL, "Got a Noise"),
-        (write_ardupilot_lua, {"throttle": {0.0: doublet(1, 1.5)}}, 50.0, FULL, "full deflection is 1"),
+        (write_ardupilot_lua, {"throttle": {0.0: doublet(1, 1.5)}}, 50.0, FULL, "full deflection "
+                                                                                "is 1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_written_is_refused(write, inputs, rate, full, words, tmp_path):

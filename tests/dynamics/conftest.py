@@ -40,7 +40,11 @@ def coefficients_at(t, airspeed, alpha, beta, rates, aircraft):
     """Coefficients (..., 6) of a stable aircraft whose surfaces never rest."""
     t = np.asarray(t, dtype=float)
     p, q, r = np.moveaxis(rates * aircraft.moment_lengths / (2 * airspeed[..., None]), -1, 0)
-    elevator, aileron, rudder = 0.05 * np.sin(1.7 * t + 0.4), 0.04 * np.cos(1.3 * t), 0.05 * np.sin(2.1 * t + 1.0)
+    elevator, aileron, rudder = (
+        0.05 * np.sin(1.7 * t + 0.4),
+        0.04 * np.cos(1.3 * t),
+        0.05 * np.sin(2.1 * t + 1.0),
+    )
     return np.stack(
         [
             -0.03 + 0.3 * alpha**2,
@@ -85,7 +89,9 @@ def simulated(aircraft):
     force, moment, airspeed, alpha, beta = loads_at(time, states, aircraft)
     push, twist = aircraft.thrust_line.loads(thrust_at(time))
     derivative = rigid_body_derivative(states, force, moment, aircraft, GRAVITY)
-    table = pd.DataFrame({"time": time, "airspeed": airspeed, "alpha": alpha, "beta": beta, "density": DENSITY})
+    table = pd.DataFrame(
+        {"time": time, "airspeed": airspeed, "alpha": alpha, "beta": beta, "density": DENSITY}
+    )
     table[["north", "east", "down"]] = states[:, :3]
     table[["v_north", "v_east", "v_down"]] = body_to_ned(states[:, 6:10], states[:, 3:6])
     table[["phi", "theta", "psi"]] = quaternion_to_euler(states[:, 6:10])

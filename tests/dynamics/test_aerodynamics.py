@@ -30,7 +30,8 @@ REGRESSORS = ["alpha", "beta", "p_hat", "elevator"]
 def flight():
     rng = np.random.default_rng(0)
     table = pd.DataFrame(
-        rng.normal(0, 0.1, (120, 6)), columns=["alpha", "beta", "p", "q", "elevon_left", "elevon_right"]
+        rng.normal(0, 0.1, (120, 6)),
+        columns=["alpha", "beta", "p", "q", "elevon_left", "elevon_right"],
     )
     return table.assign(airspeed=30 + rng.normal(0, 1, 120))
 
@@ -44,7 +45,10 @@ def targets(flight):
 
 def pipeline(*behind):
     return make_pipeline(
-        ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector(REGRESSORS), *behind
+        ElevonSplitter(),
+        RateNondimensionalizer(span=2.8, chord=1.2),
+        RegressorSelector(REGRESSORS),
+        *behind,
     )
 
 
@@ -62,7 +66,12 @@ def X(fitted, flight):
 BEHIND = {
     "scaled": lambda: (StandardScaler(), LinearRegression()),
     "scaled twice": lambda: (StandardScaler(), StandardScaler(with_mean=False), LinearRegression()),
-    "scaled to ranges": lambda: (MinMaxScaler((-1, 2)), RobustScaler(), MaxAbsScaler(), LinearRegression()),
+    "scaled to ranges": lambda: (
+        MinMaxScaler((-1, 2)),
+        RobustScaler(),
+        MaxAbsScaler(),
+        LinearRegression(),
+    ),
     "bare": lambda: (LinearRegression(),),
     "polynomial": lambda: (StandardScaler(), PolynomialFeatures(2), LinearRegression()),
     "tables": lambda: (
@@ -86,7 +95,9 @@ def test_gives_the_numbers_of_the_pipeline_for_rows_of_the_table(behind, flight,
 def test_knows_what_was_flown_and_the_lengths_and_the_mixing_of_the_pipeline(fitted, flight):
     aerodynamics = as_aerodynamics(fitted)
     rows = fitted[:3].transform(flight).to_numpy()
-    np.testing.assert_allclose(aerodynamics.limits, [rows.min(axis=0), rows.max(axis=0)], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(
+        aerodynamics.limits, [rows.min(axis=0), rows.max(axis=0)], rtol=1e-9, atol=1e-10
+    )
     assert (aerodynamics.span, aerodynamics.chord) == (2.8, 1.2)
     assert aerodynamics.mixing.surfaces == ("elevon_left", "elevon_right")
 
@@ -103,13 +114,17 @@ def test_limits_are_of_the_rows_that_were_learned_from(flight, targets):
 
 @pytest.mark.parametrize("behind", ["gaussian process", *BEHIND])
 def test_slopes_are_those_of_its_values(behind, fitted, flight, targets, X):
-    model = fitted if behind == "gaussian process" else pipeline(*BEHIND[behind]()).fit(flight, targets)
+    model = (
+        fitted if behind == "gaussian process" else pipeline(*BEHIND[behind]()).fit(flight, targets)
+    )
     aerodynamics = as_aerodynamics(model)
     for k, step in enumerate(1e-4 * X.std(axis=0)):
         h = step * np.eye(len(REGRESSORS))[k]
         difference = (aerodynamics(X + h) - aerodynamics(X - h)) / (2 * step)
         np.testing.assert_allclose(
-            aerodynamics.gradient(X)[..., k], difference, atol=1e-4 * np.abs(difference).max() + 1e-7
+            aerodynamics.gradient(X)[..., k],
+            difference,
+            atol=1e-4 * np.abs(difference).max() + 1e-7,
         )
 
 
@@ -143,9 +158,15 @@ def test_sampled_functions_have_the_posterior_moments_in_the_units_of_the_flight
 def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, targets, fitted, X):
     groups = np.repeat([0, 1, 2], 40)
     expected = as_aerodynamics(fitted)(X)
-    search = GridSearchCV(pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1.0]}, cv=3).fit(flight, targets)
-    np.testing.assert_allclose(as_aerodynamics(search)(X), as_aerodynamics(search.best_estimator_)(X))
-    around = CalibratedRegressor(FrozenEstimator(fitted), cv="prefit", level=0.6).fit(flight, targets, groups=groups)
+    search = GridSearchCV(pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1.0]}, cv=3).fit(
+        flight, targets
+    )
+    np.testing.assert_allclose(
+        as_aerodynamics(search)(X), as_aerodynamics(search.best_estimator_)(X)
+    )
+    around = CalibratedRegressor(FrozenEstimator(fitted), cv="prefit", level=0.6).fit(
+        flight, targets, groups=groups
+    )
     inside = CalibratedRegressor(fitted[-1], cv="prefit", level=0.6)
     inside.fit(fitted[:-1].transform(flight), targets, groups=groups)
     np.testing.assert_allclose(inside.std_scale_, around.std_scale_)
@@ -158,7 +179,10 @@ def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, ta
         covariance = as_aerodynamics(fitted).covariance(X) * scale * scale[:, None]
         np.testing.assert_allclose(flown.covariance(X), covariance, atol=1e-12)
         at = np.broadcast_to(X, (5, *X.shape))
-        off, unscaled = flown.sample(5)(at) - expected, as_aerodynamics(fitted).sample(5)(at) - expected
+        off, unscaled = (
+            flown.sample(5)(at) - expected,
+            as_aerodynamics(fitted).sample(5)(at) - expected,
+        )
         np.testing.assert_allclose(off, around.std_scale_ * unscaled, atol=1e-12)
 
 
@@ -169,14 +193,20 @@ def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targe
         in_simulation = "regressors"
 
         def fit(self, X, y=None):
-            self.regressors_, self.data_min_, self.data_max_ = ["alpha", "beta"], np.zeros(2), np.ones(2)
+            self.regressors_, self.data_min_, self.data_max_ = (
+                ["alpha", "beta"],
+                np.zeros(2),
+                np.ones(2),
+            )
             self.ranges_ = {"phi": (-0.5, 0.4)}
             return self
 
         def transform(self, X):
             return X[self.regressors_]
 
-    neighbours = FunctionTransformer(lambda X: X.rolling(3, min_periods=1).mean())  # has nothing to smooth here
+    neighbours = FunctionTransformer(
+        lambda X: X.rolling(3, min_periods=1).mean()
+    )  # has nothing to smooth here
     model = make_pipeline(neighbours, Choice(), LinearRegression()).fit(flight, targets)
     aerodynamics = as_aerodynamics(model)
     assert aerodynamics.regressors == ("alpha", "beta")
@@ -197,7 +227,9 @@ def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, target
 
 class TestBadInput:
     def test_a_missing_coefficient_is_named(self, flight, targets):
-        model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(flight, targets[["CZ", "Cm"]])
+        model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(
+            flight, targets[["CZ", "Cm"]]
+        )
         with pytest.raises(ValueError, match=r"lacks \['CX', 'CY', 'Cl', 'Cn'\]"):
             as_aerodynamics(model)
 
@@ -213,8 +245,12 @@ class TestBadInput:
 
     def test_channels_that_were_scaled_before_they_were_chosen(self, flight, targets):
         first = StandardScaler().set_output(transform="pandas")
-        model = make_pipeline(first, RegressorSelector(["alpha", "beta"]), LinearRegression()).fit(flight, targets)
-        with pytest.raises(ValueError, match=r"Got \['StandardScaler'\] before the choice of regressors"):
+        model = make_pipeline(first, RegressorSelector(["alpha", "beta"]), LinearRegression()).fit(
+            flight, targets
+        )
+        with pytest.raises(
+            ValueError, match=r"Got \['StandardScaler'\] before the choice of regressors"
+        ):
             as_aerodynamics(model)
 
     def test_what_cannot_predict(self):
@@ -257,4 +293,9 @@ def test_paths_and_covariance_have_errors_by_correlated_noise_if_asked():
     assert pytest.approx((each**2).sum(axis=0)) == np.diag(all_errors - alone).reshape(6, 2).T
     drawn = model.sample(n, 0, correlated=True)(np.broadcast_to(at, (n, 2, 2)))
     assert drawn.var(axis=0) == pytest.approx(np.diag(all_errors).reshape(6, 2).T, rel=0.15)
-    assert model.sample(2, 0, correlated=True).gradient(np.broadcast_to(at, (2, 2, 2))).shape == (2, 2, 6, 2)
+    assert model.sample(2, 0, correlated=True).gradient(np.broadcast_to(at, (2, 2, 2))).shape == (
+        2,
+        2,
+        6,
+        2,
+    )

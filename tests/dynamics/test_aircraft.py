@@ -37,9 +37,15 @@ def test_json_round_trip(tmp_path):
 
 
 def test_toml_says_the_same_as_json(tmp_path):
-    lines = [f"{key} = {json.dumps(GOOD[key])}" for key in ("name", "mass", "inertia", "wing_area", "span", "chord")]
+    lines = [
+        f"{key} = {json.dumps(GOOD[key])}"
+        for key in ("name", "mass", "inertia", "wing_area", "span", "chord")
+    ]
     for table in ("thrust_line", "propeller"):
-        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items())]
+        lines += [
+            f"[{table}]",
+            *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items()),
+        ]
     (tmp_path / "a.toml").write_text("\n".join(lines))
     assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
 
@@ -113,16 +119,25 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("path", ["flights/viggen_uav.json", "flights/c172p.json", "ampyx_ap2/ampyx_ap2.json"])
+@pytest.mark.parametrize(
+    "path", ["flights/viggen_uav.json", "flights/c172p.json", "ampyx_ap2/ampyx_ap2.json"]
+)
 def test_shared_aircraft_are_read(shared_data, path):
     stored = json.loads((shared_data / path).read_text())
     assert Aircraft.from_json(shared_data / path).to_dict() == stored
 
 
 def test_json_text_is_the_same_aircraft_with_coefficients_given_as_tuples():
-    propeller = Propeller(diameter=0.5, thrust_coefficients=(0.1, -0.05), torque_coefficients=(0.01,))
+    propeller = Propeller(
+        diameter=0.5, thrust_coefficients=(0.1, -0.05), torque_coefficients=(0.01,)
+    )
     aircraft = Aircraft(
-        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25, propeller=propeller
+        mass=2.0,
+        inertia=np.diag([0.2, 0.3, 0.4]),
+        wing_area=0.5,
+        span=2.0,
+        chord=0.25,
+        propeller=propeller,
     )
     again = Aircraft.from_json(aircraft.to_json())
     assert again == aircraft

@@ -30,7 +30,9 @@ def test_the_published_table_to_its_digits(altitude, temperature, pressure, dens
     assert five_digits(air.temperature) == temperature
     assert five_digits(air.pressure) == five_digits(pressure)
     assert five_digits(air.density) == density
-    assert five_digits(air.speed_of_sound) == pytest.approx(sound, abs=0.0101)  # printed from rounded temperatures
+    assert five_digits(air.speed_of_sound) == pytest.approx(
+        sound, abs=0.0101
+    )  # printed from rounded temperatures
     assert standard_density(altitude) == air.density
 
 
@@ -38,7 +40,9 @@ def test_air_carries_its_own_weight():
     """Dp/dh = -rho g everywhere, and p = rho R T."""
     h = np.setdiff1d(np.arange(-4990.0, 31990.0, 370.0), EDGES)
     high, low, air = (standard_atmosphere(h + step) for step in (1.0, -1.0, 0.0))
-    np.testing.assert_allclose((high.pressure - low.pressure) / 2, -air.density * 9.80665, rtol=1e-8)
+    np.testing.assert_allclose(
+        (high.pressure - low.pressure) / 2, -air.density * 9.80665, rtol=1e-8
+    )
     np.testing.assert_allclose(air.pressure, air.density * 287.05287 * air.temperature, rtol=1e-14)
 
 

@@ -1,8 +1,9 @@
 """Check cases of the equations of motion: flights whose course is known without this package.
 
-The ideas and the bodies are those of Jackson et al., Check-cases for verification of 6-degree-of-freedom flight vehicle
-simulations (NASA/TM-2015-218675), brought to a flat Earth where the answer is a formula, or an independent integrator's
-at tight tolerances. Each class says what it verifies.
+The ideas and the bodies are those of Jackson et al., Check-cases for verification of
+6-degree-of-freedom flight vehicle simulations (NASA/TM-2015-218675), brought to a flat Earth where
+the answer is a formula, or an independent integrator's at tight tolerances. Each class says what it
+verifies.
 """
 
 import numpy as np
@@ -30,7 +31,9 @@ SKEW = [[2.6e-3, -3e-4, 5e-4], [-3e-4, 8.4e-3, 4e-4], [5e-4, 4e-4, 9.7e-3]]
 
 
 def body(inertia=BRICK, mass=2.267, wing_area=0.0206, span=0.1016, chord=0.2032):
-    return Aircraft(name="body", mass=mass, inertia=inertia, wing_area=wing_area, span=span, chord=chord)
+    return Aircraft(
+        name="body", mass=mass, inertia=inertia, wing_area=wing_area, span=span, chord=chord
+    )
 
 
 def state_of(position=NOTHING, velocity=NOTHING, angles=NOTHING, rates=NOTHING):
@@ -40,7 +43,11 @@ def state_of(position=NOTHING, velocity=NOTHING, angles=NOTHING, rates=NOTHING):
 
 
 def flown(start, aircraft, times, loads=lambda t, state: (NOTHING, NOTHING), gravity=G):
-    return rk4(lambda t, state: rigid_body_derivative(state, *loads(t, state), aircraft, gravity), start, times)
+    return rk4(
+        lambda t, state: rigid_body_derivative(state, *loads(t, state), aircraft, gravity),
+        start,
+        times,
+    )
 
 
 def angular_momentum(states, aircraft):
@@ -64,14 +71,19 @@ def tumbling(request):
 
 class TestTumblingBrickWithoutDamping:
     """NASA's case 2. Verifies: Euler's equations and the attitude equation together, rotation without translation's
-    help; conservation laws; the closed solution of a spinning top; the instability of the intermediate axis."""
+    help; conservation laws; the closed solution of a spinning top; the instability of the
+    intermediate axis."""
 
     def test_energy_and_angular_momentum_are_kept(self, tumbling):
         states, aircraft = tumbling
-        assert np.ptp(states[:, 10:], axis=0).min() > 0.1, "the body must tumble for this to prove anything"
+        assert np.ptp(states[:, 10:], axis=0).min() > 0.1, (
+            "the body must tumble for this to prove anything"
+        )
         energy, momentum = spin_energy(states, aircraft), angular_momentum(states, aircraft)
         np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
-        assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(momentum[0])
+        assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(
+            momentum[0]
+        )
 
     def test_attitude_is_that_which_the_rates_integrate_to(self, tumbling):
         """R_dot = R [omega x], integrated as nine numbers by an independent method."""
@@ -84,14 +96,22 @@ class TestTumblingBrickWithoutDamping:
             return np.append(turning, inverse @ -np.cross(omega, aircraft.inertia @ omega))
 
         start = np.append(quaternion_to_matrix(states[0, 6:10]), states[0, 10:])
-        found = solve_ivp(rate, (0, 30), start, method="DOP853", rtol=1e-12, atol=1e-12, t_eval=[7.0, 30.0]).y.T
+        found = solve_ivp(
+            rate, (0, 30), start, method="DOP853", rtol=1e-12, atol=1e-12, t_eval=[7.0, 30.0]
+        ).y.T
         at = [1400, -1]
-        np.testing.assert_allclose(quaternion_to_matrix(states[at, 6:10]), found[:, :9].reshape(-1, 3, 3), atol=1e-8)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(states[at, 6:10]), found[:, :9].reshape(-1, 3, 3), atol=1e-8
+        )
         np.testing.assert_allclose(states[at, 10:], found[:, 9:], atol=1e-8)
 
     def test_a_symmetric_top_precesses_at_its_closed_rate(self):
         """p + i q turns at (Izz - Ixx) / Ixx r while r stays (Goldstein, Poole & Safko 2002, section 5.6)."""
-        top, rates, times = body(np.diag([0.5, 0.5, 0.8])), np.array([0.6, -0.2, 1.5]), HALF_A_MINUTE[:2001]
+        top, rates, times = (
+            body(np.diag([0.5, 0.5, 0.8])),
+            np.array([0.6, -0.2, 1.5]),
+            HALF_A_MINUTE[:2001],
+        )
         states = flown(state_of(rates=rates), top, times, gravity=0.0)
         expected = (rates[0] + 1j * rates[1]) * np.exp(1j * (0.8 - 0.5) / 0.5 * rates[2] * times)
         np.testing.assert_allclose(states[:, 10] + 1j * states[:, 11], expected, atol=1e-9)
@@ -129,13 +149,19 @@ class TestTumblingBrickWithDamping:
         times = np.linspace(0, 20, 4001)
         start = state_of(velocity=[self.SPEED, 0.0, 0.0], angles=(0.2, 0.1, -0.5), rates=rates)
         states = flown(start, aircraft, times, self.loads(aircraft), gravity=0.0)
-        scale = 0.5 * self.DENSITY * self.SPEED * aircraft.wing_area * aircraft.moment_lengths**2 / 2.0
+        scale = (
+            0.5 * self.DENSITY * self.SPEED * aircraft.wing_area * aircraft.moment_lengths**2 / 2.0
+        )
 
         def rate(t, omega):
             moment = scale * self.DAMPING * omega
-            return np.linalg.solve(aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega))
+            return np.linalg.solve(
+                aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega)
+            )
 
-        found = solve_ivp(rate, (0, 20), rates, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times[::400])
+        found = solve_ivp(
+            rate, (0, 20), rates, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times[::400]
+        )
         np.testing.assert_allclose(states[::400, 10:], found.y.T, atol=1e-7)
         assert (np.diff(spin_energy(states, aircraft)) < 0).all()
         assert spin_energy(states, aircraft)[-1] < 0.2 * spin_energy(states, aircraft)[0]
@@ -160,10 +186,14 @@ def steady_air(altitude):
 
 
 class TestFallingSphere:
-    """NASA's cases 1, 6 and 7. Verifies: gravity; drag and dynamic pressure; density that changes on the way; wind, and
+    """NASA's cases 1, 6 and 7.
+
+    Verifies: gravity; drag and dynamic pressure; density that changes on the way; wind, and
     that only the motion relative to the air has drag, only that relative to the ground inertia."""
 
-    SPHERE = Aircraft(name="sphere", mass=14.6, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152)
+    SPHERE = Aircraft(
+        name="sphere", mass=14.6, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152
+    )
     ANGLES, SPIN = (0.3, -0.2, 1.0), np.array([0.5, -0.4, 0.3])
 
     def test_without_air_it_flies_a_parabola_exactly(self):
@@ -183,7 +213,9 @@ class TestFallingSphere:
         states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, steady_air))
         terminal = np.sqrt(2 * self.SPHERE.mass * G / (density * self.SPHERE.wing_area * 0.1))
         falling = body_to_ned(states[:, 6:10], states[:, 3:6])
-        np.testing.assert_allclose(falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(
+            falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9
+        )
         np.testing.assert_allclose(falling[:, :2], 0.0, atol=1e-5)
         fallen = terminal**2 / G * np.log(np.cosh(G * times / terminal))
         np.testing.assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
@@ -198,19 +230,45 @@ class TestFallingSphere:
         def rate(t, y):
             return [y[1], G - factor * standard_density(-y[0]) * y[1] ** 2]
 
-        found = solve_ivp(rate, (0, 75), [-30000.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-8, t_eval=times[::250])
+        found = solve_ivp(
+            rate,
+            (0, 75),
+            [-30000.0, 0.0],
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-8,
+            t_eval=times[::250],
+        )
         assert -10000.0 < found.y[0, -1] < 0.0
         np.testing.assert_allclose(states[::250, 2], found.y[0], atol=1e-3)
-        np.testing.assert_allclose(body_to_ned(states[::250, 6:10], states[::250, 3:6])[:, 2], found.y[1], rtol=1e-6)
+        np.testing.assert_allclose(
+            body_to_ned(states[::250, 6:10], states[::250, 3:6])[:, 2], found.y[1], rtol=1e-6
+        )
 
     def test_a_steady_wind_is_a_moving_frame(self):
         """Galileo: in wind W it flies as without wind from a velocity less W, and drifts with W t besides."""
-        wind, velocity, times = np.array([12.0, -7.0, 1.5]), np.array([40.0, 10.0, -30.0]), np.linspace(0, 30, 1501)
+        wind, velocity, times = (
+            np.array([12.0, -7.0, 1.5]),
+            np.array([40.0, 10.0, -30.0]),
+            np.linspace(0, 30, 1501),
+        )
         at = {"position": [0.0, 0.0, -9000.0], "angles": self.ANGLES, "rates": self.SPIN}
-        windy = flown(state_of(velocity=velocity, **at), self.SPHERE, times, drag_of(self.SPHERE, steady_air, wind))
-        calm = flown(state_of(velocity=velocity - wind, **at), self.SPHERE, times, drag_of(self.SPHERE, steady_air))
+        windy = flown(
+            state_of(velocity=velocity, **at),
+            self.SPHERE,
+            times,
+            drag_of(self.SPHERE, steady_air, wind),
+        )
+        calm = flown(
+            state_of(velocity=velocity - wind, **at),
+            self.SPHERE,
+            times,
+            drag_of(self.SPHERE, steady_air),
+        )
         np.testing.assert_allclose(windy[:, :3], calm[:, :3] + np.outer(times, wind), atol=1e-6)
-        difference = body_to_ned(windy[:, 6:10], windy[:, 3:6]) - body_to_ned(calm[:, 6:10], calm[:, 3:6])
+        difference = body_to_ned(windy[:, 6:10], windy[:, 3:6]) - body_to_ned(
+            calm[:, 6:10], calm[:, 3:6]
+        )
         np.testing.assert_allclose(difference, np.broadcast_to(wind, difference.shape), atol=1e-7)
 
 
@@ -225,16 +283,24 @@ class TestSteadyTurn:
         rates = turning * np.array([0.0, np.sin(phi), np.cos(phi)])
         lift = np.array([0.0, 0.0, -aircraft.mass * G / np.cos(phi)])
         holding = np.cross(rates, aircraft.inertia @ rates)
-        start = state_of(position=[0.0, 0.0, -500.0], velocity=[V, 0.0, 0.0], angles=(phi, 0.0, 0.0), rates=rates)
+        start = state_of(
+            position=[0.0, 0.0, -500.0], velocity=[V, 0.0, 0.0], angles=(phi, 0.0, 0.0), rates=rates
+        )
         times = np.linspace(0, 2 * np.pi / turning, 2001)
         states = flown(start, aircraft, times, lambda t, state: (lift, holding))
         np.testing.assert_allclose(states[-1, :3], start[:3], atol=1e-6)
         radius = V**2 / (G * np.tan(phi))
         centre = np.array([0.0, radius, -500.0])
-        np.testing.assert_allclose(np.linalg.norm(states[:, :3] - centre, axis=1), radius, rtol=1e-8)
-        np.testing.assert_allclose(states[:, 3:6], np.broadcast_to([V, 0.0, 0.0], (len(times), 3)), atol=1e-7)
+        np.testing.assert_allclose(
+            np.linalg.norm(states[:, :3] - centre, axis=1), radius, rtol=1e-8
+        )
+        np.testing.assert_allclose(
+            states[:, 3:6], np.broadcast_to([V, 0.0, 0.0], (len(times), 3)), atol=1e-7
+        )
         angles = quaternion_to_euler(states[:, 6:10])
-        np.testing.assert_allclose(angles[:, :2], np.broadcast_to([phi, 0.0], (len(times), 2)), atol=1e-9)
+        np.testing.assert_allclose(
+            angles[:, :2], np.broadcast_to([phi, 0.0], (len(times), 2)), atol=1e-9
+        )
         np.testing.assert_allclose(np.unwrap(angles[:, 2]), turning * times, atol=1e-8)
         specific = np.linalg.norm(lift) / (aircraft.mass * G)
         assert specific == pytest.approx(1.0 / np.cos(phi))
@@ -248,20 +314,36 @@ class TestLoop:
         V, q, aircraft = 30.0, 0.8, body()
         times = np.linspace(0, 2 * np.pi / q, 1001)
         loads = (np.array([0.0, 0.0, -aircraft.mass * V * q]), NOTHING)
-        start = state_of(velocity=[V * np.cos(0.7), V * np.sin(0.7), 0.0], angles=(0.0, 0.0, 0.7), rates=[0.0, q, 0.0])
+        start = state_of(
+            velocity=[V * np.cos(0.7), V * np.sin(0.7), 0.0],
+            angles=(0.0, 0.0, 0.7),
+            rates=[0.0, q, 0.0],
+        )
         states = flown(start, aircraft, times, lambda t, state: loads, gravity=0.0)
         np.testing.assert_allclose(states[-1, :6], start[:6], atol=1e-7)
-        np.testing.assert_allclose(-states[-1, 6:10], start[6:10], atol=1e-9)  # a full turn is minus the quaternion
+        np.testing.assert_allclose(
+            -states[-1, 6:10], start[6:10], atol=1e-9
+        )  # a full turn is minus the quaternion
         rotation = quaternion_to_matrix(states[:, 6:10])
         np.testing.assert_allclose(
-            rotation @ rotation.swapaxes(1, 2), np.broadcast_to(np.eye(3), rotation.shape), atol=1e-14
+            rotation @ rotation.swapaxes(1, 2),
+            np.broadcast_to(np.eye(3), rotation.shape),
+            atol=1e-14,
         )
         np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
         np.testing.assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
-        assert np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max() == pytest.approx(np.pi / 2, abs=4e-3)
+        assert np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max() == pytest.approx(
+            np.pi / 2, abs=4e-3
+        )
 
 
-GLIDER = body([[1.1, -0.12, 0.21], [-0.12, 2.3, 0.09], [0.21, 0.09, 2.9]], 11.0, wing_area=1.3, span=2.6, chord=0.55)
+GLIDER = body(
+    [[1.1, -0.12, 0.21], [-0.12, 2.3, 0.09], [0.21, 0.09, 2.9]],
+    11.0,
+    wing_area=1.3,
+    span=2.6,
+    chord=0.55,
+)
 
 
 class TestWholeProblem:
@@ -284,7 +366,10 @@ class TestWholeProblem:
                 0.06 * beta - 0.03 * p - 0.15 * r,
             ]  # fmt: skip
             return aerodynamic_loads(
-                np.stack(coefficients, axis=-1), airspeed, standard_density(-state[..., 2]), aircraft
+                np.stack(coefficients, axis=-1),
+                airspeed,
+                standard_density(-state[..., 2]),
+                aircraft,
             )
 
         return flown(start, aircraft, times, loads)
@@ -296,7 +381,8 @@ class TestWholeProblem:
     def test_rk4_is_of_fourth_order_on_all_thirteen_states(self):
         steps = 40 * 2 ** np.arange(4)
         *ends, exact = (
-            self.flight(self.start(2.0), np.linspace(0, 2, n + 1), self.WIND)[-1] for n in (*steps, 8 * steps[-1])
+            self.flight(self.start(2.0), np.linspace(0, 2, n + 1), self.WIND)[-1]
+            for n in (*steps, 8 * steps[-1])
         )
         errors = np.abs(ends - exact)
         assert (errors[-1] > 1e-12).all(), "every state must err for this to prove anything"
@@ -305,7 +391,9 @@ class TestWholeProblem:
 
     def test_turning_all_that_has_a_heading_turns_the_flight(self):
         turn, times = 1.3, np.linspace(0, 6, 601)
-        about_down = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+        about_down = np.array(
+            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+        )
         here = self.flight(self.start(2.0), times, self.WIND)
         start = self.start(2.0 + turn)
         start[:3] = about_down @ here[0, :3]
@@ -314,5 +402,7 @@ class TestWholeProblem:
         np.testing.assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
         np.testing.assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
         np.testing.assert_allclose(
-            quaternion_to_matrix(there[:, 6:10]), about_down @ quaternion_to_matrix(here[:, 6:10]), atol=1e-10
+            quaternion_to_matrix(there[:, 6:10]),
+            about_down @ quaternion_to_matrix(here[:, 6:10]),
+            atol=1e-10,
         )

@@ -67,9 +67,9 @@ def test_by_whatever_rates_the_model_was_given(state):
     plain = Aerodynamics(dimensional, REGRESSORS)
     others = Aerodynamics(doubled, NAMES, span=2 * BRUMBY.span, chord=2 * BRUMBY.chord)
     for model in (plain, others):
-        assert stability_derivatives(model, BRUMBY, state, CONTROLS)["value"].to_numpy() == pytest.approx(
-            usual.to_numpy(), rel=1e-6, abs=1e-8
-        )
+        assert stability_derivatives(model, BRUMBY, state, CONTROLS)[
+            "value"
+        ].to_numpy() == pytest.approx(usual.to_numpy(), rel=1e-6, abs=1e-8)
 
 
 def test_lift_and_drag_turn_with_alpha(state, regressors):
@@ -77,7 +77,9 @@ def test_lift_and_drag_turn_with_alpha(state, regressors):
         X = regressors.copy()
         X[0] = alpha
         CX, _, CZ, *_ = brumby_coefficients(X)
-        return np.array([CX * np.sin(alpha) - CZ * np.cos(alpha), -CX * np.cos(alpha) - CZ * np.sin(alpha)])
+        return np.array(
+            [CX * np.sin(alpha) - CZ * np.cos(alpha), -CX * np.cos(alpha) - CZ * np.sin(alpha)]
+        )
 
     for axes in ("body", "stability"):
         table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes=axes)["value"]
@@ -99,8 +101,12 @@ def test_moments_and_rates_of_stability_axes(state, regressors):
     table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="stability")["value"]
     h = 1e-5
     assert table[["Cl", "Cn"]].tolist() == pytest.approx(moments(0, 0))
-    assert table[["Cl_p", "Cn_p"]].tolist() == pytest.approx((moments(h, 0) - moments(-h, 0)) / (2 * h))
-    assert table[["Cl_r", "Cn_r"]].tolist() == pytest.approx((moments(0, h) - moments(0, -h)) / (2 * h))
+    assert table[["Cl_p", "Cn_p"]].tolist() == pytest.approx(
+        (moments(h, 0) - moments(-h, 0)) / (2 * h)
+    )
+    assert table[["Cl_r", "Cn_r"]].tolist() == pytest.approx(
+        (moments(0, h) - moments(0, -h)) / (2 * h)
+    )
 
 
 class TestDeviations:
@@ -114,27 +120,37 @@ class TestDeviations:
             error = np.random.default_rng(random_state).normal(size=(n_paths, 1, 1))
             draws = slopes + error * np.outer([np.cos(0.1), 0, np.sin(0.1), 0, 0, 0], [0, 1]) * 0.2
             draws = draws + error * np.outer([np.sin(0.1), 0, -np.cos(0.1), 0, 0, 0], [1, 0]) * 0.3
-            return lambda X: X @ draws.swapaxes(1, 2), lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
+            return lambda X: X @ draws.swapaxes(1, 2), lambda X: np.repeat(
+                draws[:, None], X.shape[1], axis=1
+            )
 
         return Aerodynamics(lambda X: X @ slopes.T, ["alpha", "elevator"], sampler=sampler)
 
     def test_of_sums_know_that_their_parts_err_together(self, uncertain, state):
         table = stability_derivatives(uncertain, BRUMBY, state, CONTROLS, n_paths=400)
         size = np.random.default_rng(0).normal(size=400).std(ddof=1)
-        drag = -0.2 * CONTROLS["elevator"]  # of which CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD knows
+        drag = (
+            -0.2 * CONTROLS["elevator"]
+        )  # of which CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD knows
         assert table.loc["CL_alpha", "std"] == pytest.approx((0.3 - drag) * size)
         assert table.loc["CD_elevator", "std"] == pytest.approx(0.2 * size)
         assert table.loc["CL_elevator", "std"] == pytest.approx(0.0, abs=1e-12)
         assert table.loc["CD", "std"] == pytest.approx(0.2 * size * abs(CONTROLS["elevator"]))
         reach = 1.96 * table.loc["CL_alpha", "std"]
-        assert table.loc["CL_alpha", "upper"] - table.loc["CL_alpha", "value"] == pytest.approx(reach, rel=1e-4)
-        assert table.loc["CL_alpha", "value"] - table.loc["CL_alpha", "lower"] == pytest.approx(reach, rel=1e-4)
+        assert table.loc["CL_alpha", "upper"] - table.loc["CL_alpha", "value"] == pytest.approx(
+            reach, rel=1e-4
+        )
+        assert table.loc["CL_alpha", "value"] - table.loc["CL_alpha", "lower"] == pytest.approx(
+            reach, rel=1e-4
+        )
 
     def test_are_those_of_the_learned_slopes(self, state):
         """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
         rng = np.random.default_rng(0)
         X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
-        slopes = np.array([[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]])
+        slopes = np.array(
+            [[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]]
+        )
         Y = X.to_numpy() @ slopes + np.array([2.0, 0, 8, 0, 3, 0]) * X[["alpha"]].to_numpy() ** 2
         Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
         model = DependentGPRegressor(n_latent=1, max_iter=15, random_state=0).fit(X, Y)
@@ -155,7 +171,9 @@ class TestDeviations:
         lost = linearize(model, BRUMBY, state, CONTROLS, n_paths=100).std.A.loc["q", "q"]
         plain = as_aerodynamics(model)
         plain.slope_errors = None
-        assert lost > 1.2 * linearize(plain, BRUMBY, state, CONTROLS, n_paths=100).std.A.loc["q", "q"]
+        assert (
+            lost > 1.2 * linearize(plain, BRUMBY, state, CONTROLS, n_paths=100).std.A.loc["q", "q"]
+        )
 
 
 class TestSweep:
@@ -165,7 +183,9 @@ class TestSweep:
         assert sweep.index.names == ["point", None]
         for k, one in enumerate(trims):
             alone = stability_derivatives(MODEL, BRUMBY, one)
-            assert sweep.loc[k, "value"].to_numpy() == pytest.approx(alone["value"].to_numpy(), rel=1e-6)
+            assert sweep.loc[k, "value"].to_numpy() == pytest.approx(
+                alone["value"].to_numpy(), rel=1e-6
+            )
             assert sweep.loc[k, "airspeed"].iloc[0] == pytest.approx(one.airspeed)
             assert sweep.loc[k, "alpha"].iloc[0] == pytest.approx(one.alpha)
 
@@ -175,7 +195,9 @@ class TestSweep:
         states[:, 3:6] = air_velocity(36.0, alphas, 0.0)
         sweep = stability_derivatives(MODEL, BRUMBY, states, CONTROLS | {"elevator": [-0.02, 0.02]})
         alone = stability_derivatives(MODEL, BRUMBY, states[1], CONTROLS | {"elevator": 0.02})
-        assert sweep.loc[1, "value"].to_numpy() == pytest.approx(alone["value"].to_numpy(), rel=1e-6)
+        assert sweep.loc[1, "value"].to_numpy() == pytest.approx(
+            alone["value"].to_numpy(), rel=1e-6
+        )
 
 
 class TestBadInput:

@@ -3,16 +3,25 @@
 import numpy as np
 import pytest
 
-from skdgp._mechanics.error_covariance import STATES, error_covariances, standard_deviations, state_deviations
+from skdgp._mechanics.error_covariance import (
+    STATES,
+    error_covariances,
+    standard_deviations,
+    state_deviations,
+)
 from skdgp.dynamics import euler_to_quaternion
 
-STATE = np.r_[10.0, -20.0, -300.0, 25.0, -1.0, 2.0, euler_to_quaternion(0.5, 0.2, 2.0), 0.3, 0.1, -0.2]
+STATE = np.r_[
+    10.0, -20.0, -300.0, 25.0, -1.0, 2.0, euler_to_quaternion(0.5, 0.2, 2.0), 0.3, 0.1, -0.2
+]
 
 
 def integrated(correlation_time, n=400, step=0.01):
     """Deviation of the integral of a unit error, at every sample."""
     sample = np.zeros((12, 12)), np.eye(12)[:, 3:4]
-    covariances = error_covariances([sample] * n, [step] * (n - 1), np.zeros((12, 0)), correlation_time)
+    covariances = error_covariances(
+        [sample] * n, [step] * (n - 1), np.zeros((12, 0)), correlation_time
+    )
     return np.sqrt([covariance[3, 3] for covariance in covariances]), step * np.arange(n)
 
 
@@ -49,4 +58,6 @@ def test_the_deviation_of_a_start_is_read_out_as_it_was_given(name):
 
 
 def test_a_variance_that_rounding_carried_below_zero_is_none():
-    np.testing.assert_array_equal(standard_deviations(np.diag([-1e-22, 4.0]), np.eye(2)), [0.0, 2.0])
+    np.testing.assert_array_equal(
+        standard_deviations(np.diag([-1e-22, 4.0]), np.eye(2)), [0.0, 2.0]
+    )

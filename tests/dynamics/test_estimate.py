@@ -20,10 +20,17 @@ from skdgp.dynamics import (
     trim,
 )
 
-# Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read again.
+# Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
+# again.
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
     "Aerosonde, Beard & McLain 2012, table E.2": (13.5, 2.8956, 0.55, 1.7, (0.8244, 1.135, 1.759)),
-    "Ultra Stick 25e, University of Minnesota": (1.959, 1.27, 0.3097, 1.05, (0.07151, 0.08636, 0.15364)),
+    "Ultra Stick 25e, University of Minnesota": (
+        1.959,
+        1.27,
+        0.3097,
+        1.05,
+        (0.07151, 0.08636, 0.15364),
+    ),
     "FASER, Ultra Stick 120, NASA": (10.0, 1.93, 0.736, 1.7, (0.672, 0.889, 1.578)),
     "Skyhunter, ROSflight": (2.28, 1.795, 0.4296, 1.4, (0.141, 0.208, 0.293)),
     "Cessna 172R": (1111.0, 11.0, 16.2, 8.28, (1285.0, 1824.0, 2666.0)),
@@ -40,7 +47,10 @@ PRODUCTS = {  # Ixz / sqrt(Ixx Izz)
     "Ultra Stick 25e": 0.014 / np.sqrt(0.07151 * 0.15364),
     "Zagi": 0.0015 / np.sqrt(0.1147 * 0.1712),
     "Cessna 172": 0.0,
-    **{name: product / np.sqrt(moments[0] * moments[2]) for name, (*_, moments, product) in DELTAS.items()},
+    **{
+        name: product / np.sqrt(moments[0] * moments[2])
+        for name, (*_, moments, product) in DELTAS.items()
+    },
 }
 PLANFORMS = {  # of deltas: span, wing area, length
     "F-102": (11.61, 61.5, 20.82), "F-106": (11.67, 64.8, 21.55), "Mirage III": (8.22, 34.85, 15.03),
@@ -64,7 +74,10 @@ class TestPublishedAircraft:
     def test_sizes_from_the_span_alone(self):
         for mass, span, area, length, _ in PUBLISHED.values():
             aircraft = Aircraft.estimate(mass, span)
-            assert abs(np.log(area / aircraft.wing_area)) < 2.2 * aircraft.deviations["aspect ratio"].std
+            assert (
+                abs(np.log(area / aircraft.wing_area))
+                < 2.2 * aircraft.deviations["aspect ratio"].std
+            )
             assert abs(np.log(length / (0.77 * span))) < 2 * aircraft.deviations["length"].std
 
     def test_flying_wing(self):
@@ -76,7 +89,9 @@ class TestPublishedAircraft:
         for mass, span, length, moments, _ in DELTAS.values():
             aircraft = Aircraft.estimate(mass, span, kind="delta", length=length)
             stds = [aircraft.deviations[f"{axis} inertia"].std for axis in ("roll", "pitch", "yaw")]
-            assert (np.abs(np.log(moments / aircraft.inertia.diagonal())) < 2 * np.array(stds)).all()
+            assert (
+                np.abs(np.log(moments / aircraft.inertia.diagonal())) < 2 * np.array(stds)
+            ).all()
         sizes = {"aspect_ratio": [b**2 / S for b, S, _ in PLANFORMS.values()]}
         sizes["length"] = [length / b for b, _, length in PLANFORMS.values()]
         for rule, published in sizes.items():
@@ -85,7 +100,9 @@ class TestPublishedAircraft:
             assert std / 1.5 < np.std(np.log(published)) < std
 
     def test_products_of_inertia(self):
-        assert np.sqrt(np.mean(np.square(list(PRODUCTS.values())))) == pytest.approx(PRODUCT_STD, abs=0.005)
+        assert np.sqrt(np.mean(np.square(list(PRODUCTS.values())))) == pytest.approx(
+            PRODUCT_STD, abs=0.005
+        )
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_every_kind_is_a_body(self, kind):
@@ -96,8 +113,12 @@ class TestPublishedAircraft:
 class TestSharing:
     """Factors carry the powers with which quantities follow a told one: the same as of a second estimate."""
 
-    @pytest.mark.parametrize("told", [{}, {"chord": 0.2}, {"wing_area": 0.4}, {"aspect_ratio": 9.0}, {"length": 1.1}])
-    @pytest.mark.parametrize("name", ["mass", "span", "chord", "wing_area", "aspect_ratio", "length"])
+    @pytest.mark.parametrize(
+        "told", [{}, {"chord": 0.2}, {"wing_area": 0.4}, {"aspect_ratio": 9.0}, {"length": 1.1}]
+    )
+    @pytest.mark.parametrize(
+        "name", ["mass", "span", "chord", "wing_area", "aspect_ratio", "length"]
+    )
     def test_powers_are_derivatives(self, told, name):
         sizes = {"mass": 3.0, "span": 1.8} | told
         if name not in sizes:
@@ -123,15 +144,30 @@ class TestFiles:
         assert again.deviations == aircraft.deviations
 
     def test_a_file_with_a_kind_is_an_estimate(self, tmp_path):
-        (tmp_path / "a.toml").write_text('kind = "twin"\nmass = [3.2, 0.05]\nspan = 1.6\nname = "mine"\n')
-        assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.estimate((3.2, 0.05), 1.6, kind="twin", name="mine")
+        (tmp_path / "a.toml").write_text(
+            'kind = "twin"\nmass = [3.2, 0.05]\nspan = 1.6\nname = "mine"\n'
+        )
+        assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.estimate(
+            (3.2, 0.05), 1.6, kind="twin", name="mine"
+        )
 
     def test_pairs_in_a_file_of_everything(self):
         diagonal = np.diag([0.1, 0.15, 0.2]).tolist()
-        values = {"mass": [3.2, 0.05], "inertia": [diagonal, [0.01, 0.015, 0.04]], "wing_area": 0.4, "span": 1.6}
+        values = {
+            "mass": [3.2, 0.05],
+            "inertia": [diagonal, [0.01, 0.015, 0.04]],
+            "wing_area": 0.4,
+            "span": 1.6,
+        }
         aircraft = Aircraft.from_dict(json.loads(json.dumps(values | {"chord": [0.25, 0.01]})))
         found = {cause: round(each.std, 4) for cause, each in aircraft.deviations.items()}
-        expected = {"mass": 0.0156, "chord": 0.04, "roll inertia": 0.1, "pitch inertia": 0.1, "yaw inertia": 0.2}
+        expected = {
+            "mass": 0.0156,
+            "chord": 0.04,
+            "roll inertia": 0.1,
+            "pitch inertia": 0.1,
+            "yaw inertia": 0.2,
+        }
         assert found == expected
         assert aircraft.mass == pytest.approx(3.2)
 
@@ -140,9 +176,18 @@ class TestFiles:
         [
             ({"kind": "blimp", "mass": 1.0, "span": 1.0}, "kind='blimp'.*conventional"),
             ({"kind": "twin", "mass": 1.0}, r"lacks \['span'\]"),
-            ({"kind": "twin", "mass": 1.0, "span": 1.0, "cord": 0.2}, "unknown key 'cord'.*did you mean 'chord'"),
-            ({"kind": "twin", "mass": 1.0, "span": 1.0, "wing_area": 0.2, "aspect_ratio": 5.0}, "one of them"),
-            ({"kind": "twin", "mass": [1.0, -0.1], "span": 1.0}, "a pair of it and its standard deviation"),
+            (
+                {"kind": "twin", "mass": 1.0, "span": 1.0, "cord": 0.2},
+                "unknown key 'cord'.*did you mean 'chord'",
+            ),
+            (
+                {"kind": "twin", "mass": 1.0, "span": 1.0, "wing_area": 0.2, "aspect_ratio": 5.0},
+                "one of them",
+            ),
+            (
+                {"kind": "twin", "mass": [1.0, -0.1], "span": 1.0},
+                "a pair of it and its standard deviation",
+            ),
             ({"mass": 1.0, "span": 1.0}, "kind = one of .* to estimate them"),
         ],
     )
@@ -154,7 +199,16 @@ class TestFiles:
 class TestWhatErrorsDo:
     """The same log with the sizes of another aircraft: its forces and accelerations are what they are."""
 
-    STATE = np.r_[0.0, 0.0, -200.0, air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0), 0.2, 0.1, 0.15]
+    STATE = np.r_[
+        0.0,
+        0.0,
+        -200.0,
+        air_velocity(36.0, 0.1, 0.04),
+        euler_to_quaternion(0.4, 0.15, 1.0),
+        0.2,
+        0.1,
+        0.15,
+    ]
     CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04}
 
     def learned(self, aircraft):
@@ -163,23 +217,47 @@ class TestWhatErrorsDo:
         moments = aircraft.inertia / BRUMBY.inertia.diagonal() * BRUMBY.moment_lengths
         moments = moments / aircraft.moment_lengths[:, None]
         scale = scipy.linalg.block_diag(force, moments) * BRUMBY.wing_area / aircraft.wing_area
-        lengths = [getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0 for name in REGRESSORS]
-        return Aerodynamics(lambda X: brumby_coefficients(X * np.array(lengths) / (2 * 36.0)) @ scale.T, REGRESSORS)
+        lengths = [
+            getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0
+            for name in REGRESSORS
+        ]
+        return Aerodynamics(
+            lambda X: brumby_coefficients(X * np.array(lengths) / (2 * 36.0)) @ scale.T, REGRESSORS
+        )
 
     @pytest.mark.parametrize(
-        "cause", ["mass", "span", "aspect ratio", "length", "roll inertia", "yaw inertia", "product of inertia"]
+        "cause",
+        [
+            "mass",
+            "span",
+            "aspect ratio",
+            "length",
+            "roll inertia",
+            "yaw inertia",
+            "product of inertia",
+        ],
     )
     def test_relative_errors_are_those_of_a_second_identification(self, cause):
         factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
         sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
         diagonal = np.diag(BRUMBY.inertia.diagonal())
         known = Aircraft.from_dict(sizes | {"inertia": diagonal})
-        grown = {name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0) for name in QUANTITIES}
+        grown = {
+            name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0)
+            for name in QUANTITIES
+        }
         moments = np.array([1.00001 ** factor.powers.get(name, 0.0) for name in MOMENTS])
         inertia = diagonal * moments
-        inertia[[0, 2], [2, 0]] = -1e-5 * factor.powers.get("Ixz", 0.0) * np.sqrt(inertia[0, 0] * inertia[2, 2])
+        inertia[[0, 2], [2, 0]] = (
+            -1e-5 * factor.powers.get("Ixz", 0.0) * np.sqrt(inertia[0, 0] * inertia[2, 2])
+        )
         other = Aircraft.from_dict(sizes | grown | {"inertia": inertia})
-        at = {"point": self.STATE, "controls": self.CONTROLS, "thrust": None, "air": Air(density=1.1)}
+        at = {
+            "point": self.STATE,
+            "controls": self.CONTROLS,
+            "thrust": None,
+            "air": Air(density=1.1),
+        }
         table = stability_derivatives(self.learned(known), known, **at)
         change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]
         np.testing.assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
@@ -187,7 +265,9 @@ class TestWhatErrorsDo:
 
     def test_trim_and_modes_do_not_depend_on_the_sizes(self):
         """With a diagonal inertia, so that its moments can be scaled one by one without products between them."""
-        known = Aircraft.from_dict(BRUMBY.to_dict() | {"inertia": np.diag(BRUMBY.inertia.diagonal())})
+        known = Aircraft.from_dict(
+            BRUMBY.to_dict() | {"inertia": np.diag(BRUMBY.inertia.diagonal())}
+        )
         wrong = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
         wrong = Aircraft.from_dict(known.to_dict() | wrong | {"inertia": 1.3 * known.inertia})
         found = []
@@ -195,5 +275,7 @@ class TestWhatErrorsDo:
             model = self.learned(aircraft)
             point = trim(model, aircraft, 36.0, climb=None, air=Air(density=1.1), thrust=None)
             modes = linearize(model, aircraft, point, air=Air(density=1.1), thrust=None).modes()
-            found.append(np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])])
+            found.append(
+                np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])]
+            )
         np.testing.assert_allclose(found[1], found[0], rtol=1e-5)

@@ -36,9 +36,13 @@ def test_straight_up_is_finite():
 @pytest.mark.parametrize("scale", [1.0, -1.0, 0.4, 7.0])
 def test_length_and_sign_of_a_quaternion_do_not_matter(scale):
     quaternion, vector = euler_to_quaternion(*EULER.T), RNG.normal(size=(50, 3))
-    np.testing.assert_allclose(quaternion_to_matrix(scale * quaternion), quaternion_to_matrix(quaternion), atol=1e-14)
+    np.testing.assert_allclose(
+        quaternion_to_matrix(scale * quaternion), quaternion_to_matrix(quaternion), atol=1e-14
+    )
     np.testing.assert_allclose(quaternion_to_euler(scale * quaternion), EULER, atol=1e-12)
-    np.testing.assert_allclose(body_to_ned(scale * quaternion, vector), body_to_ned(quaternion, vector), atol=1e-14)
+    np.testing.assert_allclose(
+        body_to_ned(scale * quaternion, vector), body_to_ned(quaternion, vector), atol=1e-14
+    )
 
 
 def test_turning_a_vector_is_the_matrix_product_and_its_inverse():
@@ -50,9 +54,13 @@ def test_turning_a_vector_is_the_matrix_product_and_its_inverse():
 
 def test_signs_mean_what_pilots_mean():
     nose, right = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
-    np.testing.assert_allclose(body_to_ned(euler_to_quaternion(0, 0, np.pi / 2), nose), [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        body_to_ned(euler_to_quaternion(0, 0, np.pi / 2), nose), [0, 1, 0], atol=1e-15
+    )
     assert body_to_ned(euler_to_quaternion(0, 0.2, 0.7), nose)[2] < 0, "pitch > 0 raises the nose"
-    assert body_to_ned(euler_to_quaternion(0.2, 0.1, 0.7), right)[2] > 0, "roll > 0 lowers the right wing"
+    assert body_to_ned(euler_to_quaternion(0.2, 0.1, 0.7), right)[2] > 0, (
+        "roll > 0 lowers the right wing"
+    )
 
 
 def test_quaternion_rate_is_the_derivative_of_a_turning_body():
@@ -68,12 +76,16 @@ def test_quaternion_rate_is_the_derivative_of_a_turning_body():
 
 def test_gravity_is_the_down_vector_in_body_axes():
     down = ned_to_body(euler_to_quaternion(*EULER.T), [0.0, 0.0, 9.81])
-    np.testing.assert_allclose(gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13)
+    np.testing.assert_allclose(
+        gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13
+    )
 
 
 def test_air_data_round_trip():
     airspeed, alpha, beta = RNG.uniform([5, -0.5, -0.6], [60, 0.5, 0.6], (40, 3)).T
-    for got, expected in zip(air_data(air_velocity(airspeed, alpha, beta)), (airspeed, alpha, beta), strict=True):
+    for got, expected in zip(
+        air_data(air_velocity(airspeed, alpha, beta)), (airspeed, alpha, beta), strict=True
+    ):
         np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
@@ -89,6 +101,8 @@ def test_slopes_of_air_data_are_its_derivatives():
     slopes = air_data_slopes(velocity)
     for k in range(3):
         h = step * np.eye(3)[k]
-        differences = (np.stack(air_data(velocity + h)) - np.stack(air_data(velocity - h))) / (2 * step)
+        differences = (np.stack(air_data(velocity + h)) - np.stack(air_data(velocity - h))) / (
+            2 * step
+        )
         np.testing.assert_allclose(slopes[..., k], differences.T, atol=1e-8)
     assert np.abs(air_data_slopes([0.0, 0.0, 0.0], least_speed=3.0)).max() <= 1 / 3

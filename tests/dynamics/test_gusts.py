@@ -22,7 +22,11 @@ def transfer(name, omega):
     def across(k):
         return INTENSITY[k] * np.sqrt(T[k]) * (1 + np.sqrt(3) * T[k] * s) / (1 + T[k] * s) ** 2
 
-    roll = INTENSITY[2] * np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2])) * (np.pi * LENGTH[2] / (4 * SPAN)) ** (1 / 6)
+    roll = (
+        INTENSITY[2]
+        * np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2]))
+        * (np.pi * LENGTH[2] / (4 * SPAN)) ** (1 / 6)
+    )
     return {
         "u": along * span_lag(omega, 4),
         "v": across(1) * span_lag(omega, 3),
@@ -51,23 +55,36 @@ def test_linear_system_is_the_standards_forming_filter(name):
 def gusts():
     n = 200
     return dryden_gusts(
-        6000, 0.025, AIRSPEED, np.tile(LENGTH, (n, 1)), np.tile(INTENSITY, (n, 1)), SPAN, np.random.default_rng(5)
+        6000,
+        0.025,
+        AIRSPEED,
+        np.tile(LENGTH, (n, 1)),
+        np.tile(INTENSITY, (n, 1)),
+        SPAN,
+        np.random.default_rng(5),
     )
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_variance_is_the_integral_of_the_spectrum(gusts, name):
-    theory = quad(lambda x: abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi, -12, 12, limit=200)[0]
-    kind, axis = (gusts.velocity, "uvw".index(name)) if name in "uvw" else (gusts.rates, "pqr".index(name))
+    theory = quad(
+        lambda x: abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi, -12, 12, limit=200
+    )[0]
+    kind, axis = (
+        (gusts.velocity, "uvw".index(name)) if name in "uvw" else (gusts.rates, "pqr".index(name))
+    )
     signal = kind[..., axis]
     assert np.mean(signal**2) == pytest.approx(theory, rel=0.08)
-    # Stationary from the first sample on: no warm-up hides in the data. 200 flights: 10 % per standard error.
+    # Stationary from the first sample on: no warm-up hides in the data. 200 flights: 10 % per
+    # standard error.
     assert np.mean(signal[0] ** 2) == pytest.approx(theory, rel=0.4)
 
 
 @pytest.mark.parametrize("name", ["u", "v", "w", "p", "q", "r"])
 def test_spectrum_of_the_samples_is_drydens(gusts, name):
-    kind, axis = (gusts.velocity, "uvw".index(name)) if name in "uvw" else (gusts.rates, "pqr".index(name))
+    kind, axis = (
+        (gusts.velocity, "uvw".index(name)) if name in "uvw" else (gusts.rates, "pqr".index(name))
+    )
     frequency, density = welch(kind[..., axis], fs=40.0, nperseg=2048, axis=0)
     band = (frequency > 0.1) & (frequency < 4.0)
     theory = 2.0 * abs(transfer(name, 2 * np.pi * frequency[band])) ** 2
@@ -77,8 +94,12 @@ def test_spectrum_of_the_samples_is_drydens(gusts, name):
 
 
 def test_rates_are_gradients_of_the_gusts_that_are_felt(gusts):
-    np.testing.assert_allclose(gusts.rates[..., 1], -gusts.acceleration[..., 2] / AIRSPEED, atol=1e-12)
-    np.testing.assert_allclose(gusts.rates[..., 2], gusts.acceleration[..., 1] / AIRSPEED, atol=1e-12)
+    np.testing.assert_allclose(
+        gusts.rates[..., 1], -gusts.acceleration[..., 2] / AIRSPEED, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        gusts.rates[..., 2], gusts.acceleration[..., 1] / AIRSPEED, atol=1e-12
+    )
 
 
 def test_acceleration_is_the_slope_of_velocity():
@@ -106,7 +127,9 @@ def test_calm_air_and_prefixes():
     long = dryden_gusts(400, *arguments, np.random.default_rng(2))
     short = dryden_gusts(100, *arguments, np.random.default_rng(2))
     np.testing.assert_allclose(short.velocity, long.velocity[:100], rtol=1e-9, atol=1e-10)
-    calm = dryden_gusts(50, 0.0125, AIRSPEED, [LENGTH], [0 * INTENSITY], SPAN, np.random.default_rng(2))
+    calm = dryden_gusts(
+        50, 0.0125, AIRSPEED, [LENGTH], [0 * INTENSITY], SPAN, np.random.default_rng(2)
+    )
     assert all((part == 0).all() for part in calm)
 
 
@@ -120,18 +143,36 @@ def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
     mean, heading = np.array([4.0, -2.0, 0.5]), 0.7
     winds = [
         dryden_wind(
-            200.0, 30.0, 40.0, wind_at_6m=8.0, mean_wind=mean, heading=heading, span=0.01, dt=0.05, random_state=k
+            200.0,
+            30.0,
+            40.0,
+            wind_at_6m=8.0,
+            mean_wind=mean,
+            heading=heading,
+            span=0.01,
+            dt=0.05,
+            random_state=k,
         )
         for k in range(12)
     ]
     gusts = np.concatenate([wind.iloc[:, 1:].to_numpy() for wind in winds]) - mean
-    turn = np.array([[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    turn = np.array(
+        [[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
+    )
     along = gusts @ turn.T
     _, intensity = low_altitude_turbulence(40.0, 8.0)
     np.testing.assert_allclose(along.std(axis=0), intensity, rtol=0.15)
     assert abs(np.corrcoef(along.T)[0, 1]) < 0.15
     again = dryden_wind(
-        200.0, 30.0, 40.0, wind_at_6m=8.0, mean_wind=mean, heading=heading, span=0.01, dt=0.05, random_state=3
+        200.0,
+        30.0,
+        40.0,
+        wind_at_6m=8.0,
+        mean_wind=mean,
+        heading=heading,
+        span=0.01,
+        dt=0.05,
+        random_state=3,
     )
     np.testing.assert_allclose(again, winds[3], rtol=1e-9, atol=1e-10)
 

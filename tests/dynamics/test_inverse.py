@@ -23,23 +23,38 @@ def test_simulated_flight_gives_its_coefficients_back(simulated, aircraft, true_
     np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
 
 
-def test_rates_are_differentiated_where_accelerations_are_not_measured(simulated, aircraft, true_coefficients):
+def test_rates_are_differentiated_where_accelerations_are_not_measured(
+    simulated, aircraft, true_coefficients
+):
     got = aerodynamic_coefficients(simulated.drop(columns=DERIVATIVES), aircraft, cutoff=None)
     assert relative(got, true_coefficients).max() < 2e-3
     two_of_three = simulated.drop(columns="q_dot").assign(p_dot=1e3)
-    pd.testing.assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
+    pd.testing.assert_frame_equal(
+        aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got
+    )
 
 
-def test_smoothing_takes_sensor_noise_out_of_every_coefficient(simulated, aircraft, true_coefficients):
+def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
+    simulated, aircraft, true_coefficients
+):
     flight = simulated.drop(columns=DERIVATIVES)
     rng = np.random.default_rng(1)
     noisy = flight.copy()
-    for name, std in {"airspeed": 0.3, "ax": 0.05, "ay": 0.05, "az": 0.05, "p": 0.002, "q": 0.002, "r": 0.002}.items():
+    for name, std in {
+        "airspeed": 0.3,
+        "ax": 0.05,
+        "ay": 0.05,
+        "az": 0.05,
+        "p": 0.002,
+        "q": 0.002,
+        "r": 0.002,
+    }.items():
         noisy[name] += rng.normal(0, std, len(noisy))
     raw = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=None), true_coefficients)
     smoothed = relative(aerodynamic_coefficients(noisy, aircraft), true_coefficients)
     butterworth = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=4.0), true_coefficients)
-    # Six seconds may be too short for a spectrum to prove a channel's noise; then it is left as it is.
+    # Six seconds may be too short for a spectrum to prove a channel's noise; then it is left as it
+    # is.
     assert (smoothed <= 1.01 * raw).all(), (smoothed, raw)
     assert smoothed.mean() < 0.7 * raw.mean()
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
@@ -58,7 +73,9 @@ def test_external_force_is_taken_away(simulated, aircraft, true_coefficients):
 
 def test_flights_do_not_see_each_other(simulated, aircraft):
     flight = simulated.drop(columns=DERIVATIVES)
-    both = pd.concat([flight.assign(flight="a"), flight.assign(flight="b", p=-flight["p"])], ignore_index=True)
+    both = pd.concat(
+        [flight.assign(flight="a"), flight.assign(flight="b", p=-flight["p"])], ignore_index=True
+    )
     alone = aerodynamic_coefficients(flight, aircraft)
     together = aerodynamic_coefficients(both, aircraft)
     np.testing.assert_allclose(together.iloc[: len(flight)], alone, atol=1e-12)
@@ -79,16 +96,25 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
     [
         (lambda f: f.drop(columns="density"), "lacks the columns 'density'"),
         (lambda f: f.rename(columns={"airspeed": "air_speed"}), "'airspeed' .nearest: 'air_speed'"),
-        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index < 7, 0.0)), "airspeed 0 m/s at row 7 and .* rows"),
+        (
+            lambda f: f.assign(airspeed=f["airspeed"].where(f.index < 7, 0.0)),
+            "airspeed 0 m/s at row 7 and .* rows",
+        ),
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
         (lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4), "Got alpha up to .*deg2rad"),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got phi up to .*deg2rad"),
-        (lambda f: f.assign(p=np.rad2deg(f["p"])), "roll rate p integrates to .* times the change of phi"),
+        (
+            lambda f: f.assign(p=np.rad2deg(f["p"])),
+            "roll rate p integrates to .* times the change of phi",
+        ),
         (lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60), "Got q up to"),
         (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
         (lambda f: f.assign(density=1100.0), "Got density from 1100"),
         (lambda f: f.assign(ax="fast"), "columns of type .*'ax': .* expected numbers"),
-        (lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]), "thrust of this flight is unknown"),
+        (
+            lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]),
+            "thrust of this flight is unknown",
+        ),
         (lambda f: f.iloc[:0], "no rows"),
         (lambda f: f.assign(az=f["az"].where(f.index != 7, np.inf)), "infinite"),
     ],
@@ -101,12 +127,18 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8), "multiply by 9.80665"),
+        (
+            lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8),
+            "multiply by 9.80665",
+        ),
         (lambda f: f.assign(az=-f["az"]), "change the signs of ay and az"),
         (lambda f: f.assign(airspeed=1.944 * f["airspeed"]), "airspeed in knots"),
         (lambda f: f.assign(altitude=6000.0), "far from the 0.660"),
         (lambda f: f.assign(beta=2.0 - 0.6, alpha=1.2), "look like degrees"),
-        (lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)), "under a fifth of its median"),
+        (
+            lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)),
+            "under a fifth of its median",
+        ),
     ],
 )
 def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):
@@ -125,8 +157,12 @@ FLIGHTS = [
 
 def noise_free(flight):
     """The truth columns under their plain names; the coefficients keep their suffix."""
-    truth = [c for c in flight if c.endswith("_true") and c.removesuffix("_true") not in COEFFICIENTS]
-    plain = flight.drop(columns=[c.removesuffix("_true") for c in truth if c.removesuffix("_true") in flight])
+    truth = [
+        c for c in flight if c.endswith("_true") and c.removesuffix("_true") not in COEFFICIENTS
+    ]
+    plain = flight.drop(
+        columns=[c.removesuffix("_true") for c in truth if c.removesuffix("_true") in flight]
+    )
     return plain.rename(columns={c: c.removesuffix("_true") for c in truth})
 
 
@@ -146,7 +182,10 @@ def test_the_default_smoothing_serves_every_coefficient_of_noisy_flights(shared_
     flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
     aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
     truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
-    raw, auto = (relative(aerodynamic_coefficients(flight, aircraft, cutoff=c), truth) for c in (None, "auto"))
+    raw, auto = (
+        relative(aerodynamic_coefficients(flight, aircraft, cutoff=c), truth)
+        for c in (None, "auto")
+    )
     assert (auto <= 1.01 * raw).all(), (auto, raw)
     assert auto.mean() < 0.7 * raw.mean()
 

@@ -7,7 +7,13 @@ from skdgp._mechanics.air import LocalAir
 from skdgp._mechanics.error_covariance import ERRORS
 from skdgp._mechanics.jacobian import OUTPUTS, jacobian
 from skdgp._mechanics.motion import Motion
-from skdgp.dynamics import Aerodynamics, air_velocity, euler_to_quaternion, ned_to_body, quaternion_rate
+from skdgp.dynamics import (
+    Aerodynamics,
+    air_velocity,
+    euler_to_quaternion,
+    ned_to_body,
+    quaternion_rate,
+)
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
 AIR = LocalAir(WIND, WIND_RATE)
@@ -19,7 +25,12 @@ CONTROLS = {"elevator": -0.05, "thrust": 22.0}
 def curved(names, seed=0):
     """Coefficients with slopes and curvature in every regressor; those that follow from the loads weigh little."""
     rng = np.random.default_rng(seed)
-    size = np.array([{"airspeed": 0.01, "thrust": 0.002, "ax": 1e-3, "az": 1e-3}.get(name, 0.2) for name in names])
+    size = np.array(
+        [
+            {"airspeed": 0.01, "thrust": 0.002, "ax": 1e-3, "az": 1e-3}.get(name, 0.2)
+            for name in names
+        ]
+    )
     slope, bend = rng.normal(size=(2, len(names), 6)) * size[:, None]
     level = np.array([-0.03, 0.0, -0.3, 0.0, 0.0, 0.0])
     return Aerodynamics(lambda X: level + np.sin(X) @ slope + np.cos(2 * X) @ bend, names)
@@ -30,7 +41,11 @@ def states(n=()):
     rng = np.random.default_rng(1)
     angles = np.array([0.5, 0.15, 2.0]) + 0.1 * rng.normal(size=(*n, 3))
     attitude = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
-    velocity = air_velocity(24.0, 0.1, -0.06) + ned_to_body(attitude, WIND) + 0.5 * rng.normal(size=(*n, 3))
+    velocity = (
+        air_velocity(24.0, 0.1, -0.06)
+        + ned_to_body(attitude, WIND)
+        + 0.5 * rng.normal(size=(*n, 3))
+    )
     rates = np.array([0.3, 0.1, -0.2]) + 0.05 * rng.normal(size=(*n, 3))
     position = np.broadcast_to([30.0, -20.0, -400.0], (*n, 3))
     return np.concatenate([position, velocity, attitude, rates], axis=-1)
@@ -55,10 +70,15 @@ def followed(motion, state, controls, start):
 def differenced(motion, state, controls, inputs, h=1e-5):
     columns = []
     for k in range(12):
-        both = [followed(motion, moved(state, s * h * np.eye(12)[k]), controls, state) for s in (1, -1)]
+        both = [
+            followed(motion, moved(state, s * h * np.eye(12)[k]), controls, state) for s in (1, -1)
+        ]
         columns.append((both[0] - both[1]) / (2 * h))
     for name in inputs:
-        both = [followed(motion, state, controls | {name: controls[name] + s * h}, state) for s in (1, -1)]
+        both = [
+            followed(motion, state, controls | {name: controls[name] + s * h}, state)
+            for s in (1, -1)
+        ]
         columns.append((both[0] - both[1]) / (2 * h))
     return np.stack(columns, axis=-1)
 
@@ -71,7 +91,9 @@ def test_is_the_derivative_of_the_motion(names, aircraft):
     assert np.all(found.instant.settled)
     full = np.block([[found.state, found.controls], [found.outputs_state, found.outputs_controls]])
     rows = [k for k in range(12 + len(OUTPUTS)) if k not in (6, 7, 8)]
-    assert full[rows] == pytest.approx(expected, rel=1e-5, abs=2e-6 * np.abs(expected).max(axis=-1).min())
+    assert full[rows] == pytest.approx(
+        expected, rel=1e-5, abs=2e-6 * np.abs(expected).max(axis=-1).min()
+    )
 
 
 @pytest.mark.parametrize("names", [QUASI_STEADY, IMPLICIT], ids=["quasi-steady", "implicit"])
@@ -88,7 +110,9 @@ def test_errors_of_the_model_reach_the_motion(names, aircraft):
             for s in (1, -1)
         )
         expected = ((more - less) / (2 * h))[[3, 4, 5, 10, 11, 12]]
-        assert found[[3, 4, 5, 9, 10, 11], k] == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
+        assert found[[3, 4, 5, 9, 10, 11], k] == pytest.approx(
+            expected, rel=1e-6, abs=1e-6 * np.abs(expected).max()
+        )
 
 
 def test_an_error_of_attitude_turns_as_rotations_do(aircraft):
@@ -104,9 +128,18 @@ def test_an_error_of_attitude_turns_as_rotations_do(aircraft):
         conjugate = true * [1, -1, -1, -1]
         product = 2 * np.array(
             [
-                conjugate[0] * off[1] + conjugate[1] * off[0] + conjugate[2] * off[3] - conjugate[3] * off[2],
-                conjugate[0] * off[2] - conjugate[1] * off[3] + conjugate[2] * off[0] + conjugate[3] * off[1],
-                conjugate[0] * off[3] + conjugate[1] * off[2] - conjugate[2] * off[1] + conjugate[3] * off[0],
+                conjugate[0] * off[1]
+                + conjugate[1] * off[0]
+                + conjugate[2] * off[3]
+                - conjugate[3] * off[2],
+                conjugate[0] * off[2]
+                - conjugate[1] * off[3]
+                + conjugate[2] * off[0]
+                + conjugate[3] * off[1],
+                conjugate[0] * off[3]
+                + conjugate[1] * off[2]
+                - conjugate[2] * off[1]
+                + conjugate[3] * off[0],
             ]
         )
         assert (product - error[6:9]) / dt / h == pytest.approx(found[:, k], abs=1e-3)

@@ -32,13 +32,19 @@ SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
 SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
 AIR = Air(density=1.1, gravity=9.79)
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
-BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
+BRUMBYS = Aerodynamics(
+    brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS]
+)
 
 
 def sampler(n_paths, random_state):
     """Slopes that err by a tenth of themselves, each by itself."""
-    draws = SLOPES * (1 + 0.1 * np.random.default_rng(random_state).normal(size=(n_paths, *SLOPES.shape)))
-    return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
+    draws = SLOPES * (
+        1 + 0.1 * np.random.default_rng(random_state).normal(size=(n_paths, *SLOPES.shape))
+    )
+    return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
+        draws[:, None], X.shape[1], axis=1
+    )
 
 
 MODEL = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
@@ -47,7 +53,11 @@ MODEL = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
 @pytest.fixture(scope="module")
 def glider():
     return Aircraft(
-        mass=12.0, inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]], wing_area=1.3, span=2.6, chord=0.55
+        mass=12.0,
+        inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]],
+        wing_area=1.3,
+        span=2.6,
+        chord=0.55,
     )
 
 
@@ -103,8 +113,12 @@ def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider
 def test_outputs(linear, level):
     V, alpha = 20.0, level.alpha
     assert linear.outputs == [*linear.states, "airspeed", "alpha", "beta", "ax", "ay", "az"]
-    assert linear.C.loc["airspeed", ["u", "w"]].tolist() == pytest.approx([np.cos(alpha), np.sin(alpha)])
-    assert linear.C.loc["alpha", ["u", "w"]].tolist() == pytest.approx([-np.sin(alpha) / V, np.cos(alpha) / V])
+    assert linear.C.loc["airspeed", ["u", "w"]].tolist() == pytest.approx(
+        [np.cos(alpha), np.sin(alpha)]
+    )
+    assert linear.C.loc["alpha", ["u", "w"]].tolist() == pytest.approx(
+        [-np.sin(alpha) / V, np.cos(alpha) / V]
+    )
     assert linear.C.loc["beta", "v"] == pytest.approx(1 / V)
     assert linear.C.loc["az", "w"] == pytest.approx(linear.A.loc["w", "w"])
     assert linear.D.loc["ax", "thrust"] == pytest.approx(linear.B.loc["u", "thrust"])
@@ -113,7 +127,12 @@ def test_outputs(linear, level):
 def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
     """Euler angles, full inertia, implicit regressors, by differences."""
     state = np.concatenate(
-        [[10.0, 20.0, -300.0], [33.0, 1.5, 3.0], euler_to_quaternion(0.6, 0.2, 1.1), [0.2, 0.1, 0.25]]
+        [
+            [10.0, 20.0, -300.0],
+            [33.0, 1.5, 3.0],
+            euler_to_quaternion(0.6, 0.2, 1.1),
+            [0.2, 0.1, 0.25],
+        ]
     )
     controls = {"elevator": -0.03, "aileron": 0.01, "rudder": 0.02, "thrust": 60.0}
     found = linearize(BRUMBYS, aircraft, state, controls, states=ALL_STATES)
@@ -138,7 +157,9 @@ def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
     assert found.C.to_numpy()[:12] == pytest.approx(np.eye(12))
     for name in controls:
         more, less = (rate(x, controls | {name: controls[name] + h}) for h in (1e-4, -1e-4))
-        assert found.B[name].to_numpy() == pytest.approx((more - less)[:12] / 2e-4, rel=1e-5, abs=1e-6)
+        assert found.B[name].to_numpy() == pytest.approx(
+            (more - less)[:12] / 2e-4, rel=1e-5, abs=1e-6
+        )
 
 
 def test_small_doublets_are_flown_alike_to_second_order():
@@ -154,8 +175,12 @@ def test_small_doublets_are_flown_alike_to_second_order():
         states = [at.state]
         for sign in shape:
             moves = {"elevator": sign * size, "aileron": 0.5 * sign * size}
-            controls = at.controls | {name: at.controls[name] + move for name, move in moves.items()}
-            states.append(rk4_step(lambda t, x, u=controls: motion.at(x, u).derivative, 0.0, states[-1], 0.01))
+            controls = at.controls | {
+                name: at.controls[name] + move for name, move in moves.items()
+            }
+            states.append(
+                rk4_step(lambda t, x, u=controls: motion.at(x, u).derivative, 0.0, states[-1], 0.01)
+            )
         states = np.array(states)
         angles = quaternion_to_euler(states[:, 6:10])
         seen = dict(zip("uvwpqr", [*states[:, 3:6].T, *states[:, 10:].T], strict=True))
@@ -180,7 +205,9 @@ class TestSpread:
         assert many.A.to_numpy() == pytest.approx(linear.A.to_numpy())
         for entry in (("q", "q"), ("q", "w"), ("v", "v")):
             assert many.std.A.loc[entry] == pytest.approx(0.1 * abs(linear.A.loc[entry]), rel=0.1)
-        assert many.std.B.loc["q", "elevator"] == pytest.approx(0.1 * abs(linear.B.loc["q", "elevator"]), rel=0.1)
+        assert many.std.B.loc["q", "elevator"] == pytest.approx(
+            0.1 * abs(linear.B.loc["q", "elevator"]), rel=0.1
+        )
         assert many.std.A.loc["u", "theta"] == pytest.approx(0.0, abs=1e-9)
 
     def test_each_path_is_the_linear_aircraft_of_its_own_function(self, level, glider):
@@ -214,7 +241,9 @@ class TestParts:
         assert {"airspeed", "alpha", "ax", "az"} <= set(along.outputs)
         assert set(across.outputs) == {"v", "p", "r", "phi", "beta", "ay"}
         both = np.concatenate([np.linalg.eigvals(part.A) for part in (along, across)])
-        assert np.sort_complex(both) == pytest.approx(np.sort_complex(np.linalg.eigvals(linear.A)), rel=1e-6)
+        assert np.sort_complex(both) == pytest.approx(
+            np.sort_complex(np.linalg.eigvals(linear.A)), rel=1e-6
+        )
 
     def test_scipy_has_the_same_matrices(self, linear):
         system = linear.to_scipy()
@@ -225,7 +254,9 @@ class TestParts:
         assert np.isfinite(y).all()
 
     def test_control_keeps_the_names(self, linear):
-        pytest.importorskip("control", reason="python-control is not installed", exc_type=ImportError)
+        pytest.importorskip(
+            "control", reason="python-control is not installed", exc_type=ImportError
+        )
         system = linear.longitudinal().to_control()
         assert system.state_labels == ["u", "w", "q", "theta"]
         assert system.input_labels == ["elevator", "thrust"]
@@ -234,7 +265,9 @@ class TestParts:
         )
 
     def test_height_changes_the_density(self, glider, level):
-        high = linearize(MODEL, glider, level, states=["u", "w", "q", "theta", "down"], air=Air(gravity=9.79))
+        high = linearize(
+            MODEL, glider, level, states=["u", "w", "q", "theta", "down"], air=Air(gravity=9.79)
+        )
         assert high.A.loc["w", "down"] < 0
         assert high.A.loc["down", "theta"] == pytest.approx(-20.0)
 
@@ -260,9 +293,13 @@ class TestBadInput:
         with pytest.raises(ValueError, match="state without controls"):
             linearize(MODEL, glider, level.state, air=AIR)
         with pytest.raises(ValueError, match="at rest"):
-            linearize(MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, air=AIR)
+            linearize(
+                MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, air=AIR
+            )
         with pytest.raises(ValueError, match="'aileron'"):
-            linearize(MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, air=AIR)
+            linearize(
+                MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, air=AIR
+            )
 
     def test_a_model_that_is_not_defined_there(self, glider, level):
         nowhere = Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES)
@@ -272,7 +309,8 @@ class TestBadInput:
     def test_a_motion_that_is_not_determined(self, glider, level):
         """Pulled up where it is pushed down, and down where up: no az fits."""
         loop = Aerodynamics(
-            lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2], [*NAMES, "az"]
+            lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2],
+            [*NAMES, "az"],
         )
         with pytest.raises(ValueError, match="not determined"):
             linearize(loop, glider, level, air=AIR)

@@ -31,7 +31,9 @@ def mode_table(A, states, paths=None):
     """The modes of x' = A x."""
     square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
     drawn = None if paths is None else Matrices(paths, None, None, None)
-    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], np.zeros(13), {}, drawn).modes()
+    return LinearModel(
+        square, empty, square.iloc[:0], empty.iloc[:0], np.zeros(13), {}, drawn
+    ).modes()
 
 
 def both():
@@ -45,8 +47,12 @@ def test_published_longitudinal_modes():
     assert list(table.index) == ["short period", "phugoid"]
     assert table.loc["phugoid", "eigenvalue"] == pytest.approx(-0.003289 + 0.06723j, rel=1e-3)
     assert table.loc["short period", "eigenvalue"] == pytest.approx(-0.3719 + 0.8875j, rel=1e-3)
-    assert table.loc["phugoid", ["period", "time_to_half"]].tolist() == pytest.approx([93.4, 211.0], rel=2e-3)
-    assert table.loc["short period", ["period", "time_to_half"]].tolist() == pytest.approx([7.08, 1.86], rel=3e-3)
+    assert table.loc["phugoid", ["period", "time_to_half"]].tolist() == pytest.approx(
+        [93.4, 211.0], rel=2e-3
+    )
+    assert table.loc["short period", ["period", "time_to_half"]].tolist() == pytest.approx(
+        [7.08, 1.86], rel=3e-3
+    )
     assert table.loc["short period", "damping"] == pytest.approx(0.387, rel=3e-3)
 
 
@@ -68,7 +74,9 @@ def test_names_hold_whatever_the_order_and_units_of_states():
     assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
     apart = [mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)]
     for part in apart:
-        assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(list(part["eigenvalue"]), rel=1e-6)
+        assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(
+            list(part["eigenvalue"]), rel=1e-6
+        )
 
 
 def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
@@ -86,7 +94,9 @@ class TestSpread:
         rng = np.random.default_rng(0)
         omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
         zero = np.zeros(500)
-        paths = np.stack([np.stack([zero, zero + 1], -1), np.stack([-(omega**2), -2 * zeta * omega], -1)], 1)
+        paths = np.stack(
+            [np.stack([zero, zero + 1], -1), np.stack([-(omega**2), -2 * zeta * omega], -1)], 1
+        )
         row = mode_table(np.array([[0, 1], [-9, -2.4]]), ["x", "v"], paths).loc["mode"]
         assert row["frequency_std"] == pytest.approx(omega.std(ddof=1))
         assert row["damping_std"] == pytest.approx(zeta.std(ddof=1))

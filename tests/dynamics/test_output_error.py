@@ -67,7 +67,9 @@ def records(weights, n, rng=None, duration=1.0):
 
 @pytest.fixture(scope="module")
 def fitted(model):
-    return fit_output_error(model, GLIDER, records(TRUE, 4, np.random.default_rng(0)), NOISE, thrust=None)
+    return fit_output_error(
+        model, GLIDER, records(TRUE, 4, np.random.default_rng(0)), NOISE, thrust=None
+    )
 
 
 def weights_of(aerodynamics):
@@ -80,7 +82,9 @@ def test_recovers_what_the_posterior_was_not_sure_of(model, fitted):
         weights_of(fitted.model), MEAN))  # fmt: skip
     assert (off < 0.4 * before).all()
     sure = [(0, 1), (2, 1), (4, 4), (5, 2)]
-    np.testing.assert_allclose([weights_of(fitted.model)[at] for at in sure], [MEAN[at] for at in sure], atol=1e-5)
+    np.testing.assert_allclose(
+        [weights_of(fitted.model)[at] for at in sure], [MEAN[at] for at in sure], atol=1e-5
+    )
     assert fitted.loss[1] < 0.1 * fitted.loss[0]
     assert fitted.held_out[fitted.prior_scale] < fitted.held_out[0.0]
 
@@ -100,7 +104,10 @@ def test_the_truth_lies_within_the_corrected_posterior(model, fitted):
 
 def test_a_model_stays_where_flights_contradict_each_other(model):
     """Each predicts the other worse than no correction."""
-    flights = [*records(TRUE, 1), *(part.assign(flight="other") for part in records(2 * MEAN - TRUE, 1))]
+    flights = [
+        *records(TRUE, 1),
+        *(part.assign(flight="other") for part in records(2 * MEAN - TRUE, 1)),
+    ]
     found = fit_output_error(model, GLIDER, flights, NOISE, thrust=None)
     assert found.model is model
     assert found.prior_scale == 0
@@ -132,4 +139,6 @@ def test_what_cannot_be_fitted_is_said(model):
     with pytest.raises(ValueError, match="none of which the model flies"):
         fit_output_error(model, GLIDER, slow, NOISE, thrust=None)
     with pytest.warns(UserWarning, match="1 of 3 segments are left out"):
-        fit_output_error(model, GLIDER, [part[list(slow[0])] for part in (*flights, slow[0])], NOISE, thrust=None)
+        fit_output_error(
+            model, GLIDER, [part[list(slow[0])] for part in (*flights, slow[0])], NOISE, thrust=None
+        )

@@ -4,16 +4,27 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.dynamics import Aircraft, Propeller, ThrustLine, external_loads, propeller_loads, propulsive_loads
+from skdgp.dynamics import (
+    Aircraft,
+    Propeller,
+    ThrustLine,
+    external_loads,
+    propeller_loads,
+    propulsive_loads,
+)
 
 TRUE = Propeller(
-    diameter=0.5, thrust_coefficients=(0.11, -0.04, -0.09), torque_coefficients=(0.006, 0.002, -0.007), rotation=-1
+    diameter=0.5,
+    thrust_coefficients=(0.11, -0.04, -0.09),
+    torque_coefficients=(0.006, 0.002, -0.007),
+    rotation=-1,
 )
 
 
 def bench(airspeeds=(0.0, 8.0, 16.0), densities=(1.2, 1.1)):
     speed, airspeed, density = (
-        grid.ravel() for grid in np.meshgrid(np.linspace(200, 700, 6), airspeeds, densities, indexing="ij")
+        grid.ravel()
+        for grid in np.meshgrid(np.linspace(200, 700, 6), airspeeds, densities, indexing="ij")
     )
     state = (speed, airspeed, density)
     return pd.DataFrame(
@@ -32,12 +43,17 @@ def flight(**columns):
 
 
 def with_engine(aircraft, **changes):
-    return Aircraft(**{**{key: getattr(aircraft, key) for key in aircraft.__dataclass_fields__}, **changes})
+    return Aircraft(
+        **{**{key: getattr(aircraft, key) for key in aircraft.__dataclass_fields__}, **changes}
+    )
 
 
 def test_equation_7_by_hand():
-    # 10 N along (.8, 0, -.6) at (-.5, .1, -.2): F = (8, 0, -6); r x F = (.1 * -6 - 0, -.2 * 8 - -.5 * -6, 0 - .1 * 8)
-    force, moment = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(4.0, 0.0, -3.0)).loads(10.0, torque=-2.0)
+    # 10 N along (.8, 0, -.6) at (-.5, .1, -.2): F = (8, 0, -6); r x F = (.1 * -6 - 0, -.2 * 8 - -.5
+    # * -6, 0 - .1 * 8)
+    force, moment = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(4.0, 0.0, -3.0)).loads(
+        10.0, torque=-2.0
+    )
     np.testing.assert_allclose(force, [8.0, 0.0, -6.0], atol=1e-14)
     np.testing.assert_allclose(moment, [-0.6 - 1.6, -4.6, -0.8 + 1.2], atol=1e-14)
 
@@ -78,7 +94,9 @@ def test_a_propeller_at_rest_is_drag_and_finite():
 
 def test_torque_turns_the_aircraft_against_the_propeller():
     clockwise = Propeller(0.5, (0.1,), (0.01,), rotation=1)
-    assert clockwise.torque(300.0, 0.0) < 0, "a propeller clockwise from behind rolls the aircraft left"
+    assert clockwise.torque(300.0, 0.0) < 0, (
+        "a propeller clockwise from behind rolls the aircraft left"
+    )
 
 
 def test_a_static_table_says_that_it_is_one():
@@ -127,15 +145,25 @@ def test_propeller_thrust_of_a_flight(aircraft):
     powered = with_engine(aircraft, propeller=TRUE)
     table = flight(propeller_speed=[500.0, 600.0])
     force, moment = propulsive_loads(table, powered)
-    thrust, torque = TRUE.thrust([500.0, 600.0], [20, 21], 1.1), TRUE.torque([500.0, 600.0], [20, 21], 1.1)
+    thrust, torque = (
+        TRUE.thrust([500.0, 600.0], [20, 21], 1.1),
+        TRUE.torque([500.0, 600.0], [20, 21], 1.1),
+    )
     line = aircraft.thrust_line
     np.testing.assert_allclose(force, thrust[:, None] * line.direction)
-    np.testing.assert_allclose(moment, np.cross(line.position, force) + torque[:, None] * line.direction)
-    np.testing.assert_allclose(propeller_loads(powered, [500.0, 600.0], [20, 21], 1.1), (force, moment))
+    np.testing.assert_allclose(
+        moment, np.cross(line.position, force) + torque[:, None] * line.direction
+    )
+    np.testing.assert_allclose(
+        propeller_loads(powered, [500.0, 600.0], [20, 21], 1.1), (force, moment)
+    )
 
 
 def test_columns_win_over_the_propeller_unless_told_otherwise(aircraft):
-    powered, table = with_engine(aircraft, propeller=TRUE), flight(propeller_speed=500.0, thrust_x=5.0)
+    powered, table = (
+        with_engine(aircraft, propeller=TRUE),
+        flight(propeller_speed=500.0, thrust_x=5.0),
+    )
     assert propulsive_loads(table, powered)[0][0, 0] == 5.0
     assert propulsive_loads(table, powered, "propeller")[0][0, 0] != 5.0
 
@@ -150,7 +178,9 @@ def test_a_propeller_without_a_line_pulls_forward_through_the_centre(aircraft):
 
 def test_beyond_the_bench_is_warned_of(aircraft):
     propeller = Propeller(0.5, (0.1, -0.05), max_advance_ratio=0.2)
-    with pytest.warns(UserWarning, match=r"100 % of the samples .* exceeds the largest one on the bench \(0.20\)"):
+    with pytest.warns(
+        UserWarning, match=r"100 % of the samples .* exceeds the largest one on the bench \(0.20\)"
+    ):
         propulsive_loads(flight(propeller_speed=500.0), with_engine(aircraft, propeller=propeller))
 
 
@@ -159,7 +189,9 @@ def test_no_word_of_thrust_is_an_error_and_a_glider_says_so(aircraft):
         propulsive_loads(flight(), aircraft)
     with pytest.raises(ValueError, match=r"it has no propeller_speed.*thrust=None"):
         propulsive_loads(flight(), with_engine(aircraft, propeller=TRUE))
-    np.testing.assert_array_equal(propulsive_loads(flight(thrust_x=5.0), aircraft, None), np.zeros((2, 2, 3)))
+    np.testing.assert_array_equal(
+        propulsive_loads(flight(thrust_x=5.0), aircraft, None), np.zeros((2, 2, 3))
+    )
 
 
 def test_thrust_must_be_a_known_choice(aircraft):

@@ -11,39 +11,53 @@ EVERY = ["north", "east", "down", *STATES]
 
 
 @pytest.mark.parametrize(("horizon", "tolerance"), [(0.5, 2e-3), (2.0, 2e-2), (10.0, 0.15)])
-def test_true_coefficients_follow_the_flight(simulated, aircraft, true_coefficients, gravity, horizon, tolerance):
+def test_true_coefficients_follow_the_flight(
+    simulated, aircraft, true_coefficients, gravity, horizon, tolerance
+):
     flown = replay(simulated, aircraft, true_coefficients, horizon=horizon, gravity=gravity)
     np.testing.assert_allclose(flown[EVERY], simulated[EVERY], atol=tolerance)
 
 
-def test_the_error_is_of_the_loads_interpolation_only(simulated, aircraft, true_coefficients, gravity):
+def test_the_error_is_of_the_loads_interpolation_only(
+    simulated, aircraft, true_coefficients, gravity
+):
     errors = []
     for every in (8, 4, 2):
         flight, coefficients = simulated.iloc[:593:every], true_coefficients[:593:every]
         flown = replay(flight, aircraft, coefficients, horizon=np.inf, gravity=gravity)
         errors.append(np.abs(flown[STATES] - flight[STATES]).iloc[-1])
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert np.median(orders) == pytest.approx(2.0, abs=0.2), "loads linear between samples: second order"
+    assert np.median(orders) == pytest.approx(2.0, abs=0.2), (
+        "loads linear between samples: second order"
+    )
 
 
 def test_wrong_gravity_falls_as_gravity_does(simulated, aircraft, true_coefficients, gravity):
     flown = replay(simulated, aircraft, true_coefficients, horizon=1.0, gravity=gravity + 0.1)
-    np.testing.assert_allclose(flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3)
+    np.testing.assert_allclose(
+        flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3
+    )
 
 
 def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft, true_coefficients):
     wrong = true_coefficients + np.array([0.01, 0, 0, 0, 0, 0])
     flown = replay(simulated, aircraft, wrong, horizon=1.0)
     assert flown["window"].tolist() == [0] + [k // 100 for k in range(599)]
-    np.testing.assert_allclose(flown["elapsed"].iloc[[0, 1, 100, 101, 599]], [0, 0.01, 1.0, 0.01, 0.99], atol=1e-9)
+    np.testing.assert_allclose(
+        flown["elapsed"].iloc[[0, 1, 100, 101, 599]], [0, 0.01, 1.0, 0.01, 0.99], atol=1e-9
+    )
     error = np.abs(flown["v_north"] - simulated["v_north"])
     assert error.iloc[100] > 50 * error.iloc[101]
 
 
 def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true_coefficients):
-    flight = pd.concat([simulated.iloc[:300].assign(flight="a"), simulated.iloc[:300].assign(flight="b")])
+    flight = pd.concat(
+        [simulated.iloc[:300].assign(flight="a"), simulated.iloc[:300].assign(flight="b")]
+    )
     flight = flight.reset_index(drop=True).drop(index=range(100, 150)).reset_index(drop=True)
-    coefficients = np.vstack([np.delete(true_coefficients[:300], range(100, 150), axis=0), true_coefficients[:300]])
+    coefficients = np.vstack(
+        [np.delete(true_coefficients[:300], range(100, 150), axis=0), true_coefficients[:300]]
+    )
     coefficients[400:410] = np.nan
     flown = replay(flight, aircraft, coefficients, horizon=10.0)
     assert flown["window"].unique().tolist() == [0, 1, 2, -1, 3]
@@ -53,7 +67,9 @@ def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true
 
 
 def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficients):
-    flight = simulated.assign(psi=simulated["psi"] + 2 * np.pi * (simulated["psi"] > 2.0) - 2 * np.pi)
+    flight = simulated.assign(
+        psi=simulated["psi"] + 2 * np.pi * (simulated["psi"] > 2.0) - 2 * np.pi
+    )
     flown = replay(flight, aircraft, true_coefficients)
     np.testing.assert_allclose(flown["psi"], flight["psi"], atol=0.01)
 
@@ -67,7 +83,9 @@ def ornstein_uhlenbeck(rng, time, correlation_time, shape):
 
 
 @pytest.mark.parametrize("correlation_time", [0.3, np.inf])
-def test_bands_are_the_spread_of_an_ensemble(simulated, aircraft, true_coefficients, gravity, correlation_time):
+def test_bands_are_the_spread_of_an_ensemble(
+    simulated, aircraft, true_coefficients, gravity, correlation_time
+):
     rng = np.random.default_rng(7)
     flight, coefficients = simulated.iloc[:201:4], true_coefficients[:201:4]
     mixing = 0.002 * rng.normal(size=(6, 6)) * np.array([1, 1, 1, 0.05, 0.2, 0.05])[:, None]
@@ -98,7 +116,9 @@ def test_bands_are_the_spread_of_an_ensemble(simulated, aircraft, true_coefficie
         np.testing.assert_allclose(spread[10::10], expected[10::10], rtol=0.16, err_msg=name)
 
 
-def test_bands_start_at_the_measured_state_and_scale_with_the_coefficients(simulated, aircraft, true_coefficients):
+def test_bands_start_at_the_measured_state_and_scale_with_the_coefficients(
+    simulated, aircraft, true_coefficients
+):
     std = np.full_like(true_coefficients, 1e-3)
     names = [f"{name}_std" for name in EVERY]
     one = replay(simulated, aircraft, true_coefficients, std=std, horizon=2.0)
@@ -111,7 +131,9 @@ def test_bands_start_at_the_measured_state_and_scale_with_the_coefficients(simul
 
 
 def test_errors_are_medians_over_the_samples_flown():
-    flight = pd.DataFrame({"v_east_true": [0.0, 0.0, 0.0, 0.0, 0.0], "psi_true": [0.0, 6.2, 6.2, 6.2, 6.2]})
+    flight = pd.DataFrame(
+        {"v_east_true": [0.0, 0.0, 0.0, 0.0, 0.0], "psi_true": [0.0, 6.2, 6.2, 6.2, 6.2]}
+    )
     flown = pd.DataFrame(
         {
             "horizon": 1.0,
@@ -162,7 +184,9 @@ def test_errors_need_a_common_state(simulated, aircraft, true_coefficients):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "kind"), [("viggen_uav_train_latlon", "viggen_uav"), ("c172p_train_latlon", "c172p")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("viggen_uav_train_latlon", "viggen_uav"), ("c172p_train_latlon", "c172p")]
+)
 def test_noise_free_replay_stays_with_the_truth_for_two_seconds(shared_data, name, kind):
     flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
     aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
@@ -192,6 +216,8 @@ def test_bands_cover_what_known_coefficient_errors_do(shared_data):
         horizon=(2.0, 10.0),
         gravity=float(flight["gravity_true"].mean()),
     )
-    coverage = replay_errors(flown, flight, suffix="_true").set_index(["horizon", "state"])["coverage"]
+    coverage = replay_errors(flown, flight, suffix="_true").set_index(["horizon", "state"])[
+        "coverage"
+    ]
     assert coverage.loc[2.0].between(0.90, 0.99).all(), coverage
     assert coverage.loc[10.0].between(0.80, 1.0).all(), coverage

@@ -16,18 +16,26 @@ RNG = np.random.default_rng(5)
 
 
 def random_states(n):
-    return np.hstack([RNG.normal(size=(n, 6)) * 20, RNG.normal(size=(n, 4)), RNG.normal(size=(n, 3))])
+    return np.hstack(
+        [RNG.normal(size=(n, 6)) * 20, RNG.normal(size=(n, 4)), RNG.normal(size=(n, 3))]
+    )
 
 
 def test_derivative_is_newton_and_euler(aircraft):
-    states, force, moment = random_states(20), RNG.normal(size=(20, 3)) * 50, RNG.normal(size=(20, 3)) * 9
+    states, force, moment = (
+        random_states(20),
+        RNG.normal(size=(20, 3)) * 50,
+        RNG.normal(size=(20, 3)) * 9,
+    )
     got = rigid_body_derivative(states, force, moment, aircraft, 9.7)
     for state, f, m, derivative in zip(states, force, moment, got, strict=True):
         rotation, velocity, rates = quaternion_to_matrix(state[6:10]), state[3:6], state[10:]
         np.testing.assert_allclose(derivative[:3], rotation @ velocity, atol=1e-12)
         newton = f / aircraft.mass + rotation.T @ [0, 0, 9.7] - np.cross(rates, velocity)
         np.testing.assert_allclose(derivative[3:6], newton, atol=1e-12)
-        np.testing.assert_allclose(derivative[6:10], quaternion_rate(state[6:10], rates), atol=1e-12)
+        np.testing.assert_allclose(
+            derivative[6:10], quaternion_rate(state[6:10], rates), atol=1e-12
+        )
         euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
         np.testing.assert_allclose(derivative[10:], euler, atol=1e-12)
 
@@ -41,7 +49,9 @@ def test_leading_axes_broadcast(aircraft):
 
 
 def test_power_of_the_loads_is_the_change_of_energy(aircraft):
-    start = np.concatenate([np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, 0.3, 2.0), [0.5, 0.4, -0.2]])
+    start = np.concatenate(
+        [np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, 0.3, 2.0), [0.5, 0.4, -0.2]]
+    )
     force, moment = np.array([9.0, -4.0, -60.0]), np.array([0.3, -0.2, 0.1])
 
     def rate(t, state):  # the fourteenth state is the work done
@@ -52,10 +62,14 @@ def test_power_of_the_loads_is_the_change_of_energy(aircraft):
     kinetic = 0.5 * aircraft.mass * (states[:, 3:6] ** 2).sum(axis=1)
     turning = 0.5 * np.einsum("ni,ij,nj->n", states[:, 10:13], aircraft.inertia, states[:, 10:13])
     potential = -aircraft.mass * 9.80665 * states[:, 2]
-    np.testing.assert_allclose(kinetic + turning + potential - states[:, 13], kinetic[0] + turning[0], rtol=1e-8)
+    np.testing.assert_allclose(
+        kinetic + turning + potential - states[:, 13], kinetic[0] + turning[0], rtol=1e-8
+    )
 
 
 @pytest.mark.parametrize("theta", [0.0, np.pi / 2, 2.0])
 def test_nothing_is_singular_at_any_attitude(aircraft, theta):
-    state = np.concatenate([np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, theta, 0.3), [0.5, 0.4, -0.2]])
+    state = np.concatenate(
+        [np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, theta, 0.3), [0.5, 0.4, -0.2]]
+    )
     assert np.isfinite(rigid_body_derivative(state, np.ones(3), np.ones(3), aircraft)).all()

@@ -51,12 +51,29 @@ START = {
     "r": -0.1,
 }
 START |= {"north": 10.0, "east": -20.0, "altitude": 300.0}
-STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r", "north", "east", "down", "airspeed"]
+STATES = [
+    "v_north",
+    "v_east",
+    "v_down",
+    "phi",
+    "theta",
+    "psi",
+    "p",
+    "q",
+    "r",
+    "north",
+    "east",
+    "down",
+    "airspeed",
+]
 
 
 def linear(slopes=SLOPES, intercept=INTERCEPT, **options):
     return Aerodynamics(
-        lambda X: intercept + X @ slopes.T, NAMES, gradient=lambda X: np.tile(slopes, (len(X), 1, 1)), **options
+        lambda X: intercept + X @ slopes.T,
+        NAMES,
+        gradient=lambda X: np.tile(slopes, (len(X), 1, 1)),
+        **options,
     )
 
 
@@ -74,11 +91,15 @@ def table_of(duration, step=0.001):
 
 @pytest.fixture(scope="module")
 def flown(aircraft):
-    return simulate(linear(), aircraft, START, commands, dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7])
+    return simulate(
+        linear(), aircraft, START, commands, dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7]
+    )
 
 
 class TestEquations:
-    def test_follows_equations_typed_from_the_textbook_with_rotation_matrices(self, aircraft, flown):
+    def test_follows_equations_typed_from_the_textbook_with_rotation_matrices(
+        self, aircraft, flown
+    ):
         wind, line = np.array([3.0, -2.0, 0.7]), aircraft.thrust_line
         attitude = Rotation.from_euler("ZYX", [START["psi"], START["theta"], START["phi"]])
         V, a, b = START["airspeed"], START["alpha"], START["beta"]
@@ -104,21 +125,31 @@ class TestEquations:
             force = pressure * C[:3] + thrust
             moment = pressure * C[3:] * [2.6, 0.55, 2.6] + np.cross(line.position, thrust)
             skew = np.array([[0, -r, q], [r, 0, -p], [-q, p, 0]])
-            omega_dot = np.linalg.solve(aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega))
+            omega_dot = np.linalg.solve(
+                aircraft.inertia, moment - np.cross(omega, aircraft.inertia @ omega)
+            )
             acceleration = R @ force / aircraft.mass + [0, 0, 9.80665]
             return np.concatenate([x[3:6], acceleration, (R @ skew).ravel(), omega_dot])
 
         truth = solve_ivp(rate, (0, 4), start, rtol=1e-11, atol=1e-11).y[:, -1]
         end = flown.iloc[-1]
-        np.testing.assert_allclose(end[["north", "east", "down"]].to_numpy(float), truth[:3], atol=1e-6)
-        np.testing.assert_allclose(end[["v_north", "v_east", "v_down"]].to_numpy(float), truth[3:6], atol=1e-6)
+        np.testing.assert_allclose(
+            end[["north", "east", "down"]].to_numpy(float), truth[:3], atol=1e-6
+        )
+        np.testing.assert_allclose(
+            end[["v_north", "v_east", "v_down"]].to_numpy(float), truth[3:6], atol=1e-6
+        )
         np.testing.assert_allclose(end[["p", "q", "r"]].to_numpy(float), truth[15:], atol=1e-6)
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")[::-1]
         np.testing.assert_allclose(end[["phi", "theta", "psi"]].to_numpy(float), angles, atol=1e-7)
 
     def test_is_of_fourth_order_in_the_step(self, aircraft):
         def end(dt):
-            return simulate(linear(), aircraft, START, commands, dt=dt, duration=2.0)[STATES].iloc[-1].to_numpy(float)
+            return (
+                simulate(linear(), aircraft, START, commands, dt=dt, duration=2.0)[STATES]
+                .iloc[-1]
+                .to_numpy(float)
+            )
 
         exact = end(0.0025)
         errors = [np.abs(end(dt) - exact).max() for dt in (0.04, 0.02)]
@@ -127,7 +158,9 @@ class TestEquations:
     def test_inverse_dynamics_gives_the_coefficients_back(self, aircraft, flown):
         loads = aircraft.thrust_line.loads(flown["thrust"])
         names = [f"thrust_{axis}" for axis in "xyzlmn"]
-        log = flown.drop(columns="thrust").assign(**dict(zip(names, np.hstack(loads).T, strict=True)))
+        log = flown.drop(columns="thrust").assign(
+            **dict(zip(names, np.hstack(loads).T, strict=True))
+        )
         Y = aerodynamic_coefficients(log, aircraft, cutoff=None)
         np.testing.assert_allclose(Y, flown[Y.columns], atol=1e-12)
 
@@ -136,8 +169,20 @@ class TestRegressors:
     def test_are_rebuilt_as_the_pipeline_builds_them(self, aircraft):
         rng = np.random.default_rng(1)
         words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
-        log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words).assign(airspeed=rng.uniform(18, 26, 200))
-        chosen = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder", "airspeed"]
+        log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words).assign(
+            airspeed=rng.uniform(18, 26, 200)
+        )
+        chosen = [
+            "alpha",
+            "beta",
+            "p_hat",
+            "q_hat",
+            "r_hat",
+            "elevator",
+            "aileron",
+            "rudder",
+            "airspeed",
+        ]
         model = make_pipeline(
             ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=0.4), RegressorSelector(chosen), StandardScaler(),
             LinearRegression(),
@@ -151,7 +196,9 @@ class TestRegressors:
         ):
             flown = simulate(model, aircraft, START, surfaces, duration=2.0)
         assert {"elevator", "aileron"} <= set(flown)
-        np.testing.assert_allclose(model.predict(flown), flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]], atol=1e-12)
+        np.testing.assert_allclose(
+            model.predict(flown), flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]], atol=1e-12
+        )
 
     def test_that_follow_from_the_loads_are_those_of_the_motion(self, aircraft):
         names = ("alpha", "q_hat", "alpha_dot_hat", "beta_dot", "beta", "r_dot", "ay", "elevator")
@@ -183,33 +230,61 @@ class TestRegressors:
         flown["q_hat"] = flown["q"] * aircraft.chord / (2 * flown["airspeed"])
         again = coefficients(flown[list(names)].to_numpy())
         inner = slice(3, -3)
-        np.testing.assert_allclose(again[inner], flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]][inner], atol=2e-4)
+        np.testing.assert_allclose(
+            again[inner], flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]][inner], atol=2e-4
+        )
         assert np.ptp(flown["alpha_dot"]) > 0.2  # the check is not of nothing
 
     def test_a_fixed_point_that_is_not_found_marks_the_trajectory(self, aircraft):
-        flipping = Aerodynamics(lambda X: np.where(X < -10.0, 0.1, 0.5) * [0, 0, -1.0, 0, 0, 0], ["az"])
+        flipping = Aerodynamics(
+            lambda X: np.where(X < -10.0, 0.1, 0.5) * [0, 0, -1.0, 0, 0, 0], ["az"]
+        )
         with pytest.warns(SimulationWarning, match="no fixed point"):
             flown = simulate(flipping, aircraft, START, {}, duration=0.5, thrust=None)
         assert (flown["ended"] == "fixed point").all()
 
     def test_one_that_cannot_be_rebuilt_is_named(self, aircraft):
-        model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "elevator_trim", "temperature"])
+        model = Aerodynamics(
+            lambda X: np.zeros((len(X), 6)), ["alpha", "elevator_trim", "temperature"]
+        )
         with pytest.raises(ValueError, match=r"controls lack 'elevator_trim'.*'temperature'"):
             simulate(model, aircraft, START, {"elevator": 0.0}, duration=1.0, thrust=None)
         with pytest.raises(ValueError, match="only rates have a non-dimensional form"):
-            simulate(Aerodynamics(lambda X: X, ["alpha_hat"]), aircraft, START, {}, duration=1.0, thrust=None)
-        with pytest.raises(ValueError, match=r"regressors \['v_north', 'time'\], which are neither controls nor"):
-            simulate(Aerodynamics(lambda X: X, ["alpha", "v_north", "time"]), aircraft, START, table_of(1.0))
+            simulate(
+                Aerodynamics(lambda X: X, ["alpha_hat"]),
+                aircraft,
+                START,
+                {},
+                duration=1.0,
+                thrust=None,
+            )
+        with pytest.raises(
+            ValueError, match=r"regressors \['v_north', 'time'\], which are neither controls nor"
+        ):
+            simulate(
+                Aerodynamics(lambda X: X, ["alpha", "v_north", "time"]),
+                aircraft,
+                START,
+                table_of(1.0),
+            )
 
 
 class TestControls:
     def test_a_table_a_function_and_tables_for_each_start_are_the_same_flight(self, aircraft):
         by_function = simulate(linear(), aircraft, START, commands, dt=0.02, duration=1.0)
         table = table_of(1.0)
-        by_table = simulate(linear(), aircraft, START, table.assign(time=table["time"] + 7.0), dt=0.02)
+        by_table = simulate(
+            linear(), aircraft, START, table.assign(time=table["time"] + 7.0), dt=0.02
+        )
         np.testing.assert_allclose(by_table[STATES], by_function[STATES], atol=1e-6)
         np.testing.assert_allclose(by_table["time"], by_function["time"] + 7.0)
-        two = simulate(linear(), aircraft, pd.DataFrame([START, START]), [table, table.assign(elevator=0.0)], dt=0.02)
+        two = simulate(
+            linear(),
+            aircraft,
+            pd.DataFrame([START, START]),
+            [table, table.assign(elevator=0.0)],
+            dt=0.02,
+        )
         first, second = (part for _, part in two.groupby("start"))
         np.testing.assert_allclose(first[STATES], by_table[STATES], atol=1e-12)
         assert np.abs(second["theta"].to_numpy() - first["theta"].to_numpy()).max() > 0.01
@@ -227,11 +302,17 @@ class TestControls:
 
     def test_throttle_turns_the_propeller(self, aircraft):
         propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
-        engine = {"diameter": 0.5, "thrust_coefficients": (0.1, -0.05, -0.08), "speed_range": (200.0, 800.0)}
+        engine = {
+            "diameter": 0.5,
+            "thrust_coefficients": (0.1, -0.05, -0.08),
+            "speed_range": (200.0, 800.0),
+        }
         powered = Aircraft.from_dict(aircraft.to_dict() | {"propeller": engine})
         surfaces = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
         by_throttle = simulate(linear(), powered, START, surfaces | {"throttle": 0.5}, duration=1.0)
-        by_speed = simulate(linear(), powered, START, surfaces | {"propeller_speed": 500.0}, duration=1.0)
+        by_speed = simulate(
+            linear(), powered, START, surfaces | {"propeller_speed": 500.0}, duration=1.0
+        )
         np.testing.assert_allclose(by_throttle[STATES], by_speed[STATES])
 
         def thrust(controls, airspeed, density):
@@ -253,7 +334,8 @@ class TestControls:
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
-        (table_of(1.0), {"return_std": True, "initial_std": {"phi": -0.1}}, "initial_std of phi -0.1"),
+        (table_of(1.0), {"return_std": True, "initial_std": {"phi": -0.1}}, "initial_std of phi "
+                                                                            "-0.1"),
         (table_of(1.0), {"air": {"north": 5.0}}, "lack 'north'"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0).assign(rudder="left"), {}, "controls rudder that is no number"),
@@ -271,8 +353,12 @@ class TestControls:
 
         table = table_of(1.0).assign(throttle=0.12)
         log = table.assign(flight="monday", v_north=np.nan, phi=99.0, elevator_true=5.0)
-        alone = simulate(linear(), aircraft, START, table[["time", *NAMES[5:], "throttle"]], thrust=thrust)
-        pd.testing.assert_frame_equal(simulate(linear(), aircraft, START, log, thrust=thrust)[list(alone)], alone)
+        alone = simulate(
+            linear(), aircraft, START, table[["time", *NAMES[5:], "throttle"]], thrust=thrust
+        )
+        pd.testing.assert_frame_equal(
+            simulate(linear(), aircraft, START, log, thrust=thrust)[list(alone)], alone
+        )
 
     def test_tables_and_starts_of_other_times_are_noticed(self, aircraft):
         log = table_of(4.0, step=0.02)
@@ -281,8 +367,17 @@ class TestControls:
             simulate(linear(), aircraft, START | {"time": 2.0}, log, duration=0.1)
         with pytest.warns(UserWarning, match="begin at time 2 s, but the wind begins at time 0 s"):
             simulate(linear(), aircraft, START, log[log["time"] >= 2.0], air=air, duration=0.1)
-        simulate(linear(), aircraft, START | {"time": 2.0}, log[log["time"] >= 2.0], air=air[100:], duration=0.1)
-        simulate(linear(), aircraft, START, log.assign(time=log["time"] + 60.0), air=air, duration=0.1)
+        simulate(
+            linear(),
+            aircraft,
+            START | {"time": 2.0},
+            log[log["time"] >= 2.0],
+            air=air[100:],
+            duration=0.1,
+        )
+        simulate(
+            linear(), aircraft, START, log.assign(time=log["time"] + 60.0), air=air, duration=0.1
+        )
 
 
 class TestStarts:
@@ -291,14 +386,35 @@ class TestStarts:
         flown = simulate(linear(), aircraft, above_home, commands, duration=0.1)
         assert flown["density"].iloc[0] == pytest.approx(standard_density(1500.0))
         with pytest.warns(UserWarning, match="altitude of -900 m, below any land"):
-            simulate(linear(), aircraft, {"airspeed": 22.0, "alpha": 0.08, "down": 900.0}, commands, duration=0.1)
+            simulate(
+                linear(),
+                aircraft,
+                {"airspeed": 22.0, "alpha": 0.08, "down": 900.0},
+                commands,
+                duration=0.1,
+            )
 
     def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
         row = flown.iloc[100]
         controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
         by_row = simulate(linear(), aircraft, row, controls, duration=0.5, air=[3.0, -2.0, 0.7])
-        names = ["airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "north", "east", "altitude"]
-        by_names = simulate(linear(), aircraft, dict(row[names]), controls, duration=0.5, air=[3.0, -2.0, 0.7])
+        names = [
+            "airspeed",
+            "alpha",
+            "beta",
+            "phi",
+            "theta",
+            "psi",
+            "p",
+            "q",
+            "r",
+            "north",
+            "east",
+            "altitude",
+        ]
+        by_names = simulate(
+            linear(), aircraft, dict(row[names]), controls, duration=0.5, air=[3.0, -2.0, 0.7]
+        )
         np.testing.assert_allclose(by_row[STATES], by_names[STATES], atol=1e-9)
 
     def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, aircraft):
@@ -335,7 +451,9 @@ class TestMarks:
         controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
         falling = linear(slopes=0.0 * SLOPES, intercept=np.zeros(6))
         starts = pd.DataFrame([vertical, START])
-        with pytest.warns(SimulationWarning, match="1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"):
+        with pytest.warns(
+            SimulationWarning, match="1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"
+        ):
             both = simulate(falling, aircraft, starts, controls, duration=2.0, thrust=None)
         lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
         alone = simulate(falling, aircraft, START, controls, duration=2.0, thrust=None)
@@ -397,7 +515,9 @@ def still(drift):
     """A model without any force or moment, known exactly but for its drift."""
 
     def drawn(n, random_state):
-        return lambda X: np.zeros((*X.shape[:2], 6)), lambda X: np.zeros((*X.shape[:2], 6, X.shape[2]))
+        return lambda X: np.zeros((*X.shape[:2], 6)), lambda X: np.zeros(
+            (*X.shape[:2], 6, X.shape[2])
+        )
 
     def covariance(X):
         return np.zeros((6 * len(X), 6 * len(X)))
@@ -413,14 +533,21 @@ def fly_end(model, aircraft, seed):
 
 class TestEnsembles:
     def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, aircraft):
-        paths = simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, random_state=5)
+        paths = simulate(
+            uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, random_state=5
+        )
         off = np.random.default_rng(5).standard_normal((3, 6, 8))
         for k, (_, path) in enumerate(paths.groupby("path")):
-            alone = simulate(linear(SLOPES * (1 + 0.1 * off[k])), aircraft, START, commands, duration=1.0)
+            alone = simulate(
+                linear(SLOPES * (1 + 0.1 * off[k])), aircraft, START, commands, duration=1.0
+            )
             np.testing.assert_allclose(path[STATES], alone[STATES], atol=1e-10)
 
     def test_first_order_spread_is_that_of_the_ensemble_while_errors_are_small(self, aircraft):
-        model, starts = uncertain(0.01), pd.DataFrame([START, START | {"phi": -0.2, "airspeed": 25.0}])
+        model, starts = (
+            uncertain(0.01),
+            pd.DataFrame([START, START | {"phi": -0.2, "airspeed": 25.0}]),
+        )
         options = {"dt": 0.02, "duration": 2.0, "initial_std": {"phi": 2e-3, "v": 0.02, "q": 1e-3}}
         mean = simulate(model, aircraft, starts, commands, return_std=True, **options)
         paths = simulate(model, aircraft, starts, commands, n_paths=500, **options)
@@ -441,25 +568,54 @@ class TestEnsembles:
         options = {"duration": 1.0, "dt": 0.05, "initial_std": initial_std}
         paths = simulate(uncertain(1e-9), aircraft, START, commands, n_paths=400, **options)
         mean = simulate(uncertain(1e-9), aircraft, START, commands, return_std=True, **options)
-        names = ["v_north", "v_east", "v_down", "u", "w", "theta", "phi", "psi", "q", "alpha", "beta"]
+        names = [
+            "v_north",
+            "v_east",
+            "v_down",
+            "u",
+            "w",
+            "theta",
+            "phi",
+            "psi",
+            "q",
+            "alpha",
+            "beta",
+        ]
         for at in (0.0, 0.5, 1.0):
             spread = paths[np.isclose(paths["time"], at)][names].std()
-            first = mean[np.isclose(mean["time"], at)][[f"{name}_std" for name in names]].iloc[0].to_numpy()
+            first = (
+                mean[np.isclose(mean["time"], at)][[f"{name}_std" for name in names]]
+                .iloc[0]
+                .to_numpy()
+            )
             np.testing.assert_allclose(first, spread, rtol=0.15, atol=0.03 * 0.3)
 
     def test_bands_of_a_heading_do_not_tear_at_a_half_turn(self):
         psi = np.array([[3.10, 3.14, -3.10], [3.05, 3.09, 3.13]])
         paths = pd.DataFrame(
-            {"start": 0, "path": np.repeat([0, 1], 3), "time": [0.0, 1, 2] * 2, "psi": psi.ravel(), "ended": ""}
+            {
+                "start": 0,
+                "path": np.repeat([0, 1], 3),
+                "time": [0.0, 1, 2] * 2,
+                "psi": psi.ravel(),
+                "ended": "",
+            }
         )
         band = trajectory_bands(paths, level=1.0)
         assert (band["psi_high"] - band["psi_low"]).max() < 0.1
 
-    def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(self, aircraft):
+    def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(
+        self, aircraft
+    ):
         """With CX alone and no gravity, u_dot = rho V^2 S CX / 2m, and the integral of CX has a known variance."""
         T, tau, V, rho = 0.5, 1e-3, 20.0, 1.2
         drift = Drift(np.array([tau**2, 0, 0, 0, 0, 0]), np.full(6, T))
-        options = {"dt": 0.02, "duration": 3.0, "air": Air(density=rho, gravity=0.0), "thrust": None}
+        options = {
+            "dt": 0.02,
+            "duration": 3.0,
+            "air": Air(density=rho, gravity=0.0),
+            "thrust": None,
+        }
         fly = partial(simulate, still(drift), aircraft, {"airspeed": V}, REST, **options)
         t, first = fly(return_std=True)[["time", "u_std"]].to_numpy().T
         paths = fly(n_paths=1000).pivot(index="time", columns="path", values="u")
@@ -473,7 +629,9 @@ class TestEnsembles:
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.5))
         drifting, steady = uncertain(0.01, drift=drift), uncertain(0.01)
         for options in ({"n_paths": 3}, {"return_std": True}):
-            fly = partial(simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5, **options)
+            fly = partial(
+                simulate, aircraft=aircraft, x0=START, controls=commands, duration=0.5, **options
+            )
             pd.testing.assert_frame_equal(fly(drifting, air=Air(drift=False)), fly(steady))
             pd.testing.assert_frame_equal(fly(drifting), fly(drifting))
             assert not fly(drifting).equals(fly(steady))
@@ -489,9 +647,19 @@ class TestEnsembles:
         with pytest.raises(ValueError, match="without a posterior covariance"):
             simulate(linear(), aircraft, START, commands, duration=1.0, return_std=True)
         with pytest.raises(ValueError, match="expected one of them"):
-            simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, return_std=True)
+            simulate(
+                uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, return_std=True
+            )
         with pytest.raises(ValueError, match="initial_std lack 'speed'"):
-            simulate(uncertain(0.1), aircraft, START, commands, duration=1.0, n_paths=3, initial_std={"speed": 1.0})
+            simulate(
+                uncertain(0.1),
+                aircraft,
+                START,
+                commands,
+                duration=1.0,
+                n_paths=3,
+                initial_std={"speed": 1.0},
+            )
 
 
 class TestSimulator:
@@ -499,12 +667,22 @@ class TestSimulator:
         def law(t, state):
             return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
 
-        at_once = simulate(linear(), aircraft, START, FlightComputer(law), dt=0.02, duration=1.0, air=[1.0, 2.0, 0.0])
+        at_once = simulate(
+            linear(),
+            aircraft,
+            START,
+            FlightComputer(law),
+            dt=0.02,
+            duration=1.0,
+            air=[1.0, 2.0, 0.0],
+        )
         simulator = Simulator(linear(), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
         seen = simulator.reset(START)
         for _, row in at_once.iterrows():
             assert seen["time"] == pytest.approx(row["time"])
-            np.testing.assert_allclose([seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10)
+            np.testing.assert_allclose(
+                [seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10
+            )
             seen = simulator.step(law(seen["time"], seen))
 
     def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
@@ -529,7 +707,11 @@ class TestSimulator:
         simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
         with pytest.warns(SimulationWarning):
             flown = simulate(
-                linear(limits=limits), aircraft, START, FlightComputer(lambda t, s: commands(0.0)), duration=1.0
+                linear(limits=limits),
+                aircraft,
+                START,
+                FlightComputer(lambda t, s: commands(0.0)),
+                duration=1.0,
             )
         simulator.reset(START)
         told = [simulator.beyond]

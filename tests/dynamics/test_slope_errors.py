@@ -19,7 +19,9 @@ SLOPES[4, [0, 3, 5]] = -0.6, -0.12, -1.0
 SLOPES[5, [1, 4, 6]] = 0.08, -0.1, -0.06
 LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
 CONTROLS = {"elevator": -0.02, "rudder": 0.03}
-LINEAR = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, gradient=lambda X: np.tile(SLOPES, (len(X), 1, 1)))
+LINEAR = Aerodynamics(
+    lambda X: LEVEL + X @ SLOPES.T, NAMES, gradient=lambda X: np.tile(SLOPES, (len(X), 1, 1))
+)
 
 
 def state_of(alpha=0.08, beta=0.03, rates=(0.2, 0.1, 0.15)):
@@ -41,10 +43,16 @@ def test_relation_is_of_the_motion_that_loads_cause():
     h = 1e-4
     for k, unit in ((2, 2 * 36.0 / BRUMBY.span), (3, 1.0), (4, 2 * 36.0 / BRUMBY.span)):
         step = h * np.eye(3)[k - 2]
-        ahead, behind = (angle_rates(rates=np.array([0.2, 0.1, 0.15]) + sign * step) for sign in (1, -1))
-        assert relation[:, k] == pytest.approx((ahead - behind) / (2 * h) * unit, rel=1e-6, abs=1e-8)
+        ahead, behind = (
+            angle_rates(rates=np.array([0.2, 0.1, 0.15]) + sign * step) for sign in (1, -1)
+        )
+        assert relation[:, k] == pytest.approx(
+            (ahead - behind) / (2 * h) * unit, rel=1e-6, abs=1e-8
+        )
     for k, name in ((5, "elevator"), (6, "rudder")):
-        ahead, behind = (angle_rates(controls={name: CONTROLS[name] + sign * h}) for sign in (1, -1))
+        ahead, behind = (
+            angle_rates(controls={name: CONTROLS[name] + sign * h}) for sign in (1, -1)
+        )
         assert relation[:, k] == pytest.approx((ahead - behind) / (2 * h), rel=1e-6, abs=1e-8)
 
 
@@ -70,9 +78,15 @@ def test_scatter_of_slopes_by_rates_leaves_those_by_lags_unknown():
 def test_a_lag_acts_as_a_small_slope_by_alpha_dot_does():
     size = 1e-5
     column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])
-    named = Aerodynamics(lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*NAMES, "alpha_dot"])
+    named = Aerodynamics(
+        lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*NAMES, "alpha_dot"]
+    )
     lag = Lag(np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool))
-    state, with_lag, bare = state_of(), Motion(named, BRUMBY, thrust=None), Motion(LINEAR, BRUMBY, thrust=None)
+    state, with_lag, bare = (
+        state_of(),
+        Motion(named, BRUMBY, thrust=None),
+        Motion(LINEAR, BRUMBY, thrust=None),
+    )
     expected = jacobian(with_lag, state, CONTROLS, inputs=["elevator"])
     plain = jacobian(bare, state, CONTROLS, inputs=["elevator"])
     found = jacobian(bare, state, CONTROLS, inputs=["elevator"], lag=lag)

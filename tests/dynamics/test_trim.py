@@ -5,7 +5,17 @@ import pytest
 
 from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, body_to_ned, quaternion_to_euler, rk4, simulate, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    Propeller,
+    body_to_ned,
+    quaternion_to_euler,
+    rk4,
+    simulate,
+    trim,
+)
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
@@ -33,13 +43,17 @@ def linear(X):
 
 
 TEXTBOOK = Aerodynamics(linear, NAMES)
-BRUMBYS = Aerodynamics(brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS])
+BRUMBYS = Aerodynamics(
+    brumby_coefficients, [f"{name}_hat" if name in HATS else name for name in REGRESSORS]
+)
 AIR = {"air": Air(density=DENSITY, gravity=GRAVITY)}
 
 
 @pytest.fixture(scope="module")
 def glider():
-    return Aircraft(mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    return Aircraft(
+        mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+    )
 
 
 def flown(found, model, aircraft, seconds, **air):
@@ -57,7 +71,9 @@ class TestKnownAnswers:
         drag, thrust = qS * (CD0 + K * CL**2), found.controls["thrust"]
         assert thrust * np.cos(found.alpha) == pytest.approx(drag)
         assert qS * CL + thrust * np.sin(found.alpha) == pytest.approx(glider.mass * GRAVITY)
-        assert found.controls["elevator"] == pytest.approx((CM0 + CM_ALPHA * found.alpha) / -CM_ELEVATOR)
+        assert found.controls["elevator"] == pytest.approx(
+            (CM0 + CM_ALPHA * found.alpha) / -CM_ELEVATOR
+        )
         assert found.theta == pytest.approx(found.alpha)
         assert [found.phi, found.beta, *found.rates] == pytest.approx([0.0] * 5, abs=1e-12)
 
@@ -113,14 +129,18 @@ class TestSteady:
         found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
         _, states = flown(found, BRUMBYS, BRUMBY, 5.0)
         assert states[:, 2] == pytest.approx(-200.0, abs=1e-8)
-        assert states[:, 3:6] == pytest.approx(np.tile(found.state[3:6], (len(states), 1)), abs=1e-8)
+        assert states[:, 3:6] == pytest.approx(
+            np.tile(found.state[3:6], (len(states), 1)), abs=1e-8
+        )
 
     def test_a_turn_is_a_circle_of_its_radius(self):
         found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0, bank=0.6)
         times, states = flown(found, BRUMBYS, BRUMBY, 6.0)
         radius = 36.0 / found.turn_rate
         north, east = body_to_ned(found.state[6:10], found.state[3:6])[:2] / 36.0
-        assert np.hypot(*(states[:, :2] - radius * np.array([-east, north])).T) == pytest.approx(radius, rel=1e-7)
+        assert np.hypot(*(states[:, :2] - radius * np.array([-east, north])).T) == pytest.approx(
+            radius, rel=1e-7
+        )
         assert radius == pytest.approx(36.0**2 / (9.80665 * np.tan(0.6)), rel=0.03)
         heading = np.unwrap(quaternion_to_euler(states[:, 6:10])[:, 2])
         assert heading == pytest.approx(found.turn_rate * times, abs=1e-8)
@@ -143,7 +163,9 @@ class TestShape:
         assert abs(found.beta) > 1e-3
 
     def test_without_lateral_controls_a_symmetric_aircraft_flies_straight(self, glider):
-        model = Aerodynamics(lambda X: linear(np.column_stack([X, 0 * X[:, 0], 0 * X[:, 0]])), NAMES[:-2])
+        model = Aerodynamics(
+            lambda X: linear(np.column_stack([X, 0 * X[:, 0], 0 * X[:, 0]])), NAMES[:-2]
+        )
         assert trim(model, glider, 20.0, **AIR).beta == pytest.approx(0.0, abs=1e-9)
         with pytest.raises(ValueError, match=r"no trim of .*phi 0\.4"):
             trim(model, glider, 20.0, bank=0.4, **AIR)
@@ -155,21 +177,28 @@ class TestShape:
         assert trim(model, glider, 20.0, **AIR).controls["throttle"] == pytest.approx(0.6)
         assert trim(model, glider, 20.0, fixed={"throttle": 0.5}, **AIR).controls["throttle"] == 0.5
         with pytest.raises(ValueError, match=r"lacks values of \['throttle'\], .*give fixed="):
-            trim(Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "throttle"]), glider, 20.0, **AIR)
+            trim(
+                Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "throttle"]), glider, 20.0, **AIR
+            )
 
     def test_a_propeller_without_range_trims_by_its_speed(self, glider):
         propelled = Aircraft.from_dict(
-            glider.to_dict() | {"propeller": {"diameter": 0.5, "thrust_coefficients": [0.1, -0.05, -0.08]}}
+            glider.to_dict()
+            | {"propeller": {"diameter": 0.5, "thrust_coefficients": [0.1, -0.05, -0.08]}}
         )
         found = trim(TEXTBOOK, propelled, 20.0, **AIR)
         thrust = propelled.propeller.thrust(found.controls["propeller_speed"], 20.0, DENSITY)
-        assert float(thrust) == pytest.approx(trim(TEXTBOOK, glider, 20.0, **AIR).controls["thrust"])
+        assert float(thrust) == pytest.approx(
+            trim(TEXTBOOK, glider, 20.0, **AIR).controls["thrust"]
+        )
         assert isinstance(propelled.propeller, Propeller)
 
     def test_elevons_are_controls_as_others_are(self, glider):
         def by_elevons(X):
             left, right = X[:, 5], X[:, 6]
-            return linear(np.column_stack([X[:, :5], (left + right) / 2, (left - right) / 2, X[:, 7]]))
+            return linear(
+                np.column_stack([X[:, :5], (left + right) / 2, (left - right) / 2, X[:, 7]])
+            )
 
         model = Aerodynamics(by_elevons, [*NAMES[:5], "elevon_left", "elevon_right", "rudder"])
         found, usual = (trim(one, glider, 20.0, bank=0.4, **AIR) for one in (model, TEXTBOOK))
@@ -188,7 +217,8 @@ class TestShape:
 class TestNoSuchFlight:
     def test_too_slow(self):
         with pytest.raises(
-            ValueError, match=r"no trim of brumby at airspeed 12 m/s.*w_dot = .*m/s\^2.*another airspeed"
+            ValueError,
+            match=r"no trim of brumby at airspeed 12 m/s.*w_dot = .*m/s\^2.*another airspeed",
         ):
             trim(BRUMBYS, BRUMBY, 12.0)
 
@@ -236,9 +266,17 @@ def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
 
     slopes = np.zeros((6, 5))
     slopes[2, 0], slopes[4, 0], slopes[4, 2] = -4.0, -0.5, -0.6
-    slopes[1, 1], slopes[3, 1], slopes[5, 1], slopes[3, 3], slopes[5, 4] = -0.5, -0.03, 0.06, 0.1, -0.05
+    slopes[1, 1], slopes[3, 1], slopes[5, 1], slopes[3, 3], slopes[5, 4] = (
+        -0.5,
+        -0.03,
+        0.06,
+        0.1,
+        -0.05,
+    )
     intercept = np.array([-0.03, 0, -0.1, 0, 0.03, 0])
-    model = Aerodynamics(lambda X: intercept + X @ slopes.T, ["alpha", "beta", "elevator", "aileron", "rudder"])
+    model = Aerodynamics(
+        lambda X: intercept + X @ slopes.T, ["alpha", "beta", "elevator", "aileron", "rudder"]
+    )
     steady = trim(model, aircraft, airspeed=20.0, thrust=engine)
     flown = simulate(model, aircraft, steady, steady.controls, duration=0.5, thrust=engine)
     np.testing.assert_allclose(flown["airspeed"], 20.0, atol=1e-5)

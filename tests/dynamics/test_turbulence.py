@@ -13,24 +13,39 @@ from skdgp._mechanics.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
 from skdgp._mechanics.air import _spectrum, dryden_gusts, dryden_system
 from skdgp._mechanics.motion import Motion
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, Simulator, Turbulence, as_aerodynamics, dryden_wind, simulate
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    Simulator,
+    Turbulence,
+    as_aerodynamics,
+    dryden_wind,
+    simulate,
+)
 from skdgp.dynamics._wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
-AIRCRAFT = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=SPAN, chord=0.25)
+AIRCRAFT = Aircraft(
+    mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=SPAN, chord=0.25
+)
 
 
 def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
     """Straight level flights over the ground at 25 m/s, in gusts and a wind along the way."""
     rng = np.random.default_rng(seed)
     n = round(duration / STEP)
-    length, intensity = (np.tile(part, (n_flights, 1)) for part in (turbulence.length, turbulence.intensity))
+    length, intensity = (
+        np.tile(part, (n_flights, 1)) for part in (turbulence.length, turbulence.intensity)
+    )
     gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, rng).velocity
     tables = []
     for k in range(n_flights):
-        u, v, w = ([SPEED + 3.0, 0.0, 0.0] - gusts[:, k] - [3.0, 0.0, 0.0] + rng.normal(0, noise, (n, 3))).T
+        u, v, w = (
+            [SPEED + 3.0, 0.0, 0.0] - gusts[:, k] - [3.0, 0.0, 0.0] + rng.normal(0, noise, (n, 3))
+        ).T
         speed = np.sqrt(u**2 + v**2 + w**2)
         zero = np.zeros(n)
         tables.append(pd.DataFrame({
@@ -45,18 +60,28 @@ class TestFromFlight:
     def test_finds_intensity_and_length_and_says_how_well(self):
         found = Turbulence.from_flight(flights(TRUE, 4, 300.0, 0.2, seed=1), SPAN)
         for name, least in (("intensity", 0.1), ("length", 0.25)):
-            value, true, std = getattr(found, name), getattr(TRUE, name), getattr(found, f"{name}_std")
+            value, true, std = (
+                getattr(found, name),
+                getattr(TRUE, name),
+                getattr(found, f"{name}_std"),
+            )
             np.testing.assert_allclose(value, true, rtol=least)
             assert (np.abs(value - true) < 3.5 * std).all()
             assert (std < 0.15 * true).all()
 
     def test_standard_errors_are_the_scatter(self):
-        found = [Turbulence.from_flight(flights(TRUE, 1, 120.0, 0.2, seed=s), SPAN) for s in range(30)]
+        found = [
+            Turbulence.from_flight(flights(TRUE, 1, 120.0, 0.2, seed=s), SPAN) for s in range(30)
+        ]
         for name in ("intensity", "length"):
             values = np.log([getattr(each, name)[[0, 2]] for each in found])
-            stated = [(getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found]
+            stated = [
+                (getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found
+            ]
             np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
-        assert np.mean([each.is_tied for each in found]) > 0.8  # of the flights, whose u and v are alike: 95 %
+        assert (
+            np.mean([each.is_tied for each in found]) > 0.8
+        )  # of the flights, whose u and v are alike: 95 %
 
     def test_u_and_v_that_differ_are_told_apart(self):
         """Wherever the aircraft is heading; a wind without a heading does not tell."""
@@ -64,8 +89,13 @@ class TestFromFlight:
         tables = [flights(true, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
         found, turned = (Turbulence.from_flight(table, SPAN) for table in tables)
         assert not found.is_tied
-        assert (np.abs(np.log(found.intensity / true.intensity)) < 3 * found.intensity_std / found.intensity).all()
-        assert (np.abs(np.log(found.length / true.length)) < 3 * found.length_std / found.length).all()
+        assert (
+            np.abs(np.log(found.intensity / true.intensity))
+            < 3 * found.intensity_std / found.intensity
+        ).all()
+        assert (
+            np.abs(np.log(found.length / true.length)) < 3 * found.length_std / found.length
+        ).all()
         np.testing.assert_allclose(turned.intensity, found.intensity, rtol=1e-3)
         wind = dryden_wind(100.0, 25.0, 100.0, random_state=0)
         assert Turbulence.from_wind(wind, 25.0, SPAN).is_tied
@@ -81,7 +111,9 @@ class TestFromFlight:
     def test_the_spectrum_is_that_of_drawn_gusts_without_lag(self, axis):
         A, B, C = dryden_system(SPEED, TRUE.length, TRUE.intensity, SPAN)
         frequency = np.geomspace(0.01, 60.0, 9)
-        response = np.array([C[axis] @ np.linalg.solve(1j * w * np.eye(9) - A, B) for w in frequency])
+        response = np.array(
+            [C[axis] @ np.linalg.solve(1j * w * np.eye(9) - A, B) for w in frequency]
+        )
         lag = (4, 3, 4)[axis] * SPAN / (np.pi * SPEED)
         found = _spectrum(frequency, TRUE.length[axis] / SPEED, axis) / (1 + (lag * frequency) ** 2)
         expected = (np.abs(response) ** 2).sum(axis=1)
@@ -89,13 +121,23 @@ class TestFromFlight:
 
     def test_winds_of_seconds_tell_the_rates(self):
         """Of ten winds of ten seconds, and of one."""
-        n, (length, intensity) = 201, (np.tile(part, (10, 1)) for part in (TRUE.length, TRUE.intensity))
-        gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, np.random.default_rng(3)).velocity
-        winds = [pd.DataFrame(gusts[:, k], columns=WIND).assign(time=STEP * np.arange(n)) for k in range(10)]
+        n, (length, intensity) = (
+            201,
+            (np.tile(part, (10, 1)) for part in (TRUE.length, TRUE.intensity)),
+        )
+        gusts = dryden_gusts(
+            n, STEP, SPEED, length, intensity, SPAN, np.random.default_rng(3)
+        ).velocity
+        winds = [
+            pd.DataFrame(gusts[:, k], columns=WIND).assign(time=STEP * np.arange(n))
+            for k in range(10)
+        ]
         density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
         for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
             found = Turbulence.from_wind(some, SPEED, SPAN)
-            np.testing.assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
+            np.testing.assert_allclose(
+                np.square(found.intensity) / found.length, density, rtol=tolerance
+            )
         with pytest.raises(ValueError, match="winds that are too short"):
             Turbulence.from_wind(winds[0][:20], SPEED, SPAN)
         with pytest.raises(ValueError, match="2 airspeeds of 10 winds"):
@@ -130,7 +172,9 @@ class TestFromFlight:
         with pytest.raises(ValueError, match="expected a number > 0"):
             Turbulence.from_flight(flights(TRUE, 1, 40.0, 0.2, seed=3), span)
 
-    @pytest.mark.parametrize(("height", "wind"), [(1000.0, 5.0), (-1.0, 5.0), (np.nan, 5.0), (50.0, np.nan)])
+    @pytest.mark.parametrize(
+        ("height", "wind"), [(1000.0, 5.0), (-1.0, 5.0), (np.nan, 5.0), (50.0, np.nan)]
+    )
     def test_low_altitude_is_low(self, height, wind):
         with pytest.raises(ValueError, match="but expected a number"):
             Turbulence.low_altitude(height, wind)
@@ -162,8 +206,12 @@ class TestPipeline:
         calibrated = CalibratedRegressor(fitted, cv="prefit")
         calibrated.estimator_ = search.fit(table, Y, groups=table["flight"])
         for model in (fitted, search):
-            np.testing.assert_allclose(as_aerodynamics(model).turbulence.length, expected.length, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(turbulence_of(calibrated).length, expected.length, rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(
+                as_aerodynamics(model).turbulence.length, expected.length, rtol=1e-9, atol=1e-10
+            )
+        np.testing.assert_allclose(
+            turbulence_of(calibrated).length, expected.length, rtol=1e-9, atol=1e-10
+        )
         assert not hasattr(clone(fitted), "turbulence_")
         assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
 
@@ -180,11 +228,20 @@ class TestDrift:
         """A drift whose integral over one second varies twice as much as that of the rotation keeps one half."""
         n, flown = round(1.0 / STEP), 4000
         rates = dryden_gusts(
-            n + 1, STEP, SPEED, [TRUE.length], [TRUE.intensity], SPAN, np.random.default_rng(0), n_draws=flown
+            n + 1,
+            STEP,
+            SPEED,
+            [TRUE.length],
+            [TRUE.intensity],
+            SPAN,
+            np.random.default_rng(0),
+            n_draws=flown,
         ).rates
         effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
         memory = np.full(6, 0.4)
-        unit = 2 * memory**2 * (1 / memory + np.expm1(-1 / memory))  # of the integral of a drift with tau = 1
+        unit = (
+            2 * memory**2 * (1 / memory + np.expm1(-1 / memory))
+        )  # of the integral of a drift with tau = 1
         drift = Drift(np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit[3:]), memory)
         left = without_rotation(drift, TRUE, self.slopes, SPEED, SPAN)
         np.testing.assert_allclose(left[:3], 1.0)
@@ -203,20 +260,33 @@ class TestDrift:
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
         known = learned_in(TRUE, model, drift)
-        left = [drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors]
+        left = [
+            drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors
+        ]
         np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert left == pytest.approx([0.1, 0.33, 1.0, 1.9], abs=0.03)
         calm = learned_in(TRUE.scaled(0.0), model, drift)
-        for air in (TRUE.scaled(0.0), TRUE, None):  # learned in calm air, all of it is errors of the function
-            np.testing.assert_allclose(drift_in(air, calm, SPEED, drawn=True).variance, drift.variance)
+        for air in (
+            TRUE.scaled(0.0),
+            TRUE,
+            None,
+        ):  # learned in calm air, all of it is errors of the function
+            np.testing.assert_allclose(
+                drift_in(air, calm, SPEED, drawn=True).variance, drift.variance
+            )
 
     def test_what_is_not_drawn_is_in_the_drift(self, model):
         """Deviations of the mean's flight contain the rates of gusts, in proportion to their variance."""
         drift = Drift(np.full(6, 1e-2), np.full(6, 0.4))
         known = learned_in(TRUE, model, drift)
-        np.testing.assert_allclose(drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance)
+        np.testing.assert_allclose(
+            drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance
+        )
         explained = drift.variance - drift_in(TRUE, known, SPEED, drawn=True).variance
-        more, drawn = (drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance for drawn in (False, True))
+        more, drawn = (
+            drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance
+            for drawn in (False, True)
+        )
         np.testing.assert_allclose((more - drawn)[3:] / explained[3:], 9.0, rtol=0.1)
 
     def test_two_processes(self):
@@ -233,7 +303,11 @@ class TestDrift:
 def learned_in(turbulence, model, drift):
     """The motion of an aircraft whose model was learned in some turbulence."""
     known = Aerodynamics(
-        coefficients, model.regressors, drift=drift, turbulence=turbulence._replace(airspeed=SPEED), sampler=sampler
+        coefficients,
+        model.regressors,
+        drift=drift,
+        turbulence=turbulence._replace(airspeed=SPEED),
+        sampler=sampler,
     )
     return Motion(known, AIRCRAFT, thrust=None)
 
@@ -276,7 +350,9 @@ class TestSimulate:
     def test_a_wind_table_contains_the_gusts(self, model):
         """Then the air's velocity is that of the table, and only its rates are drawn."""
         time = np.linspace(0, 1, 21)
-        wind = pd.DataFrame({"time": time, "wind_north": 0.1 * time, "wind_east": 0.0, "wind_down": 0.2 * time})
+        wind = pd.DataFrame(
+            {"time": time, "wind_north": 0.1 * time, "wind_east": 0.0, "wind_down": 0.2 * time}
+        )
         paths = flown(model, air=Air(wind, TRUE))
         expected = np.tile(wind["wind_down"], OPTIONS["n_paths"])
         np.testing.assert_allclose(paths["wind_down"], expected, atol=1e-12)
@@ -284,7 +360,9 @@ class TestSimulate:
 
     def test_a_wind_has_gusts_of_its_own(self, model):
         """By itself a table or a function decides the intensity, whatever the model was learned in; it is said."""
-        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE.scaled(9.0))
+        known = Aerodynamics(
+            coefficients, model.regressors, sampler=sampler, turbulence=TRUE.scaled(9.0)
+        )
         wind = dryden_wind(20.0, 12.0, 100.0, wind_at_6m=4.0, span=SPAN, random_state=0)
         by_table = flown(known, air=wind)
         asked = flown(known, air=Air(wind, Turbulence.from_wind([wind], 12.0, SPAN)))
@@ -294,7 +372,10 @@ class TestSimulate:
         def field(t, position):
             return np.array([np.interp(t, wind["time"], wind[name]) for name in WIND])
 
-        spread = [flown(known, air=air, duration=5.0).query("time > 2")["p"].std() for air in (wind, field)]
+        spread = [
+            flown(known, air=air, duration=5.0).query("time > 2")["p"].std()
+            for air in (wind, field)
+        ]
         assert spread[1] == pytest.approx(spread[0], rel=0.6)
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
@@ -312,7 +393,15 @@ class TestSimulate:
 
     def test_each_start_has_its_airspeed(self):
         def drawn(airspeed):
-            arguments = (50, STEP, airspeed, [TRUE.length] * 2, [TRUE.intensity] * 2, SPAN, np.random.default_rng(0))
+            arguments = (
+                50,
+                STEP,
+                airspeed,
+                [TRUE.length] * 2,
+                [TRUE.intensity] * 2,
+                SPAN,
+                np.random.default_rng(0),
+            )
             return dryden_gusts(*arguments, n_draws=3)
 
         for both, slow, fast in zip(drawn([12.0, 30.0]), drawn(12.0), drawn(30.0), strict=True):
@@ -322,7 +411,9 @@ class TestSimulate:
     def test_rotation_leaves_the_drift(self, model):
         """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
         drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
-        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE)
+        known = Aerodynamics(
+            coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE
+        )
         with_drift, without = (flown(known, air=Air(drift=drift))["p"] for drift in (True, False))
         np.testing.assert_allclose(with_drift, without, atol=1e-12)
 

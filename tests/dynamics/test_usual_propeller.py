@@ -7,7 +7,13 @@ import pandas as pd
 import pytest
 
 from skdgp._cli._identify import ENGINE, SIZES, _aircraft
-from skdgp.dynamics import Aerodynamics, Aircraft, Propeller, aerodynamic_coefficients, stability_derivatives
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    Propeller,
+    aerodynamic_coefficients,
+    stability_derivatives,
+)
 from skdgp.identification._assumed import assumptions, lacks_thrust, with_thrust_errors
 
 SIZE = {"diameter": 0.254, "pitch": 0.127}
@@ -19,7 +25,10 @@ def test_thrust_vanishes_beyond_the_pitch_and_power_is_more_than_thrust_times_ai
     for pitch in (0.1, 0.15, 0.2, 0.25):
         propeller = Propeller.from_size(0.254, pitch)
         J = np.linspace(0, 1.6 * pitch / 0.254, 200)
-        thrust, torque = propeller.thrust(2 * np.pi, J * 0.254), -propeller.torque(2 * np.pi, J * 0.254)
+        thrust, torque = (
+            propeller.thrust(2 * np.pi, J * 0.254),
+            -propeller.torque(2 * np.pi, J * 0.254),
+        )
         zero = J[np.argmax(thrust < 0)] * 0.254 / pitch
         assert 1.0 < zero < 1.5  # cambered blades pull beyond the geometric pitch
         assert (np.diff(thrust) < 0).all()
@@ -29,7 +38,13 @@ def test_thrust_vanishes_beyond_the_pitch_and_power_is_more_than_thrust_times_ai
 
 @pytest.mark.parametrize(
     ("pitch", "ratio", "thrust"),
-    [(5, 0.0, 0.0975), (5, 0.43, 0.0453), (7, 0.353, 0.0913), (7, 0.576, 0.0486), (4.7, 0.0, 0.1278)],
+    [
+        (5, 0.0, 0.0975),
+        (5, 0.43, 0.0453),
+        (7, 0.353, 0.0913),
+        (7, 0.576, 0.0486),
+        (4.7, 0.0, 0.1278),
+    ],
 )
 def test_propellers_of_the_wind_tunnel(pitch, ratio, thrust):
     """C_T of APC 10x5 and 10x7 Thin Electric and 10x4.7 Slow Flyer (UIUC, volume 1), which are among the 178."""
@@ -45,7 +60,14 @@ def test_a_motor_gives_the_speed_and_more_deviation():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"pitch": 0.0}, {"motor_constant": 94.0}, {"voltage": 11.0}, {"diameter": "ten"}, {"pitch": np.inf}]
+    "bad",
+    [
+        {"pitch": 0.0},
+        {"motor_constant": 94.0},
+        {"voltage": 11.0},
+        {"diameter": "ten"},
+        {"pitch": np.inf},
+    ],
 )
 def test_sizes_that_are_none(bad):
     with pytest.raises(ValueError, match="expected numbers > 0 of diameter and pitch"):
@@ -58,15 +80,30 @@ def test_sizes_beyond_the_tunnel_are_said():
 
 
 def test_an_aircraft_file_has_diameter_and_pitch():
-    aircraft = Aircraft.from_dict({"kind": "conventional", "mass": 2.0, "span": 1.5, "propeller": SIZE | MOTOR})
+    aircraft = Aircraft.from_dict(
+        {"kind": "conventional", "mass": 2.0, "span": 1.5, "propeller": SIZE | MOTOR}
+    )
     assert aircraft.propeller == Propeller.from_size(**SIZE, **MOTOR)
     assert Aircraft.from_dict(aircraft.to_dict()).propeller == aircraft.propeller
     with pytest.raises(ValueError, match="unknown key 'pich'"):
-        Aircraft.from_dict({"kind": "conventional", "mass": 2.0, "span": 1.5, "propeller": {"diameter": 1, "pich": 1}})
+        Aircraft.from_dict(
+            {
+                "kind": "conventional",
+                "mass": 2.0,
+                "span": 1.5,
+                "propeller": {"diameter": 1, "pich": 1},
+            }
+        )
 
 
 def test_the_command_line_has_inches_rpm_and_volts():
-    words = {"mass": "2", "span": "1.5", "propeller": "10x5", "motor": "900x11.1", "train": ["sortie.ulg"]}
+    words = {
+        "mass": "2",
+        "span": "1.5",
+        "propeller": "10x5",
+        "motor": "900x11.1",
+        "train": ["sortie.ulg"],
+    }
     options = SimpleNamespace(**dict.fromkeys([*SIZES, *ENGINE, "kind", "aircraft"]) | words)
     propeller = _aircraft(SimpleNamespace(options=options)).propeller
     assert propeller.diameter == pytest.approx(0.254)
@@ -80,7 +117,9 @@ def flown():
     regressors = pd.DataFrame(rng.uniform(0, 0.1, (n, len(REGRESSORS))), columns=list(REGRESSORS))
     regressors["throttle"] = rng.uniform(0.4, 0.9, n)
     still = dict.fromkeys(("ax", "ay", "p", "q", "r"), 0.0)
-    table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 14 + 50 * regressors["alpha"], "density": 1.2})
+    table = pd.DataFrame(
+        {"time": 0.05 * np.arange(n), "airspeed": 14 + 50 * regressors["alpha"], "density": 1.2}
+    )
     return table.assign(**still, az=-9.8, throttle=regressors["throttle"]), regressors
 
 
@@ -89,7 +128,9 @@ def test_the_throttle_gives_the_thrust_where_the_motor_is_known(flown):
     told = Aircraft.estimate(2.0, 1.5, propeller=SIZE | MOTOR)
     assert not lacks_thrust("auto", [table], told)
     assert lacks_thrust("auto", [table], Aircraft.estimate(2.0, 1.5, propeller=SIZE))
-    thrust = told.propeller.thrust(told.propeller.speed_at(table["throttle"]), table["airspeed"], 1.2)
+    thrust = told.propeller.thrust(
+        told.propeller.speed_at(table["throttle"]), table["airspeed"], 1.2
+    )
     drag = aerodynamic_coefficients(table, told, cutoff=None)["CX"]
     assert np.allclose(drag, -thrust / (0.6 * table["airspeed"] ** 2 * told.wing_area))
 
@@ -102,8 +143,14 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
         propeller = Propeller.from_size(**SIZE, **MOTOR)
         coefficients = tuple(factor * c for c in propeller.thrust_coefficients)
         torques = tuple(factor * c for c in propeller.torque_coefficients)
-        engine = {**propeller.__dict__, "thrust_coefficients": coefficients, "torque_coefficients": torques}
-        aircraft = Aircraft.estimate(2.0, 1.5, propeller=Propeller(**engine), thrust_line={"position": [0, 0, -0.1]})
+        engine = {
+            **propeller.__dict__,
+            "thrust_coefficients": coefficients,
+            "torque_coefficients": torques,
+        }
+        aircraft = Aircraft.estimate(
+            2.0, 1.5, propeller=Propeller(**engine), thrust_line={"position": [0, 0, -0.1]}
+        )
         Y = aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy()
         return aircraft, np.linalg.lstsq(np.column_stack([np.ones(len(X)), X]), Y, rcond=None)[0]
 
@@ -113,7 +160,9 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
     state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
     only = {**aircraft.to_dict(), "deviations": {"thrust": aircraft.deviations["thrust"]}}
     controls = {"elevator": 0.05, "throttle": 0.6}
-    derivatives = stability_derivatives(model, Aircraft.from_dict(only), state, controls, thrust=None)
+    derivatives = stability_derivatives(
+        model, Aircraft.from_dict(only), state, controls, thrust=None
+    )
     for name, k in (("CX_alpha", 1), ("CX_throttle", 4)):
         change = 100 * aircraft.propeller.load_std * abs(others[k, 0] - weights[k, 0])
         assert derivatives.loc[name, "std_aircraft"] == pytest.approx(change, rel=1e-6)

@@ -36,4 +36,7 @@ def test_windows_start_where_the_state_is_known_and_cover_what_they_can():
     sparse = np.zeros(20, dtype=bool)
     sparse[[0, 15]] = True
     rows = restart_windows(time, [slice(0, 20)], 0.6, sparse)
-    assert [sorted(set(window.tolist())) for window in rows] == [list(range(7)), list(range(15, 20))]
+    assert [sorted(set(window.tolist())) for window in rows] == [
+        list(range(7)),
+        list(range(15, 20)),
+    ]

@@ -75,17 +75,28 @@ def fitted(regressors, cut_short):
     noise = np.array([1e-3, 1e-3, 5e-3, 3e-4, 2e-3, 3e-4])
     options = {
         "trend": (linear, {"structure": "trend"}),
-        "additive": (bent, {"kernel": LinearTrend() + alone(0) + alone(1), "trend": None, "structure": "joint"}),
+        "additive": (
+            bent,
+            {"kernel": LinearTrend() + alone(0) + alone(1), "trend": None, "structure": "joint"},
+        ),
         "joint": (curved, {"kernel": shared, "structure": "joint"}),
-        "sparse": (curved, {"kernel": shared, "structure": "joint", "inference": "sparse", "n_inducing": 40}),
+        "sparse": (
+            curved,
+            {"kernel": shared, "structure": "joint", "inference": "sparse", "n_inducing": 40},
+        ),
         "average": (curved, {"kernel": alone(0) + shared}),
-        "sparse-average": (curved, {"kernel": alone(0) + shared, "inference": "sparse", "n_inducing": 20}),
+        "sparse-average": (
+            curved,
+            {"kernel": alone(0) + shared, "inference": "sparse", "n_inducing": 20},
+        ),
     }
 
     @cache
     def get(name):
         function, parameters = options[name]
-        Y = function(regressors) + noise * np.random.default_rng(1).standard_normal((len(regressors), 6))
+        Y = function(regressors) + noise * np.random.default_rng(1).standard_normal(
+            (len(regressors), 6)
+        )
         regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
         model = make_pipeline(StandardScaler(), regressor)
         model[0].set_output(transform="pandas")

@@ -20,7 +20,9 @@ def plane(c, X):
     e, a, d = -elevator / c["deltae_max"], aileron / c["deltaa_max"], -rudder / c["deltar_max"]
     polar = c["c_lift_0"] + c["c_lift_a"] * alpha
     lift = polar + c["c_lift_q"] * q + c["c_lift_deltae"] * e
-    drag = c["c_drag_p"] + polar**2 / (np.pi * c["oswald"] * c["b"] ** 2 / c["s"]) + c["c_drag_q"] * q
+    drag = (
+        c["c_drag_p"] + polar**2 / (np.pi * c["oswald"] * c["b"] ** 2 / c["s"]) + c["c_drag_q"] * q
+    )
 
     def lateral(k):
         return (
@@ -39,16 +41,23 @@ def test_stated_loss_of_the_plane_is_that_of_the_file(model, uav, regressors, tm
     loss = write_ardupilot(tmp_path / "uav.json", model, uav)
     values = json.loads((tmp_path / "uav.json").read_text())
     off = plane(values, regressors) - model.predict(regressors)
-    np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12
+    )
     assert values["loss"]["Cm"]["loss"] == pytest.approx(loss.loc["Cm", "loss"])
-    assert (loss.loc[["CY", "Cl", "Cm", "Cn"], "loss"] < 0.1 * loss.loc[["CY", "Cl", "Cm", "Cn"], "spread"]).all()
+    assert (
+        loss.loc[["CY", "Cl", "Cm", "Cn"], "loss"]
+        < 0.1 * loss.loc[["CY", "Cl", "Cm", "Cn"], "spread"]
+    ).all()
 
 
 def test_controls_of_the_plane_have_ardupilots_signs(model, uav, tmp_path):
     """Elevator raises the nose, aileron rolls right, rudder yaws right; and the aircraft is stable."""
     write_ardupilot(tmp_path / "uav.json", model, uav)
     values = json.loads((tmp_path / "uav.json").read_text())
-    assert all(values[name] > 0 for name in ("c_m_deltae", "c_l_deltaa", "c_n_deltar", "c_lift_a", "c_n_b"))
+    assert all(
+        values[name] > 0 for name in ("c_m_deltae", "c_l_deltaa", "c_n_deltar", "c_lift_a", "c_n_b")
+    )
     assert all(values[name] < 0 for name in ("c_m_a", "c_m_q", "c_l_p", "c_n_r", "c_y_b"))
 
 
@@ -66,7 +75,9 @@ def test_gazebo_has_the_stated_loss_and_the_inertia(model, uav, regressors, tmp_
     def total(key, rates=True):
         found = c.get(f"{key}0", 0.0) + c.get(f"{key}a", 0.0) * alpha + c.get(f"{key}b", 0.0) * beta
         for place in plugin.iter("control_surface"):
-            found = found + float(place.find(f"{key}_ctrl").text) * np.degrees(deflection[place.find("name").text])
+            found = found + float(place.find(f"{key}_ctrl").text) * np.degrees(
+                deflection[place.find("name").text]
+            )
         return found + rates * (c[f"{key}p"] * p + c[f"{key}q"] * q + c[f"{key}r"] * r)
 
     lift = total("CL")
@@ -75,8 +86,12 @@ def test_gazebo_has_the_stated_loss_and_the_inertia(model, uav, regressors, tmp_
     found = np.stack([lift * sine - drag * cosine, total("CY"), -lift * cosine - drag * sine,
                       total("Cell"), total("Cem"), total("Cen")], axis=-1)  # fmt: skip
     off = found - model.predict(regressors)
-    np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(off**2, axis=0)), loss["loss"], rtol=1e-6, atol=1e-12
+    )
     inertia = {e.tag: float(e.text) for e in root.find("model/link/inertial/inertia")}
-    assert inertia["ixz"] == pytest.approx(-uav.inertia[0, 2])  # the axes are x forward, y left, z up
+    assert inertia["ixz"] == pytest.approx(
+        -uav.inertia[0, 2]
+    )  # the axes are x forward, y left, z up
     assert inertia["iyz"] == pytest.approx(uav.inertia[1, 2])
     assert float(root.find("model/link/inertial/mass").text) == uav.mass

@@ -23,7 +23,9 @@ def test_a_trend_is_its_derivatives_everywhere(built, fitted, regressors):
     std = found.evaluate(far, return_std=True)[1]
     expected = fitted("trend").predict(far, return_std=True)[1]
     np.testing.assert_allclose(std, expected, rtol=1e-4)
-    slopes, slopes_std = fitted("trend")[-1].predict_gradient(fitted("trend")[:-1].transform(far)[:1], return_std=True)
+    slopes, slopes_std = fitted("trend")[-1].predict_gradient(
+        fitted("trend")[:-1].transform(far)[:1], return_std=True
+    )
     scale = fitted("trend")[0].scale_
     np.testing.assert_allclose(found.derivatives, slopes[0] / scale, atol=1e-9)
     np.testing.assert_allclose(found.derivatives_std, slopes_std[0] / scale, rtol=1e-4)
@@ -33,9 +35,15 @@ def test_a_trend_is_its_derivatives_everywhere(built, fitted, regressors):
 def test_sum_is_the_model_within_its_deviation(name, built, fitted, regressors):
     found = built(name)
     off = found.evaluate(regressors) - fitted(name).predict(regressors)
-    np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), found.loss["loss"], rtol=1e-6, atol=1e-12)
-    deviation = fitted(name)[-1].predict(fitted(name)[:-1].transform(regressors), return_std=True)[1]
-    np.testing.assert_allclose(np.sqrt(np.mean(deviation**2, axis=0)), found.loss["deviation"], rtol=1e-6)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(off**2, axis=0)), found.loss["loss"], rtol=1e-6, atol=1e-12
+    )
+    deviation = fitted(name)[-1].predict(fitted(name)[:-1].transform(regressors), return_std=True)[
+        1
+    ]
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(deviation**2, axis=0)), found.loss["deviation"], rtol=1e-6
+    )
     if name == "additive":
         assert (found.loss["loss"] < 0.5 * found.loss["deviation"]).all()
 
@@ -69,7 +77,11 @@ def test_cells_have_the_deviation_of_the_posterior(built, fitted, regressors):
     """A table of one regressor at a time: L K L^T with the posterior covariance K of a dense computation."""
     found, model = built("additive"), fitted("additive")
     for table in found.tables["CZ"]:
-        assert table.values.shape == table.std.shape == tuple(len(points) for points in table.breakpoints)
+        assert (
+            table.values.shape
+            == table.std.shape
+            == tuple(len(points) for points in table.breakpoints)
+        )
         assert all((np.diff(points) > 0).all() for points in table.breakpoints)
     inside = regressors[:40]
     std = found.evaluate(inside, return_std=True)[1]
@@ -99,7 +111,9 @@ def test_a_compact_model_needs_samples(fitted, uav, regressors):
 def test_a_calibrated_model_has_calibrated_deviations(fitted, uav, regressors):
     plain = fitted("trend")
     model = type(plain)([("scale", plain[0]), ("calibrated", CalibratedRegressor(plain[-1], cv=2))])
-    Y = pd.DataFrame(plain.predict(regressors), columns=COEFFICIENTS) + 1e-3 * np.sin(7 * regressors.to_numpy()[:, :1])
+    Y = pd.DataFrame(plain.predict(regressors), columns=COEFFICIENTS) + 1e-3 * np.sin(
+        7 * regressors.to_numpy()[:, :1]
+    )
     model.fit(regressors, Y)
     inner = model[-1].estimator_.predict(model[:-1].transform(regressors), return_std=True)[1]
     std = build_up(model, uav).evaluate(regressors, return_std=True)[1]
@@ -119,7 +133,9 @@ def test_file_holds_all_that_a_reader_needs(built, tmp_path):
         for table in entry["tables"]:
             points, cells = table["breakpoints"], np.array(table["values"])
             assert cells.shape == np.shape(table["std"]) == tuple(map(len, points))
-            at = [np.clip(X[r], p[0], p[-1]) for r, p in zip(table["regressors"], points, strict=True)]
+            at = [
+                np.clip(X[r], p[0], p[-1]) for r, p in zip(table["regressors"], points, strict=True)
+            ]
             value = value + RegularGridInterpolator(points, cells)(np.stack(at, axis=-1))
         np.testing.assert_allclose(value, found.evaluate(found.samples[:5])[:, k], atol=1e-12)
         assert {key: entry[key] for key in ("loss", "deviation")} == found.loss.loc[name].to_dict()
@@ -133,7 +149,9 @@ def test_effects_are_parts_of_the_sum(built):
         effect, terms = found.effects(name), [(r,) for r in found.regressors]
         terms += [t.regressors for t in found.tables[name] if len(t.regressors) == 2]
         columns = [[found.regressors.index(r) for r in term] for term in terms]
-        parts = [effect(term, found.samples[:, c])[0] for term, c in zip(terms, columns, strict=True)]
+        parts = [
+            effect(term, found.samples[:, c])[0] for term, c in zip(terms, columns, strict=True)
+        ]
         np.testing.assert_allclose(np.mean(parts, axis=1), 0.0, atol=1e-9)
         whole = found.evaluate(found.samples)[:, k]
         np.testing.assert_allclose(sum(parts), whole - whole.mean(), atol=1e-9)
@@ -150,7 +168,8 @@ class TestBadInput:
             build_up(fitted("sparse"), uav, max_loss=1e-6)
 
     @pytest.mark.parametrize(
-        ("options", "match"), [({"pairs": "beta"}, "expected 'all'"), ({"tolerance": 0.0}, "positive fractions")]
+        ("options", "match"),
+        [({"pairs": "beta"}, "expected 'all'"), ({"tolerance": 0.0}, "positive fractions")],
     )
     def test_options(self, fitted, uav, options, match):
         with pytest.raises(ValueError, match=match):

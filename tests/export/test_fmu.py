@@ -15,7 +15,15 @@ from skdgp._cli import main
 from skdgp._flight.channels import CHANNELS
 from skdgp._mechanics.aerodynamics import Mixing
 from skdgp.dynamics import Aerodynamics, Aircraft, FlightComputer, Propeller, ThrustLine, simulate
-from skdgp.export import Block, LearnedRange, PortableModel, Readout, Regressor, save_portable, write_fmu
+from skdgp.export import (
+    Block,
+    LearnedRange,
+    PortableModel,
+    Readout,
+    Regressor,
+    save_portable,
+    write_fmu,
+)
 from skdgp.export._fmu import BASE_UNITS, COMPILERS
 
 fmpy = pytest.importorskip("fmpy", reason="flies FMUs in FMPy: pip install fmpy")
@@ -61,7 +69,11 @@ def model_of(regressors, **parts):
             factors = MIXING.matrix[MIXING.controls.index(name)]
             made.append(Regressor(name, "rad", SURFACES, tuple(factors.tolist())))
         elif rate != name:
-            made.append(Regressor(name, "", (rate,), (1.0,), lengths.get(rate, 2.6), 2 if rate == "p_dot" else 1))
+            made.append(
+                Regressor(
+                    name, "", (rate,), (1.0,), lengths.get(rate, 2.6), 2 if rate == "p_dot" else 1
+                )
+            )
         else:
             made.append(Regressor(name, "", (name,)))
     weights = np.column_stack([[-0.03, 0.0, -0.2, 0.0, 0.02, 0.0], SLOPES.loc[list(regressors)].T])
@@ -83,21 +95,36 @@ def flown(model, start=START, **options):
     """Return what `simulate` flies with a portable model."""
     aircraft = model.aircraft
     aerodynamics = Aerodynamics(
-        model.predict, model.regressor_names, span=aircraft.span, chord=aircraft.chord, mixing=MIXING
+        model.predict,
+        model.regressor_names,
+        span=aircraft.span,
+        chord=aircraft.chord,
+        mixing=MIXING,
     )
     return simulate(aerodynamics, aircraft, start, dt=DT, **options)
 
 
 LINE = ThrustLine(position=(-0.4, 0.1, -0.2), direction=(1.0, 0.05, 0.1))
-PROPELLER = Propeller(0.5, (0.1, -0.05, -0.08), (0.01, -0.002, -0.001), rotation=-1, speed_range=(100.0, 500.0))
+PROPELLER = Propeller(
+    0.5, (0.1, -0.05, -0.08), (0.01, -0.002, -0.001), rotation=-1, speed_range=(100.0, 500.0)
+)
 CLASSICAL = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")
 FOLLOWING = ("alpha_dot_hat", "beta_dot_hat", "p_dot_hat", "az")
 MODELS = {
     "explicit": model_of(CLASSICAL, thrust_line=LINE),
-    "implicit": model_of((*CLASSICAL, "throttle", *FOLLOWING), thrust_line=LINE, propeller=PROPELLER),
+    "implicit": model_of(
+        (*CLASSICAL, "throttle", *FOLLOWING), thrust_line=LINE, propeller=PROPELLER
+    ),
 }
-KINDS = [(name, form, fmi) for name, form in (("explicit", "aircraft"), ("implicit", "aircraft"),
-                                              ("implicit", "coefficients")) for fmi in ("2.0", "3.0")]  # fmt: skip
+KINDS = [
+    (name, form, fmi)
+    for name, form in (
+        ("explicit", "aircraft"),
+        ("implicit", "aircraft"),
+        ("implicit", "coefficients"),
+    )
+    for fmi in ("2.0", "3.0")
+]
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +134,11 @@ def fmu(tmp_path_factory):
         pytest.skip(NEEDED)
     folder, patch = tmp_path_factory.mktemp("fmu"), pytest.MonkeyPatch()
     if shutil.which("gcc"):
-        patch.setenv("CC", "gcc -O0 -Wall -Wextra -Werror -pedantic -fsanitize=undefined -fno-sanitize-recover=all")
+        patch.setenv(
+            "CC",
+            "gcc -O0 -Wall -Wextra -Werror -pedantic -fsanitize=undefined "
+            "-fno-sanitize-recover=all",
+        )
 
     @cache
     def write(name, form, fmi):
@@ -132,19 +163,29 @@ class Instance:
         self.logged = []
         description = fmpy.read_model_description(path)
         self.second = description.fmiVersion == "2.0"
-        self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
+        self.references = {
+            variable.name: variable.valueReference for variable in description.modelVariables
+        }
         if not (folder / "modelDescription.xml").exists():
             fmpy.extract(path, str(folder))
         self.fmu = fmpy.instantiate_fmu(
-            str(folder), description, debug_logging=True, logger=lambda *words: self.logged.append(words[-1]), **options
+            str(folder),
+            description,
+            debug_logging=True,
+            logger=lambda *words: self.logged.append(words[-1]),
+            **options,
         )
         self.read, self.write = (
-            (self.fmu.getReal, self.fmu.setReal) if self.second else (self.fmu.getFloat64, self.fmu.setFloat64)
+            (self.fmu.getReal, self.fmu.setReal)
+            if self.second
+            else (self.fmu.getFloat64, self.fmu.setFloat64)
         )
 
     def set(self, values):
         values = dict(values)
-        self.write([self.references[name] for name in values], [float(value) for value in values.values()])
+        self.write(
+            [self.references[name] for name in values], [float(value) for value in values.values()]
+        )
 
     def get(self, names):
         return np.array(self.read([self.references[name] for name in names]))
@@ -179,7 +220,9 @@ def instance(fmu, tmp_path):
 def table(**columns):
     """Return a table of controls that are linear between its rows."""
     time = DT * np.arange(STEPS + 1)
-    shapes = {name: mean + size * np.sin(2.0 * time + len(name)) for name, (mean, size) in columns.items()}
+    shapes = {
+        name: mean + size * np.sin(2.0 * time + len(name)) for name, (mean, size) in columns.items()
+    }
     return pd.DataFrame({"time": time} | shapes)
 
 
@@ -197,7 +240,9 @@ def test_description_and_symbols(kind, fmu, tmp_path):
         (library,) = [name for name in archive.namelist() if name.startswith("binaries/")]
         archive.extract(library, tmp_path)
     if shutil.which("nm"):
-        text = subprocess.run(["nm", "-D", tmp_path / library], capture_output=True, text=True, check=True).stdout
+        text = subprocess.run(
+            ["nm", "-D", tmp_path / library], capture_output=True, text=True, check=True
+        ).stdout
         symbols = [line.split()[-2:] for line in text.splitlines()]
         assert all(name.startswith(f"fmi{kind[2][0]}") for what, name in symbols if what in "TDBR")
         assert not [name for _, name in symbols if name.startswith(("Py", "_Py"))]
@@ -210,9 +255,13 @@ def test_flight_is_that_of_simulate(name, fmi, every, instance):
     engine = {"throttle": (0.6, 0.2)} if name == "implicit" else {"thrust": (20.0, 5.0)}
     controls = table(**CONTROLS, **engine)
     row = controls["time"].to_numpy()
-    controls = controls.apply(lambda column: np.interp(row, row[::every], column[::every]))  # linear within a step
+    controls = controls.apply(
+        lambda column: np.interp(row, row[::every], column[::every])
+    )  # linear within a step
     rate = row if fmi == "2.0" or name == "explicit" else 0 * row  # FMI 3.0 has no rates of inputs
-    wind = pd.DataFrame({"time": row, "wind_north": 3 + rate, "wind_east": -2 + 0.5 * rate, "wind_down": 0.3 * rate})
+    wind = pd.DataFrame(
+        {"time": row, "wind_north": 3 + rate, "wind_east": -2 + 0.5 * rate, "wind_down": 0.3 * rate}
+    )
     expected = flown(MODELS[name], controls=controls, air=wind)
     assert set(expected["ended"]) == {""}
     inputs = pd.concat([controls, wind.drop(columns="time")], axis=1).drop(columns="time")
@@ -222,9 +271,15 @@ def test_flight_is_that_of_simulate(name, fmi, every, instance):
         uav.set({name: np.interp(time, row, inputs[name]) for name in inputs})
 
     def slopes(k):
-        return ((inputs.loc[k + every] - inputs.loc[k]) / (every * DT)).to_dict() if fmi == "2.0" else None
+        return (
+            ((inputs.loc[k + every] - inputs.loc[k]) / (every * DT)).to_dict()
+            if fmi == "2.0"
+            else None
+        )
 
-    uav = instance(name, "aircraft", fmi, **({} if fmi == "2.0" else {"intermediate_update": update}))
+    uav = instance(
+        name, "aircraft", fmi, **({} if fmi == "2.0" else {"intermediate_update": update})
+    )
     uav.begin(expected.loc[0, STATE], inputs.loc[0], slopes(0))
     found = [uav.get(reads)]
     for k in range(0, STEPS, every):
@@ -233,7 +288,9 @@ def test_flight_is_that_of_simulate(name, fmi, every, instance):
             uav.set_slopes(slopes(k))
         uav.fmu.doStep(row[k], every * DT)
         found.append(uav.get(reads))
-    np.testing.assert_allclose(np.array(found)[:, : len(SHOWN)], expected.loc[::every, SHOWN], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        np.array(found)[:, : len(SHOWN)], expected.loc[::every, SHOWN], rtol=1e-9, atol=1e-9
+    )
     if name == "explicit":
         X = MODELS[name].regressor_values(expected.loc[::every])
         _, std = MODELS[name].predict(X, return_std=True, include_input_noise=False)
@@ -259,14 +316,20 @@ def test_inputs_without_slopes_are_held(fmi, fmu):
         start_values=expected.loc[0, STATE].to_dict(), input=inputs.to_records(index=False),
     )  # fmt: skip
     assert len(found) == STEPS + 1
-    np.testing.assert_allclose([list(row)[1:] for row in found], expected[STATE], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        [list(row)[1:] for row in found], expected[STATE], rtol=1e-9, atol=1e-9
+    )
 
 
 def test_coefficients_are_those_of_the_model(fmi, instance):
     model, rng = MODELS["implicit"], np.random.default_rng(0)
     aero = instance("implicit", "coefficients", fmi)
-    sources = list(dict.fromkeys(name for regressor in model.regressors for name in regressor.columns))
-    rows = pd.DataFrame(rng.normal(0.0, 0.2, (10, len(sources))), columns=sources).assign(airspeed=25.0)
+    sources = list(
+        dict.fromkeys(name for regressor in model.regressors for name in regressor.columns)
+    )
+    rows = pd.DataFrame(rng.normal(0.0, 0.2, (10, len(sources))), columns=sources).assign(
+        airspeed=25.0
+    )
     aero.begin({}, rows.loc[0])
     found = []
     for k, row in rows.iterrows():
@@ -275,7 +338,9 @@ def test_coefficients_are_those_of_the_model(fmi, instance):
         aero.fmu.doStep(0.1 * k, 0.1)
     mean, std = model.predict(rows, return_std=True, include_input_noise=False)
     X = model.regressor_values(rows)
-    np.testing.assert_allclose(found, np.column_stack([mean, std, (np.abs(X) > 0.3).sum(axis=1)]), rtol=1e-9)
+    np.testing.assert_allclose(
+        found, np.column_stack([mean, std, (np.abs(X) > 0.3).sum(axis=1)]), rtol=1e-9
+    )
 
 
 def test_without_any_input_it_flies(fmi, fmu, capsys):
@@ -324,7 +389,9 @@ def test_misuse_is_an_error_with_a_message(fmi, instance):
         with pytest.raises(fmpy.fmi1.FMICallException) as caught:
             function(*words)
         assert caught.value.status == 3
-        assert [bool(re.search(message, text.decode())) for text in uav.logged] == [True], uav.logged
+        assert [bool(re.search(message, text.decode())) for text in uav.logged] == [True], (
+            uav.logged
+        )
 
     refused("while the instance is instantiated", fmu.doStep, 0.0, 0.1)
     refused("while the instance is instantiated", fmu.exitInitializationMode)
@@ -344,7 +411,9 @@ def test_misuse_is_an_error_with_a_message(fmi, instance):
         refused("step size is not > 0", fmu.doStep, 0.0, size)
     refused("1e7 steps", fmu.doStep, 0.0, 1e9)
     if uav.second:
-        refused("order is not 1", fmu.setRealInputDerivatives, [uav.references["rudder"]], [2], [0.0])
+        refused(
+            "order is not 1", fmu.setRealInputDerivatives, [uav.references["rudder"]], [2], [0.0]
+        )
         refused("nothing of that kind", fmu.getInteger, [0])
         refused("no input", fmu.setRealInputDerivatives, [uav.references["u"]], [1], [0.0])
     else:
@@ -370,13 +439,17 @@ def test_a_flight_ends_where_that_of_simulate_ends(fmi, instance):
     assert caught.value.status == 2
     assert "outside of the atmosphere" in uav.logged[-1].decode()
     assert uav.get(["time"]) == pytest.approx((rows - 1) * DT)
-    np.testing.assert_allclose(uav.get(STATE), expected.loc[rows - 1, STATE].to_numpy(float), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        uav.get(STATE), expected.loc[rows - 1, STATE].to_numpy(float), rtol=1e-9, atol=1e-9
+    )
     if uav.second:
         assert uav.fmu.getBooleanStatus(3)
         assert uav.fmu.getRealStatus(2) == uav.get(["time"])
     else:
         early = instance("explicit", "aircraft", fmi, early_return_allowed=True)
-        early.begin(expected.loc[0, STATE], {"rudder": 0.0, "elevon_left": 0.0, "elevon_right": 0.0})
+        early.begin(
+            expected.loc[0, STATE], {"rudder": 0.0, "elevon_left": 0.0, "elevon_right": 0.0}
+        )
         assert early.fmu.doStep(0.0, 2.0) == (False, True, True, uav.get(["time"]))
     slow = instance("explicit", "aircraft", fmi)
     with pytest.raises(fmpy.fmi1.FMICallException):
@@ -417,14 +490,18 @@ def test_without_a_compiler_there_is_the_source(model, expected, tmp_path, monke
     with pytest.warns(UserWarning, match="source code alone, no binary: there is no C compiler"):
         assert write_fmu(path, model) is None
     assert fmpy.supported_platforms(path) == ["c-code"]
-    inputs = {v.name for v in fmpy.read_model_description(path).modelVariables if v.causality == "input"}
+    inputs = {
+        v.name for v in fmpy.read_model_description(path).modelVariables if v.causality == "input"
+    }
     loads = {f"thrust_{axis}" for axis in "xyzlmn"}
     wind = {"wind_north", "wind_east", "wind_down"}
     assert inputs == {*SURFACES, "rudder"} | loads | wind | expected
 
 
 def renamed(model, old, new):
-    regressors = [replace(each, sources=(new,)) if each.name == old else each for each in model.regressors]
+    regressors = [
+        replace(each, sources=(new,)) if each.name == old else each for each in model.regressors
+    ]
     return replace(model, regressors=tuple(regressors))
 
 
@@ -434,9 +511,21 @@ def renamed(model, old, new):
         (MODELS["explicit"], {"form": "tables"}, "form='tables', but expected 'aircraft' or"),
         (MODELS["explicit"], {"fmi": "1.0"}, "fmi='1.0', but expected '2.0' or"),
         (replace(MODELS["explicit"], outputs=tuple("abcdef")), {}, r"without \['CX'"),
-        (renamed(MODELS["explicit"], "rudder", "dt"), {}, r"\['dt'\], but the FMU has other variables"),
-        (renamed(MODELS["explicit"], "rudder", "time"), {"form": "coefficients"}, r"\['time'\], but the FMU"),
-        (renamed(MODELS["explicit"], "rudder", "v_north"), {}, r"a model of \['v_north'\], which are neither controls"),
+        (
+            renamed(MODELS["explicit"], "rudder", "dt"),
+            {},
+            r"\['dt'\], but the FMU has other variables",
+        ),
+        (
+            renamed(MODELS["explicit"], "rudder", "time"),
+            {"form": "coefficients"},
+            r"\['time'\], but the FMU",
+        ),
+        (
+            renamed(MODELS["explicit"], "rudder", "v_north"),
+            {},
+            r"a model of \['v_north'\], which are neither controls",
+        ),
     ],
 )
 def test_what_has_no_form_is_refused(model, options, message, tmp_path):

@@ -8,7 +8,9 @@ import pytest
 from skdgp.dynamics import Aerodynamics, Air, FlightComputer, simulate, trim
 from skdgp.export import gymnasium_env
 
-gymnasium = pytest.importorskip("gymnasium", reason='makes environments: pip install "skdgp[export]"')
+gymnasium = pytest.importorskip(
+    "gymnasium", reason='makes environments: pip install "skdgp[export]"'
+)
 env_checker = pytest.importorskip("gymnasium.utils.env_checker", reason="checks environments")
 REMARKS = "ignore:.*(we recommend using a symmetric and normalized space|not wrapped|render_modes)"
 
@@ -22,7 +24,9 @@ def start(fitted, uav):
 @pytest.fixture
 def make(fitted, uav, start):
     """Return a function to an environment."""
-    return lambda **options: gymnasium_env(fitted("trend"), uav, start, **{"duration": 1.0} | options)
+    return lambda **options: gymnasium_env(
+        fitted("trend"), uav, start, **{"duration": 1.0} | options
+    )
 
 
 def hold(env, start):
@@ -33,7 +37,9 @@ def hold(env, start):
 
 
 @pytest.mark.filterwarnings(REMARKS)
-@pytest.mark.parametrize("options", [{}, {"posterior": False, "wind_at_6m": 7.0, "initial_std": {"phi": 0.1}}])
+@pytest.mark.parametrize(
+    "options", [{}, {"posterior": False, "wind_at_6m": 7.0, "initial_std": {"phi": 0.1}}]
+)
 def test_the_checker_of_gymnasium_passes(make, options):
     spec = gymnasium.envs.registration.EnvSpec("Aircraft-v0", entry_point=lambda: make(**options))
     env_checker.check_env(gymnasium.make(spec, disable_env_checker=True).unwrapped)
@@ -85,7 +91,9 @@ def test_the_trim_of_the_mean_is_kept_and_rewarded_until_time_is_up(make, start)
         assert truncated == (step == 9)
 
 
-@pytest.mark.parametrize(("what", "low", "high"), [("altitude", 119.9, 200.0), ("alpha", -1.0, 0.2)])
+@pytest.mark.parametrize(
+    ("what", "low", "high"), [("altitude", 119.9, 200.0), ("alpha", -1.0, 0.2)]
+)
 def test_an_episode_ends_outside_of_the_observation_space(make, what, low, high):
     rewarded = []
 
@@ -121,10 +129,14 @@ def test_a_flight_that_diverges_ends_with_what_was_last_seen(uav, start):
 
 def test_spaces_have_the_range_that_the_model_was_learned_from(uav, start):
     limits = np.array([[-0.1, -0.4, -0.3, 20.0], [0.2, 0.4, 0.1, 30.0]])
-    model = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "elevator", "rudder", "airspeed"], limits=limits)
+    model = Aerodynamics(
+        lambda X: np.zeros((len(X), 6)), ["alpha", "elevator", "rudder", "airspeed"], limits=limits
+    )
     env = gymnasium_env(model, uav, start, limits={"rudder": (-0.2, 0.2)})
     names = [name for name in start.solved if name in start.controls]
-    space = dict(zip(names, zip(env.action_space.low, env.action_space.high, strict=True), strict=True))
+    space = dict(
+        zip(names, zip(env.action_space.low, env.action_space.high, strict=True), strict=True)
+    )
     assert (env.observation_space.low[1], env.observation_space.high[1]) == (-0.1, 0.2)
     assert env.observation_space.low[0] == pytest.approx(25 / 2**0.5)
     assert space["elevator"] == (-0.4, 0.4)
@@ -138,13 +150,18 @@ def test_an_action_is_a_number_for_each_control(make, start):
         env.step(hold(env, start))
     env.reset(seed=0)
     for action in (hold(env, start) * np.nan, hold(env, start)[1:], 0.0):
-        with pytest.raises(ValueError, match=r"Got the action .* a number for each of elevator, aileron, rudder"):
+        with pytest.raises(
+            ValueError, match=r"Got the action .* a number for each of elevator, aileron, rudder"
+        ):
             env.step(action)
     assert env.step(np.full(len(hold(env, start)), np.inf))[1] < 1.0, "clipped to the space"
 
 
 def test_what_cannot_be_flown_is_refused(make, fitted, uav):
-    with pytest.raises(ValueError, match=r"not within its limits, .*'altitude': \(120.0, 120, 300\).*choose another"):
+    with pytest.raises(
+        ValueError,
+        match=r"not within its limits, .*'altitude': \(120.0, 120, 300\).*choose another",
+    ):
         make(limits={"altitude": (120, 300)})
     with pytest.raises(ValueError, match="speed"):
         make(limits={"speed": (10, 30)})

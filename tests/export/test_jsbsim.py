@@ -62,7 +62,9 @@ def placed(fdm, row, aircraft, largest):
         ("average", "functions", 1e-3),
     ],
 )
-def test_coefficients_are_those_of_the_model(name, form, tolerance, load, fitted, uav, regressors, tmp_path):
+def test_coefficients_are_those_of_the_model(
+    name, form, tolerance, load, fitted, uav, regressors, tmp_path
+):
     write_jsbsim(tmp_path, fitted(name), uav, form=form)
     fdm, rows = load("uav"), regressors[:40]
     largest = regressors.abs().max()
@@ -71,11 +73,15 @@ def test_coefficients_are_those_of_the_model(name, form, tolerance, load, fitted
     np.testing.assert_allclose(fdm["aero/regressor/q_hat"], rows["q_hat"].iloc[-1], atol=1e-8)
 
 
-def test_loads_and_accelerations_are_those_of_the_coefficients(load, fitted, uav, regressors, tmp_path):
+def test_loads_and_accelerations_are_those_of_the_coefficients(
+    load, fitted, uav, regressors, tmp_path
+):
     write_jsbsim(tmp_path, fitted("trend"), uav)
     fdm, row = load("uav"), regressors.iloc[3]
     C = placed(fdm, row, uav, regressors.abs().max())
-    qbar_area = 0.5 * fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4 * AIRSPEED**2 * uav.wing_area
+    qbar_area = (
+        0.5 * fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4 * AIRSPEED**2 * uav.wing_area
+    )
     force = np.array([fdm[f"forces/fb{axis}-aero-lbs"] for axis in "xyz"]) * POUND_FORCE
     moment = np.array([fdm[f"moments/{axis}-aero-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
     np.testing.assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
@@ -88,7 +94,9 @@ def test_loads_and_accelerations_are_those_of_the_coefficients(load, fitted, uav
 
 
 def test_thrust_is_that_of_the_propeller(load, fitted, uav, regressors, tmp_path):
-    propeller = Propeller(0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 700.0))
+    propeller = Propeller(
+        0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 700.0)
+    )
     line = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(1.0, 0.0, 0.1))
     aircraft = Aircraft.from_dict(uav.to_dict() | {"propeller": propeller, "thrust_line": line})
     write_jsbsim(tmp_path, fitted("trend"), aircraft)
@@ -110,27 +118,40 @@ def test_functions_of_draws_are_sample_paths(name, load, fitted, uav, regressors
     assert [path.stem for path in paths] == ["uav", "uav_001", "uav_002"]
     drawn = fitted(name)[-1].sample_paths(2, random_state=3)[1]
     found = placed(load("uav_002"), regressors.iloc[5], uav, regressors.abs().max())
-    np.testing.assert_allclose(found, drawn(fitted(name)[0].transform(regressors[5:6]))[0], atol=1e-6)
+    np.testing.assert_allclose(
+        found, drawn(fitted(name)[0].transform(regressors[5:6]))[0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["sparse", "sparse-average"])
 def test_draws_of_a_calibrated_model_are_its_sample_paths(name, fitted, uav, regressors):
     scaler, regressor = fitted(name)
     calibrated = CalibratedRegressor(regressor)
-    calibrated.estimator_, calibrated.std_scale_, calibrated._single = regressor, np.linspace(1.0, 2.0, 6), False
-    (mean, *drawn), X = gaussian_sums(make_pipeline(scaler, calibrated), uav, n_draws=3), regressors[:9]
+    calibrated.estimator_, calibrated.std_scale_, calibrated._single = (
+        regressor,
+        np.linspace(1.0, 2.0, 6),
+        False,
+    )
+    (mean, *drawn), X = (
+        gaussian_sums(make_pipeline(scaler, calibrated), uav, n_draws=3),
+        regressors[:9],
+    )
     for found, path in zip(drawn, calibrated.sample_paths(3, 0), strict=True):
         np.testing.assert_allclose(found.evaluate(X), path(scaler.transform(X)), atol=1e-9)
         assert np.abs(found.evaluate(X) - mean.evaluate(X)).max() > 1e-4
 
 
-def test_what_tables_lose_too_much_of_becomes_functions(load, fitted, built, uav, regressors, tmp_path):
+def test_what_tables_lose_too_much_of_becomes_functions(
+    load, fitted, built, uav, regressors, tmp_path
+):
     """The draw has the same path in both: the coefficients above ``max_loss`` exactly, the others by tables."""
     ratio = built("sparse").loss["loss"] / built("sparse").loss["deviation"]
     options = {"form": "tables", "max_loss": ratio.median(), "n_draws": 1, "random_state": 3}
     write_jsbsim(tmp_path, fitted("sparse"), uav, **options)
     large, row = (ratio > ratio.median()).to_numpy(), regressors[5:6]
-    path = fitted("sparse")[-1].sample_paths(1, random_state=3)(fitted("sparse")[0].transform(row))[0, 0]
+    path = fitted("sparse")[-1].sample_paths(1, random_state=3)(fitted("sparse")[0].transform(row))[
+        0, 0
+    ]
     draw = built("sparse").sample(1, random_state=3)[0].evaluate(row)[0]
     mean, table = fitted("sparse").predict(row)[0], built("sparse").evaluate(row)[0]
     for name, exact, tables in (("uav", mean, table), ("uav_001", path, draw)):
@@ -156,7 +177,9 @@ def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
     expected = trim(fitted("trend"), uav, AIRSPEED, air=Air(density=density))
     fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1
-    wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
+    wanted = {
+        name: getattr(expected, name) for name in ("alpha", "phi", "theta")
+    } | expected.controls
     assert wanted.pop("thrust") == expected.thrust
     assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
 
@@ -164,7 +187,9 @@ def test_trim_is_that_of_jsbsim(load, fitted, uav, regressors, tmp_path):
 @pytest.mark.parametrize("airspeed", [22.0, 25.0, 30.0])
 def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_path):
     """JSBSim's full trim finds the throttle too, from controls at zero: that of this package."""
-    propeller = Propeller(0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 900.0))
+    propeller = Propeller(
+        0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 900.0)
+    )
     aircraft = Aircraft.from_dict(uav.to_dict() | {"propeller": propeller})
     write_jsbsim(tmp_path, fitted("trend"), aircraft)
     (tmp_path / "flat.xml").write_text(PLANET)
@@ -174,7 +199,9 @@ def test_jsbsim_trims_a_propeller(airspeed, load, fitted, uav, regressors, tmp_p
     fdm["simulation/do_simple_trim"] = 1
     density = fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
     expected = trim(fitted("trend"), aircraft, airspeed, air=Air(density=density))
-    wanted = {name: getattr(expected, name) for name in ("alpha", "phi", "theta")} | expected.controls
+    wanted = {
+        name: getattr(expected, name) for name in ("alpha", "phi", "theta")
+    } | expected.controls
     assert {name: fdm[SOURCES[name][0]] for name in wanted} == pytest.approx(wanted, abs=1e-4)
     assert fdm["forces/fbx-external-lbs"] * POUND_FORCE == pytest.approx(expected.thrust, rel=1e-3)
 
@@ -188,7 +215,9 @@ def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):
     text = text.partition("\n## The build-up\n")[2]
     monkeypatch.chdir(tmp_path)
     names = {}
-    exec("\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)), names)
+    exec(
+        "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)), names
+    )
     fdm, steady = names["fdm"], names["steady"]
     assert fdm["aero/alpha-rad"] == pytest.approx(steady.alpha, rel=0.01)
     assert fdm["fcs/throttle-cmd-norm"] == pytest.approx(steady.controls["throttle"], rel=0.01)
@@ -201,10 +230,19 @@ def test_the_file_states_its_loss_and_signs(built, uav, tmp_path):
     assert "elevator > 0 pitches down" in text
     assert "deviation" in text
     root = ET.parse(path).getroot()
-    assert {axis.get("name") for axis in root.iter("axis")} == {"X", "Y", "Z", "ROLL", "PITCH", "YAW"}
+    assert {axis.get("name") for axis in root.iter("axis")} == {
+        "X",
+        "Y",
+        "Z",
+        "ROLL",
+        "PITCH",
+        "YAW",
+    }
 
 
-@pytest.mark.parametrize(("options", "match"), [({"form": "lookup"}, "'functions' or"), ({"n_draws": -1}, "from 0 on")])
+@pytest.mark.parametrize(
+    ("options", "match"), [({"form": "lookup"}, "'functions' or"), ({"n_draws": -1}, "from 0 on")]
+)
 def test_options(options, match, fitted, uav, tmp_path):
     with pytest.raises(ValueError, match=match):
         write_jsbsim(tmp_path, fitted("trend"), uav, **options)

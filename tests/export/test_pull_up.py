@@ -10,13 +10,23 @@ import pytest
 from scipy.linalg import block_diag
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, as_aerodynamics, simulate, standard_density, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    as_aerodynamics,
+    simulate,
+    standard_density,
+    trim,
+)
 from skdgp.export import portable_model
 from skdgp.identification import make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian
 
 pytest.importorskip("casadi", reason='plans with IPOPT: pip install "skdgp[export]"')
-pytestmark = [pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from")]
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from")
+]
 PATHS, ALTITUDE, LIMITS, ELEVATOR = 200, 200.0, (0.16, 2.0), (-0.3, 0.3)
 DENSITY = float(standard_density(ALTITUDE))
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -78,7 +88,9 @@ def steady(aircraft, pipeline):
 def pull_up(example, aircraft, pipeline, steady):
     covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)
     model = portable_model(pipeline, aircraft)
-    return example.PullUp(model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None)
+    return example.PullUp(
+        model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None
+    )
 
 
 @pytest.fixture(scope="module")
@@ -87,16 +99,25 @@ def careful(example, pull_up):
     return pull_up.plan(example.SHARE, ELEVATOR)
 
 
-def test_the_margin_keeps_the_limits_for_95_percent(example, aircraft, pipeline, steady, pull_up, careful):
+def test_the_margin_keeps_the_limits_for_95_percent(
+    example, aircraft, pipeline, steady, pull_up, careful
+):
     bold = pull_up.plan(0.0, ELEVATOR)
     np.testing.assert_allclose(bold.values.max(axis=0), LIMITS, rtol=1e-5)
-    drawn = [example.flown(pipeline, aircraft, steady, plan, DENSITY, PATHS)[0] for plan in (bold, careful)]
+    drawn = [
+        example.flown(pipeline, aircraft, steady, plan, DENSITY, PATHS)[0]
+        for plan in (bold, careful)
+    ]
     bad, good = (example.violated(values, LIMITS) for values in drawn)
     assert bad > 0.4
     assert good <= 0.05
     assert bold.altitude[-1] > careful.altitude[-1] > ALTITUDE + 5
-    assert ((careful.values + careful.margins) / LIMITS).max() == pytest.approx(1.0, abs=example.SETTLED)
-    at = slice(20, None, 20)  # after 0.4 s, 0.8 s, ..., of the flights; the plan has a point each 0.05 s
+    assert ((careful.values + careful.margins) / LIMITS).max() == pytest.approx(
+        1.0, abs=example.SETTLED
+    )
+    at = slice(
+        20, None, 20
+    )  # after 0.4 s, 0.8 s, ..., of the flights; the plan has a point each 0.05 s
     planned = np.linalg.norm(effects(pull_up, careful), axis=2)[8::8]
     np.testing.assert_allclose(planned, drawn[1].std(axis=0)[at], rtol=0.2)
 
@@ -118,7 +139,9 @@ def test_the_effects_are_those_of_errors_in_free_flight(
             return mean + std * error
 
         aerodynamics = Aerodynamics(coefficients, model.regressor_names)
-        table = simulate(aerodynamics, aircraft, steady, careful.controls, dt=0.025, air=Air(density=DENSITY))
+        table = simulate(
+            aerodynamics, aircraft, steady, careful.controls, dt=0.025, air=Air(density=DENSITY)
+        )
         return np.stack([table["alpha"], -table["az"] / example.GRAVITY], axis=-1)
 
     mean = flight(np.zeros(6))

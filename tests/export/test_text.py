@@ -31,7 +31,20 @@ from skdgp.export._text import changes_text, file_name, identifiers
 from skdgp.identification import make_identification_pipeline
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-HOSTILE = ["flap left", "flap_left", "é", "1flap", "a--b", "flap 😀", "x\x01y", "q??/", "*/", "-->", "p dot", "a,b\\"]
+HOSTILE = [
+    "flap left",
+    "flap_left",
+    "é",
+    "1flap",
+    "a--b",
+    "flap 😀",
+    "x\x01y",
+    "q??/",
+    "*/",
+    "-->",
+    "p dot",
+    "a,b\\",
+]
 NAME = 'a::b */ #error "é" \\ ??/ <&> $x --'
 
 
@@ -41,7 +54,9 @@ def test_identifiers_are_distinct_and_stay():
     assert set(found) == set(names)
     assert len(set(found.values())) == len(names)
     assert all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", short) for short in found.values())
-    assert {name: found[name] for name in ("flap_left", "CX", "alpha")} == {n: n for n in ("flap_left", "CX", "alpha")}
+    assert {name: found[name] for name in ("flap_left", "CX", "alpha")} == {
+        n: n for n in ("flap_left", "CX", "alpha")
+    }
     assert found["p dot"] != "p_dot", "another column is not the roll acceleration"
     assert identifiers(found.values()) == {short: short for short in found.values()}
 
@@ -61,8 +76,12 @@ def learned():
     columns = ["alpha", "beta", "q", *HOSTILE]
     flight = pd.DataFrame(rng.normal(0, 0.1, (n, len(columns))), columns=columns)
     flight = flight.assign(airspeed=20.0, time=0.1 * np.arange(n))
-    Y = pd.DataFrame(flight[columns] @ rng.normal(size=(len(columns), 6)) + rng.normal(0, 0.01, (n, 6)))
-    aircraft = Aircraft(name=NAME, mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    Y = pd.DataFrame(
+        flight[columns] @ rng.normal(size=(len(columns), 6)) + rng.normal(0, 0.01, (n, 6))
+    )
+    aircraft = Aircraft(
+        name=NAME, mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
+    )
     pipeline = make_identification_pipeline(
         aircraft, regressors=["alpha", "q_hat", *HOSTILE], reconstruction="passthrough", cutoff=None,
         mixer="passthrough", regressor=DependentGPRegressor(structure="trend", max_iter=2),
@@ -75,7 +94,17 @@ def test_c_compiles_and_names_the_columns(learned, tmp_path):
     if shutil.which("gcc") is None:
         pytest.skip("gcc compiles the exported model, and is not installed")
     write_c(tmp_path, portable_model(*learned[:2]))
-    words = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic", "-c", "aero.c"]
+    words = [
+        "gcc",
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Wtrigraphs",
+        "-Werror",
+        "-pedantic",
+        "-c",
+        "aero.c",
+    ]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert '"flap left" is flap_left_2' in (tmp_path / "aero.h").read_text()
@@ -96,9 +125,15 @@ def test_fmu_is_well_formed(learned, fmi, tmp_path, monkeypatch):
 
 def test_onnx_names_the_columns(learned):
     pytest.importorskip("onnx", reason='writes the graph: pip install "skdgp[export]"')
-    properties = {each.key: each.value for each in onnx_model(portable_model(*learned[:2])).metadata_props}
+    properties = {
+        each.key: each.value for each in onnx_model(portable_model(*learned[:2])).metadata_props
+    }
     names = json.loads(properties["names"])
-    assert properties["regressors"].split(",") == ["alpha", "q_hat", *(names[name] for name in HOSTILE)]
+    assert properties["regressors"].split(",") == [
+        "alpha",
+        "q_hat",
+        *(names[name] for name in HOSTILE),
+    ]
 
 
 @pytest.mark.parametrize("form", ["functions", "tables"])
@@ -132,7 +167,11 @@ def test_other_xml_and_json(learned, tmp_path):
         assert "flap_left_2" in {element.get("varID") for element in tags}
         assert '"flap left" is flap_left_2' in "".join(root[0].itertext())
     write_build_up(tmp_path / "a.json", build)
-    assert list(json.loads((tmp_path / "a.json").read_text())["regressors"]) == ["alpha", "q_hat", *HOSTILE]
+    assert list(json.loads((tmp_path / "a.json").read_text())["regressors"]) == [
+        "alpha",
+        "q_hat",
+        *HOSTILE,
+    ]
     save_portable(tmp_path / "a.npz", portable_model(pipeline, aircraft))
     assert load_portable(tmp_path / "a.npz").regressor_names == ("alpha", "q_hat", *HOSTILE)
 
@@ -140,5 +179,7 @@ def test_other_xml_and_json(learned, tmp_path):
 def test_a_name_of_the_file_is_refused(learned, uav, regressors, fitted, tmp_path):
     model = build_up(fitted("trend"), uav, pairs="none", max_loss=np.inf)
     renamed = replace(model, regressors=(*model.regressors[:-1], "CX_0"))
-    with pytest.raises(ValueError, match=r"a model of \['CX_0'\], but the file has other variables"):
+    with pytest.raises(
+        ValueError, match=r"a model of \['CX_0'\], but the file has other variables"
+    ):
         write_dave_ml(tmp_path / "a.dml", renamed, uav)

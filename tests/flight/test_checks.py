@@ -22,7 +22,9 @@ def orbit(seconds=60.0, rate=40.0, *, noise=0.005, turn=0.2, seed=0):
         "q": psi_dot * np.sin(phi),
         "r": psi_dot * np.cos(phi),
     }
-    table = pd.DataFrame({name: values + rng.normal(0, noise, time.size) for name, values in exact.items()})
+    table = pd.DataFrame(
+        {name: values + rng.normal(0, noise, time.size) for name, values in exact.items()}
+    )
     return table.assign(time=time, flight="a")
 
 
@@ -67,7 +69,9 @@ def test_a_steady_heading_in_degrees_is_refused():
     for part in (table, table.drop(columns=WITHOUT_GYROS), table.iloc[:3]):
         for psi in (heading, 90.0):
             with pytest.raises(ValueError, match="Got psi up to"):
-                check_radians(part.assign(psi=np.broadcast_to(psi, len(table))[: len(part)]), ["psi"])
+                check_radians(
+                    part.assign(psi=np.broadcast_to(psi, len(table))[: len(part)]), ["psi"]
+                )
 
 
 def test_gyros_in_degrees_do_not_excuse_angles_in_degrees():
@@ -94,14 +98,17 @@ def test_other_angles_and_single_states_have_no_turns():
 
 def surfaces(elevator, rows):
     time = 0.01 * np.arange(1000)
-    return pd.DataFrame({"time": time, "elevator": np.where(np.arange(1000) < rows, elevator, 0.1), "rudder": 0.2})
+    return pd.DataFrame(
+        {"time": time, "elevator": np.where(np.arange(1000) < rows, elevator, 0.1), "rudder": 0.2}
+    )
 
 
 @pytest.mark.parametrize(("elevator", "rows"), [(0.9, 900), (1.0, 5), (-1.0, 5)])
 def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
     """Beyond what servos move, or at the end of a command's range though rarely."""
     with pytest.warns(
-        UserWarning, match=r"surfaces up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
+        UserWarning,
+        match=r"surfaces up to elevator [^,]*, more than .* commands from -1 to 1, multiply",
     ):
         check_flight(surfaces(elevator, rows), ["time"])
 

@@ -17,7 +17,13 @@ from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.metrics import score_flights
 from skdgp.model_selection import BlockSplit
-from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector, inspect_flight
+from skdgp.preprocessing import (
+    FlightCheck,
+    FlightPathReconstruction,
+    FlightSmoother,
+    LagCorrector,
+    inspect_flight,
+)
 
 MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]
 DTYPES = ["object", "string", "category", *["str"] * (int(pd.__version__.split(".")[0]) > 2)]
@@ -26,12 +32,29 @@ N = 60
 
 def table(flight):
     """Two flights of 60 samples, every channel that something asks for."""
-    time, noise = np.tile(0.02 * np.arange(N), 2), np.random.default_rng(0).normal(0, 0.01, (2 * N, 13))
-    names = ["alpha", "beta", "p", "q", "r", "ax", "ay", "phi", "theta", "psi", "v_north", "v_east", "v_down"]
-    columns = dict(zip(names, noise.T, strict=True))
-    return pd.DataFrame({"time": time, "airspeed": 20 + noise[:, 0], "az": -9.8, "density": 1.2, **columns}).assign(
-        flight=flight
+    time, noise = (
+        np.tile(0.02 * np.arange(N), 2),
+        np.random.default_rng(0).normal(0, 0.01, (2 * N, 13)),
     )
+    names = [
+        "alpha",
+        "beta",
+        "p",
+        "q",
+        "r",
+        "ax",
+        "ay",
+        "phi",
+        "theta",
+        "psi",
+        "v_north",
+        "v_east",
+        "v_down",
+    ]
+    columns = dict(zip(names, noise.T, strict=True))
+    return pd.DataFrame(
+        {"time": time, "airspeed": 20 + noise[:, 0], "az": -9.8, "density": 1.2, **columns}
+    ).assign(flight=flight)
 
 
 def holed(missing):
@@ -70,7 +93,10 @@ ASKING = {
 @pytest.mark.parametrize("asking", ASKING.values(), ids=ASKING)
 def test_rows_without_a_flight_are_refused(asking):
     for dtype in DTYPES:
-        with pytest.raises(ValueError, match=r"Got 60 of 120 rows without a flight \(the first is row 0\), but expect"):
+        with pytest.raises(
+            ValueError,
+            match=r"Got 60 of 120 rows without a flight \(the first is row 0\), but expect",
+        ):
             asking(table(pd.Series(holed(None)).astype(dtype)))
 
 
@@ -85,7 +111,9 @@ def test_what_is_no_name(missing):
 def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
     path, flights = tmp_path / f"log.{suffix}", table(holed(None))
     flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
-    with pytest.raises(FlightReadError, match=r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"):
+    with pytest.raises(
+        FlightReadError, match=r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"
+    ):
         read(path)
 
 
@@ -108,7 +136,9 @@ def test_the_order_of_flights_changes_nothing():
     turned = pd.concat([flights[N:], flights[:N]])
     smooth = [FlightSmoother(cutoff=2.0).fit_transform(each) for each in (flights, turned)]
     np.testing.assert_allclose(
-        *(each.sort_values(["flight", "time"])["alpha_dot"] for each in smooth), rtol=1e-9, atol=1e-10
+        *(each.sort_values(["flight", "time"])["alpha_dot"] for each in smooth),
+        rtol=1e-9,
+        atol=1e-10,
     )
 
 

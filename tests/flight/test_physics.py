@@ -36,21 +36,41 @@ def controls(elevator, aileron):
     def change(flight):
         left, right = flight["elevon_left"], flight["elevon_right"]
         symmetric, antisymmetric = elevator * (left + right) / 2, aileron * (left - right) / 2
-        return flight.assign(elevon_left=symmetric + antisymmetric, elevon_right=symmetric - antisymmetric)
+        return flight.assign(
+            elevon_left=symmetric + antisymmetric, elevon_right=symmetric - antisymmetric
+        )
 
     return change
 
 
 def without_gravity(flight):
     gravity = gravity_in_body_axes(flight["phi"], flight["theta"])
-    return flight.assign(**{name: flight[name] + gravity[:, k] for k, name in enumerate(("ax", "ay", "az"))})
+    return flight.assign(
+        **{name: flight[name] + gravity[:, k] for k, name in enumerate(("ax", "ay", "az"))}
+    )
 
 
 def east_north_up(flight):
-    return flight.assign(v_north=flight["v_east"], v_east=flight["v_north"], v_down=-flight["v_down"])
+    return flight.assign(
+        v_north=flight["v_east"], v_east=flight["v_north"], v_down=-flight["v_down"]
+    )
 
 
-SIGNED = ["alpha", "beta", "p", "r", "ax", "az", "phi", "psi", "v_north", "v_down", "north", "altitude", "rudder"]
+SIGNED = [
+    "alpha",
+    "beta",
+    "p",
+    "r",
+    "ax",
+    "az",
+    "phi",
+    "psi",
+    "v_north",
+    "v_down",
+    "north",
+    "altitude",
+    "rudder",
+]
 FAULTS = {
     **{f"sign of {name}": (opposite(name), {name}, f"sign of {name}") for name in SIGNED},
     "sign of elevator": (controls(-1, 1), ELEVONS, "exchanged and of the wrong sign"),
@@ -66,12 +86,32 @@ FAULTS = {
     "feet": (scaled(1 / 0.3048, "altitude"), {"altitude"}, "in feet"),
     "percent": (scaled(100, "throttle"), {"throttle"}, "in percent"),
     "no gravity": (without_gravity, {"ax", "ay", "az"}, "gravity is probably removed"),
-    "accelerometer z up": (opposite("ay", "az"), {"ay", "az"}, "accelerometer's axes are y left, z up"),
+    "accelerometer z up": (
+        opposite("ay", "az"),
+        {"ay", "az"},
+        "accelerometer's axes are y left, z up",
+    ),
     "gyro z up": (opposite("q", "r"), {"q", "r"}, "gyro's axes are y left, z up"),
-    "attitude z up": (opposite("theta", "psi"), {"theta", "psi"}, "attitude is of axes y left, z up"),
-    "velocity north, west, up": (opposite("v_east", "v_down"), {"v_east", "v_down"}, "velocity is north, west, up"),
-    "velocity east, north, up": (east_north_up, {"v_north", "v_east", "v_down"}, "velocity is probably east, north"),
-    "heading from east": (lambda t: t.assign(psi=np.pi / 2 - t["psi"]), {"psi"}, "measured from east"),
+    "attitude z up": (
+        opposite("theta", "psi"),
+        {"theta", "psi"},
+        "attitude is of axes y left, z up",
+    ),
+    "velocity north, west, up": (
+        opposite("v_east", "v_down"),
+        {"v_east", "v_down"},
+        "velocity is north, west, up",
+    ),
+    "velocity east, north, up": (
+        east_north_up,
+        {"v_north", "v_east", "v_down"},
+        "velocity is probably east, north",
+    ),
+    "heading from east": (
+        lambda t: t.assign(psi=np.pi / 2 - t["psi"]),
+        {"psi"},
+        "measured from east",
+    ),
 }
 
 
@@ -133,14 +173,17 @@ def test_a_log_whose_vertical_axis_points_up(flight):
 def test_inspect_and_identify_say_so(flight, tmp_path):
     path = tmp_path / "flight.csv"
     opposite("az", "ay")(flight).to_csv(path, index=False)
-    assert any("accelerometer's axes are y left, z up" in remark for remark in inspect_log(path).remarks)
+    assert any(
+        "accelerometer's axes are y left, z up" in remark for remark in inspect_log(path).remarks
+    )
     with pytest.warns(FlightDataWarning, match="Contradiction in the flights: .*y left, z up"):
         usable_flights({"latlon": read_flight(path)}, ["alpha", "q_hat"], ["alpha", "q"])
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    "name", ["c172p_test_calm", "c172p_train_latlon", "viggen_uav_train_lateral", "viggen_uav_test_twoalt"]
+    "name",
+    ["c172p_test_calm", "c172p_train_latlon", "viggen_uav_train_lateral", "viggen_uav_test_twoalt"],
 )
 def test_simulated_flights_have_none(shared_data, name):
     assert find_contradictions(read_flight(shared_data / "flights" / f"{name}.parquet")) == []

@@ -48,7 +48,9 @@ class TestSegments:
 
     @pytest.mark.parametrize("time", [[0.0, 0.1, 0.1, 0.2], [0.0, 0.2, 0.1, 0.3]])
     def test_time_must_increase(self, time):
-        with pytest.raises(ValueError, match=r"row 2 .*expected time to increase strictly within a flight"):
+        with pytest.raises(
+            ValueError, match=r"row 2 .*expected time to increase strictly within a flight"
+        ):
             flight_segments(time)
 
     def test_no_rate_no_segments(self):
@@ -67,33 +69,48 @@ class TestSmooth:
         time = clock(1200)
         lines = np.column_stack([np.full(1200, 7.0), 2.0 - 0.3 * time])
         np.testing.assert_allclose(smooth(lines, time, cutoff=cutoff), lines, atol=1e-9)
-        np.testing.assert_allclose(differentiate(lines, time, cutoff=cutoff), [[0.0, -0.3]] * 1200, atol=1e-7)
+        np.testing.assert_allclose(
+            differentiate(lines, time, cutoff=cutoff), [[0.0, -0.3]] * 1200, atol=1e-7
+        )
 
     @pytest.mark.parametrize("cutoff", CUTOFFS)
     def test_time_reversal_commutes(self, cutoff):
         # A filter without delay treats a log and its mirror image alike.
         time, _, noisy = noisy_sine()
-        there, back = smooth(noisy, time, cutoff=cutoff), smooth(noisy[::-1], time, cutoff=cutoff)[::-1]
-        np.testing.assert_allclose(there, back, atol=2e-3 if cutoff == 3.0 else 1e-9)  # its start-up differs
+        there, back = (
+            smooth(noisy, time, cutoff=cutoff),
+            smooth(noisy[::-1], time, cutoff=cutoff)[::-1],
+        )
+        np.testing.assert_allclose(
+            there, back, atol=2e-3 if cutoff == 3.0 else 1e-9
+        )  # its start-up differs
 
     def test_butterworth_halves_its_cutoff_frequency(self):
         # Forward and backward: |H|^2 = 1 / (1 + (f / fc)^4), 1/2 at fc.
         time = clock(8000)
         wave = np.sin(2 * np.pi * 2.0 * time)
         middle = slice(1000, -1000)
-        assert rms(smooth(wave, time, cutoff=2.0)[middle]) / rms(wave[middle]) == pytest.approx(0.5, abs=2e-3)
+        assert rms(smooth(wave, time, cutoff=2.0)[middle]) / rms(wave[middle]) == pytest.approx(
+            0.5, abs=2e-3
+        )
 
     @pytest.mark.parametrize("seed", range(3))
     def test_auto_removes_most_noise_and_keeps_the_signal(self, seed):
         time, truth, noisy = noisy_sine(seed=seed)
         assert rms(smooth(noisy, time) - truth) < 0.25 * rms(noisy - truth)
-        assert rms(differentiate(noisy, time) - np.gradient(truth, time)) < 0.05 * rms(np.gradient(noisy, time))
+        assert rms(differentiate(noisy, time) - np.gradient(truth, time)) < 0.05 * rms(
+            np.gradient(noisy, time)
+        )
 
     def test_auto_leaves_a_noise_free_channel_alone(self):
         time, truth, _ = noisy_sine()
         rng = np.random.default_rng(0)
-        steps = np.repeat(rng.normal(size=80), rng.integers(10, 51, 80))[:2400]  # commands: spectrum falls as f^-2
-        walk = signal.lfilter([1], [1, -0.95], rng.normal(size=2400))  # as an Ornstein-Uhlenbeck process does
+        steps = np.repeat(rng.normal(size=80), rng.integers(10, 51, 80))[
+            :2400
+        ]  # commands: spectrum falls as f^-2
+        walk = signal.lfilter(
+            [1], [1, -0.95], rng.normal(size=2400)
+        )  # as an Ornstein-Uhlenbeck process does
         channels = np.column_stack([truth, steps, walk])
         change = smooth(channels, time) - channels
         assert (change.std(axis=0) < 0.02 * channels.std(axis=0)).all()
@@ -104,9 +121,14 @@ class TestSmooth:
         time, _, first = noisy_sine(seed=1)
         _, _, second = noisy_sine(seed=2, frequency=1.1, noise=0.2)
         together = operation(
-            np.r_[first, second + 50], np.r_[time, time], cutoff=cutoff, flight=np.repeat(["a", "b"], len(time))
+            np.r_[first, second + 50],
+            np.r_[time, time],
+            cutoff=cutoff,
+            flight=np.repeat(["a", "b"], len(time)),
         )
-        apart = np.r_[operation(first, time, cutoff=cutoff), operation(second + 50, time, cutoff=cutoff)]
+        apart = np.r_[
+            operation(first, time, cutoff=cutoff), operation(second + 50, time, cutoff=cutoff)
+        ]
         np.testing.assert_allclose(together, apart, rtol=1e-12, atol=1e-12)
 
     def test_not_across_a_gap(self):
@@ -114,7 +136,9 @@ class TestSmooth:
         late = np.r_[time[:1200], time[1200:] + 30]
         stepped = np.r_[noisy[:1200], noisy[1200:] + 10]
         out = smooth(stepped, late, cutoff=2.0)
-        np.testing.assert_allclose(out[:1200], smooth(noisy[:1200], time[:1200], cutoff=2.0), atol=1e-12)
+        np.testing.assert_allclose(
+            out[:1200], smooth(noisy[:1200], time[:1200], cutoff=2.0), atol=1e-12
+        )
 
     def test_jittered_clock(self):
         time = clock(2400)
@@ -123,7 +147,9 @@ class TestSmooth:
         noisy = truth + np.random.default_rng(1).normal(0, 0.05, 2400)
         assert rms(smooth(noisy, jittered) - truth) < 0.02
         rate = differentiate(truth, jittered, cutoff=None)
-        np.testing.assert_allclose(rate[5:-5], 0.8 * np.pi * np.cos(0.8 * np.pi * jittered[5:-5]), atol=1e-3)
+        np.testing.assert_allclose(
+            rate[5:-5], 0.8 * np.pi * np.cos(0.8 * np.pi * jittered[5:-5]), atol=1e-3
+        )
 
     def test_lost_samples_are_bridged(self):
         time, truth, noisy = noisy_sine()
@@ -159,7 +185,9 @@ class TestJoint:
 
     def motion(self, n=9600, seed=0):
         rng = np.random.default_rng(seed)
-        alpha = signal.lfilter([1], np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j)]).real, rng.normal(size=n))
+        alpha = signal.lfilter(
+            [1], np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j)]).real, rng.normal(size=n)
+        )
         alpha *= 0.03 / alpha.std()
         truth = np.column_stack([alpha, np.gradient(alpha) * RATE])
         return clock(n), truth, truth + rng.normal(0, [0.01, 0.002], (n, 2))
@@ -176,7 +204,9 @@ class TestJoint:
         time, truth, noisy = self.motion()
         stated = noise_level(noisy, time, joint=True).smoothed[0]
         left = rms((smooth(noisy, time, joint=True) - truth)[:, 0])
-        assert 0.8 * left < stated < 2 * left  # a resonance narrower than the spectrum's resolution: on the safe side
+        assert (
+            0.8 * left < stated < 2 * left
+        )  # a resonance narrower than the spectrum's resolution: on the safe side
 
     def test_scale_and_order_of_channels_do_not_matter(self):
         time, _, noisy = self.motion(2400)
@@ -186,7 +216,9 @@ class TestJoint:
 
     def test_unrelated_channels_are_smoothed_as_if_alone(self):
         time, _, noisy = noisy_sine(9600)
-        walk = np.cumsum(np.random.default_rng(3).normal(size=9600)) + np.random.default_rng(4).normal(0, 3, 9600)
+        walk = np.cumsum(np.random.default_rng(3).normal(size=9600)) + np.random.default_rng(
+            4
+        ).normal(0, 3, 9600)
         both = np.column_stack([noisy, walk])
         apart = smooth(both, time)
         change = smooth(both, time, joint=True) - apart
@@ -195,7 +227,9 @@ class TestJoint:
     def test_channel_sampled_at_other_rows_stays_alone(self):
         time, _, noisy = self.motion(4800)
         noisy[::2, 1] = np.nan
-        np.testing.assert_allclose(smooth(noisy, time, joint=True)[:, 0], smooth(noisy[:, :1], time, joint=True)[:, 0])
+        np.testing.assert_allclose(
+            smooth(noisy, time, joint=True)[:, 0], smooth(noisy[:, :1], time, joint=True)[:, 0]
+        )
 
 
 class TestMissing:
@@ -211,7 +245,9 @@ class TestMissing:
     def test_slow_sensor_keeps_its_own_clock(self):
         time, _, noisy = noisy_sine(4800)
         slow = np.where(np.arange(4800) % 8 == 0, noisy, np.nan)
-        np.testing.assert_allclose(smooth(slow, time)[::8], smooth(noisy[::8], time[::8]), atol=1e-12)
+        np.testing.assert_allclose(
+            smooth(slow, time)[::8], smooth(noisy[::8], time[::8]), atol=1e-12
+        )
 
     def test_empty_channel_stays_empty(self):
         assert np.isnan(smooth(np.full((300, 2), np.nan), clock(300))).all()
@@ -256,6 +292,8 @@ def test_real_size_flights(shared_data, flight):
     measured = table[channels].to_numpy(float)
     truth = table[[f"{name}_true" for name in channels]].to_numpy(float)
     left = [rms(error) for error in (smooth(measured, table.time) - truth).T]
-    assert (left < np.array([0.4, 0.4, 0.3, 0.9, 0.75]) * [rms(error) for error in (measured - truth).T]).all()
+    assert (
+        left < np.array([0.4, 0.4, 0.3, 0.9, 0.75]) * [rms(error) for error in (measured - truth).T]
+    ).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()

@@ -19,9 +19,14 @@ def circling(wind=(6.0, -3.0), bank=0.4, offset=0.0, seed=0):
     speed = 19 + t / 60
     psi, climb = np.tan(bank) * 9.81 / 20 * t, 0.05
     v = rng.normal(0, 0.1, (3, len(t)))
-    v += [speed * np.cos(climb) * np.cos(psi) + wind[0], speed * np.cos(climb) * np.sin(psi) + wind[1], -climb * speed]
+    v += [
+        speed * np.cos(climb) * np.cos(psi) + wind[0],
+        speed * np.cos(climb) * np.sin(psi) + wind[1],
+        -climb * speed,
+    ]
     table = dict(zip(GROUND[2:], v, strict=True)) | {"phi": bank, "psi": psi + offset}
-    # The body's x axis is alpha = .1 above the path, in the plane of symmetry: its sink is -sin(theta).
+    # The body's x axis is alpha = .1 above the path, in the plane of symmetry: its sink is
+    # -sin(theta).
     theta = np.arctan(np.cos(bank) * np.tan(0.1)) + climb
     return pd.DataFrame({"time": t, "flight": "a", **table, "theta": theta, "truth": speed})
 
@@ -53,7 +58,9 @@ def test_flights_are_told_apart_and_missing_velocity_is_not_used():
 @pytest.mark.parametrize("columns", [GROUND, [*GROUND, "phi", "theta", "psi"]])
 def test_straight_flight_does_not_tell(columns):
     t = np.arange(0, 60, 0.1)
-    straight = pd.DataFrame({"time": t, "flight": "a", "v_north": 20.0, "v_east": 3.0, "v_down": 0.0})
+    straight = pd.DataFrame(
+        {"time": t, "flight": "a", "v_north": 20.0, "v_east": 3.0, "v_down": 0.0}
+    )
     straight = straight.assign(phi=0.0, theta=0.05, psi=0.1)[columns]
     with pytest.raises(ValueError, match=r"Got flight 'a' without airspeed.*fly a circle or two"):
         airspeed_from_turns(straight)
@@ -65,7 +72,9 @@ def test_identification_takes_it_and_carries_its_deviation():
     expected = airspeed_from_turns(circling())
     assert flight["airspeed"].equals(expected["airspeed"])
     factor = with_airspeed_errors(Aircraft.estimate(2.0, 1.6), [flight]).deviations["airspeed"]
-    assert factor.std == pytest.approx(2 * expected["airspeed_std"].mean() / 20, rel=0.05)  # of qbar, twice that of V
+    assert factor.std == pytest.approx(
+        2 * expected["airspeed_std"].mean() / 20, rel=0.05
+    )  # of qbar, twice that of V
 
 
 def test_errors_of_dynamic_pressure_scale_coefficients_and_slopes():
@@ -75,7 +84,9 @@ def test_errors_of_dynamic_pressure_scale_coefficients_and_slopes():
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "most"), [("c172p_test_calm", 0.5), ("viggen_uav_test_twoalt", 1.0)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("c172p_test_calm", 0.5), ("viggen_uav_test_twoalt", 1.0)]
+)
 def test_flights_of_other_aerodynamics(shared_data, name, most):
     """In calm air and in gusts to 14 kt: root mean square of the error [m/s], and what the deviation says of it."""
     flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")

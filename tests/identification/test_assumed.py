@@ -71,7 +71,9 @@ class TestThrust:
 
 class TestWords:
     def test_nothing_was_assumed_of_what_was_told(self):
-        told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2]))
+        told = Aircraft.estimate(
+            3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2])
+        )
         assert assumptions(told, servos=None, thrust_unknown=False) == []
 
     def test_sizes_are_said_with_all_their_errors(self):
@@ -82,9 +84,17 @@ class TestWords:
         assert "mass" not in first
 
     def test_what_narrows_most_is_named_first(self):
-        of_span = assumptions(Aircraft.estimate(3.0, 1.8), servos=FULL_THROW, thrust_unknown=True)[-1]
-        assert of_span.index("chord of the wing") < of_span.index("bifilar") < of_span.index("full throw")
-        of_chord = assumptions(Aircraft.estimate(3.0, 1.8, chord=0.22), servos=None, thrust_unknown=False)[-1]
+        of_span = assumptions(Aircraft.estimate(3.0, 1.8), servos=FULL_THROW, thrust_unknown=True)[
+            -1
+        ]
+        assert (
+            of_span.index("chord of the wing")
+            < of_span.index("bifilar")
+            < of_span.index("full throw")
+        )
+        of_chord = assumptions(
+            Aircraft.estimate(3.0, 1.8, chord=0.22), servos=None, thrust_unknown=False
+        )[-1]
         assert of_chord.startswith("An hour each, most useful first: swing it")
         assert "throw" not in of_chord
 
@@ -108,7 +118,9 @@ def quietly(*flights, **options):
 
 def test_alpha_by_specific_force_has_the_deviation_of_its_slope():
     step = SimpleNamespace(vanes_={"alpha": ForceVane("az", -0.05, {"q": 0.1}, 0.0, 0.03, 1.0)})
-    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    glider = Aircraft(
+        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
+    )
     told = with_vane_errors(glider, {"flightpathreconstruction": step})
     by_alpha, by_q = relative_errors(told.deviations, ("alpha", "q"))[0, 2, 1:]  # of CZ
     assert (abs(by_alpha), by_q) == (0.03, 0.0)
@@ -121,8 +133,23 @@ def test_alpha_by_specific_force_has_the_deviation_of_its_slope():
 def test_a_table_without_thrust():
     """The model has throttle and airspeed among its regressors."""
     t = np.arange(400) * 0.05
-    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle", "ax", "ay", "az"]
-    table = pd.DataFrame({name: 0.1 * np.sin((0.7 + 0.31 * k) * t + k) for k, name in enumerate(names)})
+    names = [
+        "alpha",
+        "beta",
+        "p",
+        "q",
+        "r",
+        "elevator",
+        "aileron",
+        "rudder",
+        "throttle",
+        "ax",
+        "ay",
+        "az",
+    ]
+    table = pd.DataFrame(
+        {name: 0.1 * np.sin((0.7 + 0.31 * k) * t + k) for k, name in enumerate(names)}
+    )
     table = table.assign(time=t, airspeed=20 + np.sin(0.3 * t), density=1.2, az=table["az"] - 9.8)
     found = quietly(table, Aircraft.estimate(3.0, 1.8), samples=100, horizons=[1.0])
     assert {"throttle", "airspeed"} <= set(found.fit["regressors"])
@@ -163,7 +190,9 @@ class TestALogAMassAndASpan:
         again = validate(model, log)
         assert again.evaluations[0].table["elevator"].abs().max() > 0.3
         point = trim(model.pipeline, model.aircraft, 24.0, climb=None, thrust=None)
-        derivatives = stability_derivatives(model.pipeline, model.aircraft, point, n_paths=0, thrust=None)
+        derivatives = stability_derivatives(
+            model.pipeline, model.aircraft, point, n_paths=0, thrust=None
+        )
         assert derivatives.loc["Cl_aileron", "per"] == "full throw"
         portable = portable_model(model.pipeline, model.aircraft)
         units = {each.name: each.unit for each in portable.regressors}

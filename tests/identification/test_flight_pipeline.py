@@ -12,7 +12,13 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import FlightPipeline, flight_noise, flight_regressors, identify, predict_flight
+from skdgp.identification import (
+    FlightPipeline,
+    flight_noise,
+    flight_regressors,
+    identify,
+    predict_flight,
+)
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -30,7 +36,9 @@ def flights():
 @pytest.fixture(scope="module")
 def model(flights, cut_short):
     targets = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 60)
-    pipeline = make_identification_pipeline(flights.aircraft, regressor=DependentGPRegressor(**QUICK))
+    pipeline = make_identification_pipeline(
+        flights.aircraft, regressor=DependentGPRegressor(**QUICK)
+    )
     with cut_short():
         return pipeline.fit(flights.train, targets)
 
@@ -46,14 +54,31 @@ def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
     draws = np.random.default_rng(0).standard_normal((3, len(train)))
     noisy = [train.assign(ay=train["ay"] + s * draw) for draw in draws]
     before, *after = (
-        flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step for one in (train, *noisy)
+        flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step
+        for one in (train, *noisy)
     )
-    scale = flights.aircraft.mass / (0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area)
+    scale = flights.aircraft.mass / (
+        0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area
+    )
     power = (s * scale.mean()) ** 2 * train["time"].diff().median()
     assert np.mean(after) - before == pytest.approx(power, rel=0.2)  # one has a deviation of 13 %
 
 
-ODD = ["beta", "p", "r", "ay", "phi", "psi", "east", "v_east", "aileron", "rudder", "thrust_y", "thrust_l", "thrust_n"]
+ODD = [
+    "beta",
+    "p",
+    "r",
+    "ay",
+    "phi",
+    "psi",
+    "east",
+    "v_east",
+    "aileron",
+    "rudder",
+    "thrust_y",
+    "thrust_l",
+    "thrust_n",
+]
 """Columns of the example flights whose sign changes in a mirror at the x-z plane."""
 
 
@@ -93,20 +118,27 @@ class TestPredict:
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
         X, ratio = flight_regressors(model, test_flight)
         reconstruction = model["flightpathreconstruction"]
-        gust, fit = reconstruction.transform(test_flight)["gust"].to_numpy(), reconstruction.gust_std_
+        gust, fit = (
+            reconstruction.transform(test_flight)["gust"].to_numpy(),
+            reconstruction.gust_std_,
+        )
         np.testing.assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
         assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
         _, std = model.predict(test_flight, return_std=True)
         _, exact = model.predict(test_flight, return_std=True, include_input_noise=False)
         slopes = model[-1].predict_gradient(X)
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
-        np.testing.assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12
+        )
 
     def test_noise_of_measurements_is_on_request(self, model, test_flight):
         mean, std = model.predict(test_flight, return_std=True)
         again, noisy = model.predict(test_flight, return_std=True, include_noise=True)
         np.testing.assert_allclose(mean, again, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape))
+        np.testing.assert_allclose(
+            noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape)
+        )
         np.testing.assert_allclose(model.predict(test_flight), mean, atol=1e-10)
 
     def test_the_function_says_the_same(self, model, test_flight):
@@ -119,7 +151,9 @@ class TestPredict:
         assert isinstance(clone(model), FlightPipeline)
         again = pickle.loads(pickle.dumps(model))
         np.testing.assert_allclose(
-            again.predict(test_flight, return_std=True), model.predict(test_flight, return_std=True), rtol=1e-9
+            again.predict(test_flight, return_std=True),
+            model.predict(test_flight, return_std=True),
+            rtol=1e-9,
         )
         train = flights.train[:400]
         linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
@@ -133,15 +167,23 @@ class TestPredict:
         measured = aerodynamic_coefficients(test_flight, flights.aircraft)
         mean, std = model.predict(test_flight, return_std=True, include_noise=True)
         scorer = SCORERS["interval_coverage"]
-        assert scorer(model, test_flight, measured) == pytest.approx(interval_coverage(measured, mean, std))
+        assert scorer(model, test_flight, measured) == pytest.approx(
+            interval_coverage(measured, mean, std)
+        )
         train = flights.train.groupby("flight", observed=True).head(300)
         Y = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 40)
         nlpd = SCORERS["log_predictive_density"]
         search = GridSearchCV(
-            clone(model), {"dependentgpregressor__structure": ["joint"]}, scoring=nlpd, cv=GroupKFold(2), refit=False
+            clone(model),
+            {"dependentgpregressor__structure": ["joint"]},
+            scoring=nlpd,
+            cv=GroupKFold(2),
+            refit=False,
         ).fit(train, Y, groups=train["flight"])
         best = clone(model).set_params(**search.best_params_)
-        folds = cross_validate(best, train, Y, groups=train["flight"], cv=GroupKFold(2), scoring=nlpd)
+        folds = cross_validate(
+            best, train, Y, groups=train["flight"], cv=GroupKFold(2), scoring=nlpd
+        )
         np.testing.assert_allclose(search.best_score_, folds["test_score"].mean(), rtol=1e-6)
 
 
@@ -151,7 +193,9 @@ class TestLeastSquares:
         """Refitted here by scikit-learn on what the regressor got."""
         train, test = flights.train.iloc[:1200], flights.test.iloc[:400]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
-        result = identify(train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0])
+        result = identify(
+            train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
+        )
         targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
@@ -161,8 +205,12 @@ class TestLeastSquares:
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T
         np.testing.assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
-        assert f"Least squares on the same rows has an error of {expected.mean():.3f}" in result.summary()
-        # Of rows .25 s apart errors are nearly independent: the standard deviations are those of the textbook.
+        assert (
+            f"Least squares on the same rows has an error of {expected.mean():.3f}"
+            in result.summary()
+        )
+        # Of rows .25 s apart errors are nearly independent: the standard deviations are those of
+        # the textbook.
         spread = np.linalg.inv(len(X[rows]) * np.cov(X[rows].T)).diagonal() ** 0.5
         white = (targets[rows] - linear.predict(X[rows])).std().to_numpy()[:, None] * spread
         scaler = result.pipeline["standardscaler"].scale_

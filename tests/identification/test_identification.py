@@ -31,9 +31,16 @@ from skdgp.identification import ModelFileError, identify, load_model, save_mode
 from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import (
+    ElevonSplitter,
+    FlightSmoother,
+    RateNondimensionalizer,
+    RegressorSelector,
+)
 
-AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+AIRCRAFT = Aircraft(
+    name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
 QUICK = DependentGPRegressor(structure="joint", n_latent=1, max_iter=3, random_state=0)
 AVERAGE = clone(QUICK).set_params(structure="average")
 
@@ -45,14 +52,23 @@ def flights(n=300, names=("a", "b"), seed=0):
     for k, name in enumerate(names):
         t = np.arange(n) * 0.05
         table = pd.DataFrame({"time": t, "flight": name, "airspeed": 20 + 2 * np.sin(0.3 * t + k)})
-        for j, column in enumerate(["alpha", "beta", "p", "q", "r", "rudder", "elevon_left", "elevon_right"]):
+        for j, column in enumerate(
+            ["alpha", "beta", "p", "q", "r", "rudder", "elevon_left", "elevon_right"]
+        ):
             table[column] = 0.1 * np.sin((0.7 + 0.31 * j) * t + k + j) + 0.002 * rng.normal(size=n)
-        table = table.assign(ax=0.5 + 0.1 * np.sin(1.3 * t), ay=0.1 * np.cos(t), az=-9.8 + 0.5 * np.sin(0.7 * t))
+        table = table.assign(
+            ax=0.5 + 0.1 * np.sin(1.3 * t), ay=0.1 * np.cos(t), az=-9.8 + 0.5 * np.sin(0.7 * t)
+        )
         tables.append(table.assign(throttle=0.5 + 0.1 * np.sin(t)))
     table = pd.concat(tables, ignore_index=True)
     q_hat = table["q"] * AIRCRAFT.chord / (2 * table["airspeed"])
     elevator = (table["elevon_left"] + table["elevon_right"]) / 2
-    Y = pd.DataFrame({"CZ": -0.1 - 4 * table["alpha"], "Cm": 0.02 - 0.5 * table["alpha"] - 8 * q_hat - 0.6 * elevator})
+    Y = pd.DataFrame(
+        {
+            "CZ": -0.1 - 4 * table["alpha"],
+            "Cm": 0.02 - 0.5 * table["alpha"] - 8 * q_hat - 0.6 * elevator,
+        }
+    )
     return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
 
 
@@ -77,7 +93,10 @@ class TestPipeline:
         )
         model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=LinearRegression())
         np.testing.assert_allclose(
-            model.fit(table, Y).predict(table), by_hand.fit(table, Y).predict(table), rtol=1e-9, atol=1e-10
+            model.fit(table, Y).predict(table),
+            by_hand.fit(table, Y).predict(table),
+            rtol=1e-9,
+            atol=1e-10,
         )
 
     def test_by_default_ends_in_the_dependent_process(self):
@@ -97,13 +116,19 @@ class TestPipeline:
 
     def test_the_paper_s_regressors_need_no_other_step(self):
         table, Y = flights()
-        model = make_identification_pipeline(AIRCRAFT, regressors="paper", cutoff=3.0, regressor=LinearRegression())
+        model = make_identification_pipeline(
+            AIRCRAFT, regressors="paper", cutoff=3.0, regressor=LinearRegression()
+        )
         model.fit(table, Y)
-        assert {"ax", "p_dot_hat", "q_dot_hat", "r_dot_hat"} <= set(model["regressorselector"].regressors_)
+        assert {"ax", "p_dot_hat", "q_dot_hat", "r_dot_hat"} <= set(
+            model["regressorselector"].regressors_
+        )
 
     def test_hands_time_and_flight_to_the_dependent_process(self, fitted):
         model, table, _, learned = fitted
-        by_hand = clone(model[-1]).fit(model[:-1].transform(table), learned, time=table["time"], flight=table["flight"])
+        by_hand = clone(model[-1]).fit(
+            model[:-1].transform(table), learned, time=table["time"], flight=table["flight"]
+        )
         assert (by_hand.drift_variance_ > 0).all()
         np.testing.assert_allclose(model[-1].drift_variance_, by_hand.drift_variance_, rtol=1e-6)
         np.testing.assert_allclose(model[-1].drift_memory_, by_hand.drift_memory_, rtol=1e-6)
@@ -120,16 +145,25 @@ class TestPipeline:
         model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=regressor)
         name = f"{model.steps[-1][0]}__"
         search = GridSearchCV(
-            model, {name + ("estimator__" if calibrated else "") + "trend": ["linear"]}, cv=LeaveOneGroupOut()
+            model,
+            {name + ("estimator__" if calibrated else "") + "trend": ["linear"]},
+            cv=LeaveOneGroupOut(),
         )
         groups = {"groups": table["flight"]}
-        search.fit(table, thin_targets(Y, 60), **groups, **({name + "groups": table["flight"]} if calibrated else {}))
+        search.fit(
+            table,
+            thin_targets(Y, 60),
+            **groups,
+            **({name + "groups": table["flight"]} if calibrated else {}),
+        )
         variance = search.best_estimator_[-1].drift_variance_
         assert variance.shape == (2,)
         assert (variance > 0).all()
         if calibrated:
             expected = search.best_estimator_[-1].estimator_.drift_variance_
-            np.testing.assert_allclose(variance, expected * search.best_estimator_[-1].std_scale_ ** 2)
+            np.testing.assert_allclose(
+                variance, expected * search.best_estimator_[-1].std_scale_ ** 2
+            )
 
     def test_with_metadata_routing_nothing_is_handed_over_without_request(self, fitted):
         model, table, _, learned = fitted
@@ -156,7 +190,9 @@ class TestPipeline:
     def test_an_aircraft_without_elevator_passes_without_the_mixer(self):
         table, Y = flights()
         table = table.rename(columns={"elevon_left": "aileron"}).drop(columns=["elevon_right"])
-        model = make_identification_pipeline(AIRCRAFT, mixer="passthrough", cutoff=3.0, regressor=LinearRegression())
+        model = make_identification_pipeline(
+            AIRCRAFT, mixer="passthrough", cutoff=3.0, regressor=LinearRegression()
+        )
         assert "elevator" not in model.fit(table, Y)["regressorselector"].regressors_
 
     def test_leaves_the_given_regressor_alone(self):
@@ -176,12 +212,16 @@ class TestPipeline:
             }
             for cutoff, regressors in ((2.0, "classical"), (4.0, "paper"))
         ]
-        search = GridSearchCV(model, grid, scoring=SCORERS["log_predictive_density"], cv=LeaveOneGroupOut())
+        search = GridSearchCV(
+            model, grid, scoring=SCORERS["log_predictive_density"], cv=LeaveOneGroupOut()
+        )
         search.fit(table, thin_targets(Y, 40), groups=table["flight"])
         assert np.isfinite(search.cv_results_["mean_test_score"]).all()
 
     def test_refuses_what_is_no_aircraft(self):
-        with pytest.raises(TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_json"):
+        with pytest.raises(
+            TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_json"
+        ):
             make_identification_pipeline({"span": 2.6, "chord": 0.55})
 
 
@@ -205,7 +245,9 @@ def result(example, cut_short):
 def averaged(example, cut_short):
     """Return what comes of tables by name and no test flight, with an average, the stages, and what was warned of."""
     aircraft, train, _ = example
-    tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)}
+    tables = {
+        name: table.drop(columns="flight") for name, table in train.groupby("flight", observed=True)
+    }
     stages = []
     with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown, cut_short():
         found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizons=[1.0])
@@ -222,14 +264,21 @@ def stopped(result, tmp_path_factory):
 
 
 def test_few_rows_are_among_the_messages(result):
-    assert any(message.startswith("Got 40 rows") and "at least 10 for each" in message for message in result.messages)
+    assert any(
+        message.startswith("Got 40 rows") and "at least 10 for each" in message
+        for message in result.messages
+    )
 
 
 def test_few_seconds_are_said(example):
     """The flights of 10 s have 800 rows, but errors of neighbours are the same."""
     aircraft, train, _ = example
-    model = make_identification_pipeline(aircraft, regressor=DependentGPRegressor(structure="trend", max_iter=5))
-    with pytest.warns(FewRowsWarning, match=r"Got 800 rows, worth \d+ independent .* minutes of manoeuvres"):
+    model = make_identification_pipeline(
+        aircraft, regressor=DependentGPRegressor(structure="trend", max_iter=5)
+    )
+    with pytest.warns(
+        FewRowsWarning, match=r"Got 800 rows, worth \d+ independent .* minutes of manoeuvres"
+    ):
         model.fit(train, aerodynamic_coefficients(train, aircraft))
 
 
@@ -249,7 +298,9 @@ class TestIdentify:
         of = result.metrics["test"]["two_altitudes"]["coefficients"]["measured"]["CZ"]
         errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
         assert of["normalized_rmse"] == pytest.approx(errors[2])
-        assert re.search(rf"^  CZ +{100 * of['median_relative_error']:.1f} % ", result.summary(), re.MULTILINE)
+        assert re.search(
+            rf"^  CZ +{100 * of['median_relative_error']:.1f} % ", result.summary(), re.MULTILINE
+        )
         assert result.fit["samples"] == result.settings["samples"] == 40
         assert result.fit["flights"] == {"lateral": 400, "latlon": 400}
         assert result.held_out is None
@@ -261,7 +312,8 @@ class TestIdentify:
         for name in COEFFICIENTS:
             assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
         assert re.match(
-            r"\d+% all terms, \d+% trend and main effects, ", result._report_content().model.extra["Average"]
+            r"\d+% all terms, \d+% trend and main effects, ",
+            result._report_content().model.extra["Average"],
         )
 
     def test_says_if_the_fit_has_not_converged(self, result, stopped):
@@ -270,7 +322,9 @@ class TestIdentify:
         found, folder = stopped
         words = f"not converged after {result.fit['iterations']} iterations: raise max_iter"
         assert words in found.summary()
-        assert "not converged: raise max_iter" in (folder / "report.html").read_text(encoding="utf-8")
+        assert "not converged: raise max_iter" in (folder / "report.html").read_text(
+            encoding="utf-8"
+        )
 
     def test_calibrates_by_flight(self, example):
         aircraft, train, test = example
@@ -278,11 +332,21 @@ class TestIdentify:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             warnings.filterwarnings("ignore", ".*2 flights guarantee no more than 0.667")
-            of_two = identify(train, aircraft, test=test, samples=40, regressor=quick, horizons=[1.0], calibrate=True)
+            of_two = identify(
+                train,
+                aircraft,
+                test=test,
+                samples=40,
+                regressor=quick,
+                horizons=[1.0],
+                calibrate=True,
+            )
         calibrated = of_two.pipeline[-1]
         assert calibrated.unit_ == "flight"
         assert (calibrated.n_units_ == 2).all()
-        with pytest.raises(ValueError, match=r"Got one training flight \('latlon'\) to calibrate on"):
+        with pytest.raises(
+            ValueError, match=r"Got one training flight \('latlon'\) to calibrate on"
+        ):
             identify(train[train["flight"] == "latlon"], aircraft, test=test, calibrate=True)
 
     def test_models_of_symmetric_aircraft(self, example):
@@ -292,7 +356,9 @@ class TestIdentify:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             found = identify(train, aircraft, samples="all", regressor=trend, **options)
-        slopes = found.pipeline[-1].predict_gradient(np.zeros((1, found.pipeline[-1].n_features_in_)))[0]
+        slopes = found.pipeline[-1].predict_gradient(
+            np.zeros((1, found.pipeline[-1].n_features_in_))
+        )[0]
         names = found.pipeline["regressorselector"].get_feature_names_out().tolist()
         by_elevator, by_aileron = slopes[3, [names.index("elevator"), names.index("aileron")]]
         assert abs(by_elevator) < 1e-4 * abs(by_aileron)  # Cl of a symmetric aircraft
@@ -312,12 +378,18 @@ class TestIdentify:
     def test_saves_what_load_model_reads(self, stopped, example, tmp_path):
         result, folder = stopped
         assert folder.parts[-2:] == ("new", "folder")
-        assert {path.name for path in folder.iterdir()} == {"model.joblib", "metrics.json", "report.html"}
+        assert {path.name for path in folder.iterdir()} == {
+            "model.joblib",
+            "metrics.json",
+            "report.html",
+        }
         result.save(tmp_path / "alone.joblib")
         for path in (folder / "model.joblib", tmp_path / "alone.joblib"):
             model = load_model(path)
             expected = result.pipeline.predict(example[2])
-            np.testing.assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
+            np.testing.assert_allclose(
+                model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13
+            )
             assert model.fit == result.fit
         judged = validate(model, example[2], horizons=[1.0])
         assert judged.metrics["test"].keys() == result.metrics["test"].keys()
@@ -335,7 +407,14 @@ class TestIdentify:
         assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
         assert any("No test flight was named" in message for message in found.messages)
         unique = list(dict.fromkeys(stage for stage in stages if not stage.startswith("output")))
-        assert unique == ["reading", "coefficients", "transforming", "fit", "members", "evaluating latlon"]
+        assert unique == [
+            "reading",
+            "coefficients",
+            "transforming",
+            "fit",
+            "members",
+            "evaluating latlon",
+        ]
 
     @pytest.mark.parametrize(
         ("change", "error", "message"),
@@ -351,31 +430,60 @@ class TestIdentify:
     def test_refuses_what_cannot_be(self, example, change, error, message):
         aircraft, train, test = example
         with pytest.raises(error, match=message):
-            identify(**{"flights": train, "aircraft": aircraft, "test": test, "regressor": QUICK} | change)
+            identify(
+                **{"flights": train, "aircraft": aircraft, "test": test, "regressor": QUICK}
+                | change
+            )
 
     @pytest.mark.filterwarnings("always")
     @pytest.mark.parametrize(
-        ("regressors", "lacks"), [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)]
+        ("regressors", "lacks"),
+        [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)],
     )
     def test_an_unknown_thrust_is_part_of_the_coefficients(self, example, regressors, lacks):
         aircraft, train, test = example
-        train, test = (table.drop(columns=[n for n in table if n.startswith("thrust")]) for table in (train, test))
-        options = {"test": test, "samples": 40, "regressor": QUICK, "horizons": [1.0], "thrust": None}
+        train, test = (
+            table.drop(columns=[n for n in table if n.startswith("thrust")])
+            for table in (train, test)
+        )
+        options = {
+            "test": test,
+            "samples": 40,
+            "regressor": QUICK,
+            "horizons": [1.0],
+            "thrust": None,
+        }
         found = identify(train, replace(aircraft, propeller=None), regressors=regressors, **options)
-        told = [message for message in found.messages if "coefficients include the thrust" in message]
+        told = [
+            message for message in found.messages if "coefficients include the thrust" in message
+        ]
         assert len(told) == lacks
-        assert all("Name regressors with 'throttle' and 'airspeed', or give the thrust" in message for message in told)
+        assert all(
+            "Name regressors with 'throttle' and 'airspeed', or give the thrust" in message
+            for message in told
+        )
         assert found.fit["thrust"] == ["none"]
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
 
     def test_the_report_names_the_kernel_and_the_thrust(self, example):
         aircraft, train, test = example
-        options = {"samples": 40, "horizons": [1.0], "regressors": ["alpha", "elevator", "throttle"], "thrust": None}
-        regressor = clone(QUICK).set_params(structure="additive", n_latent=None)  # two shared ones, of a log
+        options = {
+            "samples": 40,
+            "horizons": [1.0],
+            "regressors": ["alpha", "elevator", "throttle"],
+            "thrust": None,
+        }
+        regressor = clone(QUICK).set_params(
+            structure="additive", n_latent=None
+        )  # two shared ones, of a log
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
-            model = identify(train, aircraft, test=test, regressor=regressor, **options)._report_content().model
+            model = (
+                identify(train, aircraft, test=test, regressor=regressor, **options)
+                ._report_content()
+                .model
+            )
         assert model.kernel == "convolved Gaussian, one width for each regressor"
         assert (model.n_latent, model.n_private) == (2, 6)
         assert model.correlation is not None
@@ -384,7 +492,10 @@ class TestIdentify:
     def test_coefficients_without_thrust_include_it(self, example):
         aircraft, train, _ = example
         table = train.iloc[:200].assign(thrust_x=9.0, thrust_y=0.0, thrust_z=0.0)
-        known, unknown = (aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None) for t in ("columns", None))
+        known, unknown = (
+            aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None)
+            for t in ("columns", None)
+        )
         expected = 9.0 / (0.5 * table["density"] * table["airspeed"] ** 2 * aircraft.wing_area)
         np.testing.assert_allclose(unknown["CX"] - known["CX"], expected)
 
@@ -450,7 +561,8 @@ class TestModelFile:
         code = (
             "import sys, pandas, pickle; from skdgp.identification import load_model\n"
             "model = load_model('model.joblib').pipeline; table = pandas.read_pickle('table.pkl')\n"
-            "pickle.dump(model.predict(table, return_std=True, include_noise=True), open('found.pkl', 'wb'))"
+            "pickle.dump(model.predict(table, return_std=True, include_noise=True), "
+            "open('found.pkl', 'wb'))"
         )
         subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=tmp_path, check=True)
         mean, std = pickle.loads((tmp_path / "found.pkl").read_bytes())
@@ -473,7 +585,10 @@ class TestModelFile:
         """In each byte of the closing line, and many of the model: what loads is what was saved."""
         data = model_file.read_bytes()
         n, closing = 8 * len(data), 8 * data.rindex(MAGIC)
-        for place in [*np.random.default_rng(0).choice(closing, 100, replace=False), *range(closing, n, 7)]:
+        for place in [
+            *np.random.default_rng(0).choice(closing, 100, replace=False),
+            *range(closing, n, 7),
+        ]:
             flipped = bytearray(data)
             flipped[place // 8] ^= 1 << place % 8
             model_file.write_bytes(flipped)
@@ -482,7 +597,9 @@ class TestModelFile:
 
     def test_nothing_is_unpickled_of_a_damaged_file(self, model_file, monkeypatch):
         monkeypatch.setattr(joblib, "load", lambda *_: pytest.fail("unpickled"))
-        model_file.write_bytes(model_file.read_bytes().replace(b"skdgp._regressor", b"skdgp._regresser"))
+        model_file.write_bytes(
+            model_file.read_bytes().replace(b"skdgp._regressor", b"skdgp._regresser")
+        )
         with pytest.raises(ModelFileError, match="not a whole skdgp model"):
             load_model(model_file)
 
@@ -514,18 +631,30 @@ class TestModelFile:
     def test_a_whole_file_of_something_else(self, model_file, tmp_path, content):
         joblib.dump(content, tmp_path / "other")
         model_file.write_bytes(closed(model_file.read_bytes(), (tmp_path / "other").read_bytes()))
-        with pytest.raises(ModelFileError, match=r"which holds \w+, but expected a fitted pipeline and its aircraft"):
+        with pytest.raises(
+            ModelFileError,
+            match=r"which holds \w+, but expected a fitted pipeline and its aircraft",
+        ):
             load_model(model_file)
 
-    @pytest.mark.parametrize("content", [b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100])
+    @pytest.mark.parametrize(
+        "content", [b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100]
+    )
     def test_another_kind_of_file(self, tmp_path, content):
         (tmp_path / "model.joblib").write_bytes(content)
-        with pytest.raises(ModelFileError, match=f"{len(content)} bytes.*Expected a file that python -m skdgp"):
+        with pytest.raises(
+            ModelFileError, match=f"{len(content)} bytes.*Expected a file that python -m skdgp"
+        ):
             load_model(tmp_path / "model.joblib")
 
     def test_another_version_is_read_with_a_warning(self, model_file):
-        change_closing(model_file, versions={"skdgp": "0.0.1", "scikit-learn": "1.6.0", "numpy": "1.26.4"})
-        with pytest.warns(UserWarning, match=r"made by skdgp 0\.0\.1, scikit-learn 1\.6\.0.*predictions may differ"):
+        change_closing(
+            model_file, versions={"skdgp": "0.0.1", "scikit-learn": "1.6.0", "numpy": "1.26.4"}
+        )
+        with pytest.warns(
+            UserWarning,
+            match=r"made by skdgp 0\.0\.1, scikit-learn 1\.6\.0.*predictions may differ",
+        ):
             assert load_model(model_file).aircraft == AIRCRAFT
 
     def test_another_format_is_refused(self, model_file):
@@ -537,12 +666,18 @@ class TestModelFile:
         data = model_file.read_bytes()
         model = data[: data.rindex(MAGIC)].replace(b"skdgp._regressor", b"skdgp._regresser")
         model_file.write_bytes(closed(data, model))
-        with pytest.raises(ModelFileError, match=r"written by skdgp .*cannot be read here, with skdgp .*No module"):
+        with pytest.raises(
+            ModelFileError, match=r"written by skdgp .*cannot be read here, with skdgp .*No module"
+        ):
             load_model(model_file)
 
-    @pytest.mark.parametrize(("pipeline", "aircraft"), [(QUICK, AIRCRAFT), ("model", AIRCRAFT), (None, None)])
+    @pytest.mark.parametrize(
+        ("pipeline", "aircraft"), [(QUICK, AIRCRAFT), ("model", AIRCRAFT), (None, None)]
+    )
     def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
-        with pytest.raises(TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"):
+        with pytest.raises(
+            TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"
+        ):
             save_model(tmp_path / "model.joblib", pipeline, aircraft)
         assert list(tmp_path.iterdir()) == []
 

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft
 
-AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+AIRCRAFT = Aircraft(
+    name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
 SURFACES = ["rudder", "elevon_left", "elevon_right"]
 MOVING = ["airspeed", "alpha", "beta", "p", "q", "r", "throttle", *SURFACES]
 
@@ -28,14 +30,18 @@ def flights(n=120):
             table[column] = 0.1 * np.sin((0.7 + 0.31 * j) * t + k + j) + 0.002 * rng.normal(size=n)
         tables.append(table.assign(throttle=0.5 + 0.1 * np.sin(t)))
     table = pd.concat(tables, ignore_index=True)
-    Y = pd.DataFrame({"CZ": -0.1 - 4 * table["alpha"], "Cm": -0.5 * table["alpha"] - 0.6 * table["elevon_left"]})
+    Y = pd.DataFrame(
+        {"CZ": -0.1 - 4 * table["alpha"], "Cm": -0.5 * table["alpha"] - 0.6 * table["elevon_left"]}
+    )
     return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
 
 
 def pipeline():
     """Hyperparameters that a fit starts from are enough to see what comes through."""
     return make_identification_pipeline(
-        AIRCRAFT, cutoff=3.0, regressor=DependentGPRegressor(n_latent=1, optimizer=None, random_state=0)
+        AIRCRAFT,
+        cutoff=3.0,
+        regressor=DependentGPRegressor(n_latent=1, optimizer=None, random_state=0),
     )
 
 
@@ -51,11 +57,14 @@ def plain():
     return fitted().predict(flights()[0], return_std=True)
 
 
-# -- the same numbers in other clothes ---------------------------------------------------------------------
+# -- the same numbers in other clothes
+# ---------------------------------------------------------------------
 
 CLOTHES = {
     "columns in another order": lambda table, rng: table[list(rng.permutation(table.columns))],
-    "an index of times": lambda table, rng: table.set_index(pd.to_datetime(table["time"], unit="s")),
+    "an index of times": lambda table, rng: table.set_index(
+        pd.to_datetime(table["time"], unit="s")
+    ),
     "an index with repeats": lambda table, rng: table.set_index(np.zeros(len(table), int)),
     "an index backwards": lambda table, rng: table.set_index(np.arange(len(table))[::-1]),
     "nullable floats": lambda table, rng: table.astype(dict.fromkeys(MOVING, "Float64")),
@@ -64,7 +73,9 @@ CLOTHES = {
     "flights as objects": lambda table, rng: table.astype({"flight": object}),
     "flights as strings of pandas": lambda table, rng: table.astype({"flight": "string"}),
     "flights as strings of Arrow": lambda table, rng: table.astype({"flight": "string[pyarrow]"}),
-    "flights as numbers": lambda table, rng: table.assign(flight=(table["flight"] == "tuesday").astype(int) + 3),
+    "flights as numbers": lambda table, rng: table.assign(
+        flight=(table["flight"] == "tuesday").astype(int) + 3
+    ),
     "numbers of Arrow": lambda table, rng: table.astype(dict.fromkeys(MOVING, "double[pyarrow]")),
     "columns that nobody knows": lambda table, rng: table.assign(pilot="Amelia", comment=np.nan),
     "memory in another order": lambda table, rng: pd.DataFrame(
@@ -95,7 +106,8 @@ def test_the_order_of_flights_decides_nothing():
         np.testing.assert_allclose(values, expected[rows], rtol=1e-6)
 
 
-# -- whatever is wrong with a table: finite numbers, or an error that says what ----------------------------
+# -- whatever is wrong with a table: finite numbers, or an error that says what
+# ----------------------------
 
 
 def rows_of(rng, table):
@@ -163,7 +175,9 @@ def has_words(table, rng):
 
 def flight_is_empty(table, rng):
     table["flight"] = table["flight"].astype(object)
-    table.iloc[rows_of(rng, table), table.columns.get_loc("flight")] = [None, np.nan, pd.NA, ""][rng.integers(4)]
+    table.iloc[rows_of(rng, table), table.columns.get_loc("flight")] = [None, np.nan, pd.NA, ""][
+        rng.integers(4)
+    ]
     return table
 
 
@@ -188,7 +202,11 @@ FAULTS = [  # in this order: values first, then rows, then columns
 
 
 @settings(max_examples=60)
-@given(st.integers(0, 2**20), st.sets(st.integers(0, len(FAULTS) - 1), min_size=1, max_size=3), st.booleans())
+@given(
+    st.integers(0, 2**20),
+    st.sets(st.integers(0, len(FAULTS) - 1), min_size=1, max_size=3),
+    st.booleans(),
+)
 def test_a_faulty_table_gives_finite_numbers_or_one_error(seed, faults, of_training):
     """Faults of the flights learned from, or of those asked about; warnings are of the documented kind alone."""
     rng = np.random.default_rng(seed)

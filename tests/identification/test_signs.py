@@ -26,8 +26,13 @@ def test_right_signs_stay(flights):
 
 @pytest.mark.parametrize("names", [["aileron"], ["elevator", "rudder"]])
 def test_wrong_signs_are_turned_in_all_flights_and_kept(flights, names):
-    wrong = [{k: t.assign(**{name: -t[name] for name in names}) for k, t in part.items()} for part in flights]
-    with pytest.warns(FlightDataWarning, match="move the other way than the autopilot's parameters say"):
+    wrong = [
+        {k: t.assign(**{name: -t[name] for name in names}) for k, t in part.items()}
+        for part in flights
+    ]
+    with pytest.warns(
+        FlightDataWarning, match="move the other way than the autopilot's parameters say"
+    ):
         servos, *turned = with_signs_of_flights(FULL_THROW, *wrong)
     assert sorted(servos.removeprefix("full throw, reversed ").split()) == names
     for part, right in zip(turned, flights, strict=True):

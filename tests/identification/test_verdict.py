@@ -23,7 +23,11 @@ def glider(elevator=-1.0):
         alpha, beta, p, q, r, de, da, dr = X.T
         lift = 0.3 + 4.5 * alpha
         pitch = 0.02 - 0.6 * alpha - 9 * q + elevator * de
-        side, roll, yaw = -0.5 * beta, -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da, 0.08 * beta - 0.1 * r - 0.06 * dr
+        side, roll, yaw = (
+            -0.5 * beta,
+            -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da,
+            0.08 * beta - 0.1 * r - 0.06 * dr,
+        )
         return np.stack([-0.03 + lift * alpha, side, -lift, roll, pitch, yaw], axis=-1)
 
     return Aerodynamics(coefficients, NAMES)
@@ -67,7 +71,9 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
 def mechanics(**changes):
     found = {
         "trim": trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None),
-        "derivatives": pd.DataFrame({"value": [-1.0, 0.1, -0.06], "std": [0.1, 0.01, 0.01]}, index=CONTROLS),
+        "derivatives": pd.DataFrame(
+            {"value": [-1.0, 0.1, -0.06], "std": [0.1, 0.01, 0.01]}, index=CONTROLS
+        ),
         "simulation": simulated([4.0, 4.0]),
     }
     return FlightMechanics(**found | changes)
@@ -82,7 +88,9 @@ def simulated(lasts):
 
 def verdict(evaluations=None, mechanics_=None, messages=(), **fit):
     evaluations = [evaluation()] if evaluations is None else evaluations
-    return judge([evaluations[0].table] * 3, evaluations, FIT | fit, mechanics_ or mechanics(), messages)
+    return judge(
+        [evaluations[0].table] * 3, evaluations, FIT | fit, mechanics_ or mechanics(), messages
+    )
 
 
 def use(found, purpose):
@@ -104,17 +112,24 @@ def test_least_squares_by_coefficient():
     linear = np.array([0.2, 0.2, 0.101, 0.1, 0.05, 0.05])
     found = verdict([evaluation(error=0.1, linear=linear)])
     assert (found.better, found.worse) == (("CX", "CY"), ("Cm", "Cn"))
-    assert found.compared().endswith("the model is better in CX CY, equal in CZ Cl, worse in Cm Cn.")
+    assert found.compared().endswith(
+        "the model is better in CX CY, equal in CZ Cl, worse in Cm Cn."
+    )
     assert verdict([evaluation(error=0.3, linear=linear)]).worse == COEFFICIENTS
 
 
 class TestPrediction:
     def test_an_error_above_the_threshold(self):
         found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.49, 0.1, 0.51])])
-        assert use(found, "predict coefficients") == ("partly", "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread")
+        assert use(found, "predict coefficients") == (
+            "partly",
+            "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread",
+        )
 
     def test_bands_that_hold_too_little(self):
-        fit, reason = use(verdict([evaluation(inside=[False] + [True] * 5)]), "predict coefficients")
+        fit, reason = use(
+            verdict([evaluation(inside=[False] + [True] * 5)]), "predict coefficients"
+        )
         assert fit == "partly"
         assert "CX: its 95 % band holds 6" in reason  # one standard deviation: 67 %
 
@@ -162,7 +177,11 @@ class TestSimulation:
         ],
     )
     def test_refuses_what_it_cannot_fly(self, flight, change, settings, message):
-        table = flight.assign(**change).dropna(axis=1, how="all") if "alpha" in change else flight.assign(**change)
+        table = (
+            flight.assign(**change).dropna(axis=1, how="all")
+            if "alpha" in change
+            else flight.assign(**change)
+        )
         with pytest.raises(ValueError, match=message):
             simulation_errors(glider(), AIRCRAFT, [table], SETTINGS | settings)
 
@@ -172,20 +191,29 @@ class TestControl:
         wide = mechanics().derivatives.assign(std=[0.3, 0.01, 0.01])
         fit, reason = use(verdict(mechanics_=mechanics(derivatives=wide)), "design a controller")
         assert (fit, reason) == ("no", "not known well enough: Cm_elevator ± 59 %")
-        modes = pd.DataFrame({"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=["Dutch roll", "phugoid"])
+        modes = pd.DataFrame(
+            {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=["Dutch roll", "phugoid"]
+        )
         fit, reason = use(verdict(mechanics_=mechanics(modes=modes)), "design a controller")
         assert (fit, reason) == ("no", "not known well enough: Dutch roll ± 78 %")
 
     def test_no_steady_flight(self):
-        found = verdict(mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more."))
+        found = verdict(
+            mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more.")
+        )
         assert use(found, "design a controller") == ("no", "No steady flight was found at 20 m/s")
 
 
 def test_warnings_are_ranked():
     messages = ["Flight 'a' lasts 1.5 s.", "A gap.", "Flight 'b' lasts 2 s."]
-    bad = [evaluation(error=1.2, linear=0.5, inside=False), evaluation("b", error=0.1, inside=False)]
+    bad = [
+        evaluation(error=1.2, linear=0.5, inside=False),
+        evaluation("b", error=0.1, inside=False),
+    ]
     found = verdict(bad, messages=messages, converged=False).warnings
-    assert found[0].startswith("In 1 of 2 test flights a constant predicts better (error above 1): a.")
+    assert found[0].startswith(
+        "In 1 of 2 test flights a constant predicts better (error above 1): a."
+    )
     assert found[1].startswith("Least squares is better in 6 of 6 coefficients")
     assert found[2].startswith("95 % bands are too narrow: they hold CX 6")
     assert found[3:] == (
@@ -203,7 +231,9 @@ class TestMechanics:
         point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, air=Air(density=1.225))
         assert found.trim.airspeed == pytest.approx(airspeed)
         assert found.trim.alpha == pytest.approx(point.alpha)
-        expected = stability_derivatives(glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225))
+        expected = stability_derivatives(
+            glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225)
+        )
         pd.testing.assert_frame_equal(found.derivatives, expected)
         assert {"short period", "Dutch roll"} <= set(found.modes.index)
         assert (found.simulation["lasts"] == found.simulation["horizon"]).all()
@@ -220,5 +250,14 @@ class TestMechanics:
         found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT).to_dict()
         assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
         assert found["modes"]["short period"]["frequency"] > 1
-        assert set(found["simulation"]) == {"airspeed", "alpha", "beta", "phi", "theta", "p", "q", "r"}
+        assert set(found["simulation"]) == {
+            "airspeed",
+            "alpha",
+            "beta",
+            "phi",
+            "theta",
+            "p",
+            "q",
+            "r",
+        }
         assert found["trim"]["beyond"] == {}

@@ -62,17 +62,24 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
         amplitude=rng.normal(size=(2 + P, P)) * np.r_[np.ones((2, P)), np.eye(P)],
         length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (2 + P, P, d)),
         shear=rng.normal(0, 0.4, (2 + P, P, d * (d - 1) // 2)) if kind == "full" else 0.0,
-        shift=rng.normal(0, 0.3, (2 + P, P, d)) * (np.arange(2 + P) < 2)[:, None, None] * (np.arange(P) > 0)[:, None],
+        shift=rng.normal(0, 0.3, (2 + P, P, d))
+        * (np.arange(2 + P) < 2)[:, None, None]
+        * (np.arange(P) > 0)[:, None],
         shift_bounds=(-2.0, 2.0),
     )
     if with_trend:
-        kernel = LinearTrend(rng.uniform(0.5, 1, P), rng.uniform(0.5, 1, (P, d)), rng.normal(size=d)) + kernel
+        kernel = (
+            LinearTrend(rng.uniform(0.5, 1, P), rng.uniform(0.5, 1, (P, d)), rng.normal(size=d))
+            + kernel
+        )
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
     Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
     data = Data.from_table(X, Y)
     noise = rng.uniform(0.05, 0.3, P)
     K = kernel(data.X) + np.diag(np.repeat(noise, [len(y) for y in data.y]))
-    return SimpleNamespace(kernel=kernel, noise=noise, data=data, X=X, Y=Y, K=K, y=np.concatenate(data.y))
+    return SimpleNamespace(
+        kernel=kernel, noise=noise, data=data, X=X, Y=Y, K=K, y=np.concatenate(data.y)
+    )
 
 
 @pytest.fixture(params=["diag", "full", "tied", "spherical", "diag without trend"])

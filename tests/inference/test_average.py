@@ -8,7 +8,16 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
 from skdgp import DependentGPRegressor, effects, listening
-from skdgp.inference import AveragePosterior, Data, ExactPosterior, average, compact, fit_exact, fit_sparse, joined
+from skdgp.inference import (
+    AveragePosterior,
+    Data,
+    ExactPosterior,
+    average,
+    compact,
+    fit_exact,
+    fit_sparse,
+    joined,
+)
 from skdgp.inference._average import PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -24,7 +33,9 @@ def kernel_of(order=slice(None), outputs=slice(None)):
     for k in range(D):
         single = {"amplitude": np.diag([0.5, 0.4]), "length_scale": np.full((P, P, D), 1.0 + k)}
         kernel = kernel + ConvolvedGaussian(0, regressors=[k], **single)
-    amplitude = np.array([[0.6, -0.4], [0.3, 0.0], [0.0, 0.3]])[:, outputs][[0, *1 + np.arange(P)[outputs]]]
+    amplitude = np.array([[0.6, -0.4], [0.3, 0.0], [0.0, 0.3]])[:, outputs][
+        [0, *1 + np.arange(P)[outputs]]
+    ]
     lengths = rng.uniform(0.8, 1.5, (1 + P, P, D))[:, outputs][[0, *1 + np.arange(P)[outputs]]]
     return kernel + ConvolvedGaussian(1, amplitude=amplitude, length_scale=lengths)
 
@@ -60,7 +71,9 @@ def sums_of(means, variances):
         for k in range(len(means)):
             mean[:, i] += WEIGHTS[k, i] * means[k][:, i]
         for k in range(len(means)):
-            variance[:, i] += WEIGHTS[k, i] * (variances[k][:, i] + (means[k][:, i] - mean[:, i]) ** 2)
+            variance[:, i] += WEIGHTS[k, i] * (
+                variances[k][:, i] + (means[k][:, i] - mean[:, i]) ** 2
+            )
     return mean, variance
 
 
@@ -94,7 +107,10 @@ class TestMixture:
         same = AveragePosterior(mixture.members, mixture.parts, np.repeat(w[:, None], P, axis=1))
         means = np.array([member.predict(AT).T.ravel() for member in mixture.members])
         off = means - w @ means
-        expected = sum(w[k] * (m.covariance(AT) + np.outer(off[k], off[k])) for k, m in enumerate(mixture.members))
+        expected = sum(
+            w[k] * (m.covariance(AT) + np.outer(off[k], off[k]))
+            for k, m in enumerate(mixture.members)
+        )
         np.testing.assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
 
     def test_paths_have_its_mean_and_covariance(self, mixture):
@@ -102,7 +118,9 @@ class TestMixture:
         values = mixture.paths(n, 1)(at).swapaxes(1, 2).reshape(n, -1)  # output-major
         covariance = mixture.covariance(at)
         size = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.1)
+        np.testing.assert_allclose(
+            values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.1
+        )
         scale = np.multiply.outer(size, size)
         np.testing.assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.15)
 
@@ -126,16 +144,24 @@ class TestMixture:
         np.testing.assert_allclose(paths.each(each)[5], paths[5](each[5]), rtol=1e-9, atol=1e-12)
 
     def test_gradient_is_that_of_the_mean(self, mixture):
-        quotients = [(mixture.predict(AT + h) - mixture.predict(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)]
-        np.testing.assert_allclose(mixture.gradient(AT), np.stack(quotients, axis=-1), rtol=1e-6, atol=1e-8)
+        quotients = [
+            (mixture.predict(AT + h) - mixture.predict(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)
+        ]
+        np.testing.assert_allclose(
+            mixture.gradient(AT), np.stack(quotients, axis=-1), rtol=1e-6, atol=1e-8
+        )
 
     def test_variance_of_slopes_is_that_of_difference_quotients(self, mixture):
         variance, h = mixture.gradient(AT[:1], return_variance=True)[1][0], 1e-2
         for k, step in enumerate(h * np.eye(D)):
-            ends = mixture.covariance(np.concatenate([AT[:1] + step, AT[:1] - step])).reshape(P, 2, P, 2)
+            ends = mixture.covariance(np.concatenate([AT[:1] + step, AT[:1] - step])).reshape(
+                P, 2, P, 2
+            )
             for i in range(P):
                 a = ends[i, :, i]
-                assert variance[i, k] == pytest.approx((a[0, 0] + a[1, 1] - 2 * a[0, 1]) / (4 * h**2), rel=0.01)
+                assert variance[i, k] == pytest.approx(
+                    (a[0, 0] + a[1, 1] - 2 * a[0, 1]) / (4 * h**2), rel=0.01
+                )
 
     def test_further_samples_are_learned_by_each_member(self, mixture):
         rng = np.random.default_rng(8)
@@ -144,21 +170,28 @@ class TestMixture:
         joined = mixture.samples().joined(more)
         members = [member.of(joined, member.noise) for member in mixture.members]
         refit = AveragePosterior(members, mixture.parts, mixture.mixture)
-        np.testing.assert_allclose(updated.predict(AT, True), refit.predict(AT, True), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            updated.predict(AT, True), refit.predict(AT, True), rtol=1e-6, atol=1e-9
+        )
         assert [len(x) for x in updated.samples().X] == [len(x) for x in joined.X]
 
     def test_without_samples_predicts_the_same(self, mixture):
         if hasattr(mixture.wholes[0], "features"):
             bare = mixture.without_samples()
             assert bare.samples() is None
-            np.testing.assert_allclose(bare.predict(AT, True), mixture.predict(AT, True), rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(
+                bare.predict(AT, True), mixture.predict(AT, True), rtol=1e-9, atol=1e-12
+            )
 
 
 @pytest.fixture(scope="module", params=["exact", "sparse"])
 def fits(request, data):
     """Averages at two sets of hyperparameters."""
     kernel = kernel_of()
-    others = [kernel, kernel.clone_with_theta(kernel.theta + 0.2 * np.cos(np.arange(kernel.n_dims)))]
+    others = [
+        kernel,
+        kernel.clone_with_theta(kernel.theta + 0.2 * np.cos(np.arange(kernel.n_dims))),
+    ]
     return [average(fit_of(request.param, *data, each), *data) for each in others]
 
 
@@ -173,13 +206,20 @@ class TestSearches:
         np.testing.assert_allclose(mean, (m1 + m2) / 2, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(variance, (v1 + v2) / 2 + (m1 - m2) ** 2 / 4, rtol=1e-9)
         np.testing.assert_allclose(both.posterior.mixture.sum(axis=0), 1.0)
-        np.testing.assert_allclose(both.learned.noise, (fits[0].learned.noise + fits[1].learned.noise) / 2)
+        np.testing.assert_allclose(
+            both.learned.noise, (fits[0].learned.noise + fits[1].learned.noise) / 2
+        )
 
     def test_noise_of_regressors_is_the_mean_of_their_covariances(self, fits):
         roots = [np.diag([0.1, 0.0]), np.array([[0.2, 0.0], [0.1, 0.1]])]
-        noisy = [fit._replace(learned=fit.learned._replace(root=root)) for fit, root in zip(fits, roots, strict=True)]
+        noisy = [
+            fit._replace(learned=fit.learned._replace(root=root))
+            for fit, root in zip(fits, roots, strict=True)
+        ]
         found = joined(noisy).learned.root
-        np.testing.assert_allclose(found @ found.T, sum(root @ root.T for root in roots) / 2, atol=1e-12)
+        np.testing.assert_allclose(
+            found @ found.T, sum(root @ root.T for root in roots) / 2, atol=1e-12
+        )
 
     def test_compaction_keeps_both_searches(self, fits):
         """As many variables as there are samples change next to nothing."""
@@ -216,12 +256,19 @@ class TestParts:
         assert average(fit, *data) is fit
 
     def test_without_main_effects_nothing_stands_between_all_terms_and_the_trend(self):
-        assert parts_of(LinearTrend() + ConvolvedGaussian(1).initialize(np.eye(3), np.eye(3), 0)) == [(0, 1), (0,)]
+        assert parts_of(
+            LinearTrend() + ConvolvedGaussian(1).initialize(np.eye(3), np.eye(3), 0)
+        ) == [(0, 1), (0,)]
 
     def test_a_part_of_a_kernel_is_the_sum_of_its_terms(self, data):
         kernel, X = kernel_of(), data[0][:5]
-        found = {numbers: of_terms(kernel, numbers)(X) for numbers in [(0,), (0, 2), (0, 1, 3), (0, 1, 2, 3)]}
-        np.testing.assert_allclose(found[0, 1, 3] + found[0, 2] - found[0,], found[0, 1, 2, 3], rtol=1e-12, atol=1e-12)
+        found = {
+            numbers: of_terms(kernel, numbers)(X)
+            for numbers in [(0,), (0, 2), (0, 1, 3), (0, 1, 2, 3)]
+        }
+        np.testing.assert_allclose(
+            found[0, 1, 3] + found[0, 2] - found[0,], found[0, 1, 2, 3], rtol=1e-12, atol=1e-12
+        )
         np.testing.assert_allclose(found[0, 1, 2, 3], kernel(X))
 
 
@@ -238,7 +285,9 @@ class TestStacking:
 
         def loss(z):
             log_w = z - logsumexp(z)
-            value = n * logsumexp(scores + log_w[:, None], axis=0).mean() + PRIOR_ROWS * np.dot(opinion, log_w)
+            value = n * logsumexp(scores + log_w[:, None], axis=0).mean() + PRIOR_ROWS * np.dot(
+                opinion, log_w
+            )
             return -value
 
         best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
@@ -274,9 +323,9 @@ class TestHeldOut:
         mean = held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))[0]
         other = Y.copy()
         other[10, 0] += 100.0
-        assert held_out(fit.posterior, fit.learned.noise, X, other, np.arange(N))[0][10, 1] == pytest.approx(
-            mean[10, 1]
-        )
+        assert held_out(fit.posterior, fit.learned.noise, X, other, np.arange(N))[0][
+            10, 1
+        ] == pytest.approx(mean[10, 1])
 
     def test_of_an_output_with_gaps_the_other_one_says_something(self, data):
         X, Y = data
@@ -284,15 +333,24 @@ class TestHeldOut:
         a = np.flatnonzero(np.isfinite(Y[:, 1]))[5]
         other = Y.copy()
         other[a, 0] += 100.0
-        mean, again = (held_out(fit.posterior, fit.learned.noise, X, values, np.arange(N))[0] for values in (Y, other))
+        mean, again = (
+            held_out(fit.posterior, fit.learned.noise, X, values, np.arange(N))[0]
+            for values in (Y, other)
+        )
         assert abs(again[a, 1] - mean[a, 1]) > 0.1
 
     def test_variances_are_those_of_measurements(self, data):
         """At least the noise, and no less than with all the values."""
         X, Y = data
         fit = fit_of("exact", X, Y)
-        known, found = np.isfinite(Y), held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))[1]
-        assert (found[known] >= (fit.posterior.predict(X, True)[1] + fit.learned.noise)[known] * (1 - 1e-9)).all()
+        known, found = (
+            np.isfinite(Y),
+            held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))[1],
+        )
+        assert (
+            found[known]
+            >= (fit.posterior.predict(X, True)[1] + fit.learned.noise)[known] * (1 - 1e-9)
+        ).all()
 
 
 class TestWeights:
@@ -300,7 +358,13 @@ class TestWeights:
     def test_outputs_in_another_order_and_size_have_the_same(self, data, inference):
         X, Y = data
         scale = np.array([2.0**8, 2.0**-5])
-        options = {"n_latent": 0, "inference": inference, "n_inducing": 20, "random_state": 0, "max_iter": 10}
+        options = {
+            "n_latent": 0,
+            "inference": inference,
+            "n_inducing": 20,
+            "random_state": 0,
+            "max_iter": 10,
+        }
         here = DependentGPRegressor(**options).fit(X, Y).weights_
         sized = DependentGPRegressor(**options).fit(X, Y * scale).weights_
         turned = DependentGPRegressor(**options).fit(X, Y[:, ::-1]).weights_
@@ -329,14 +393,22 @@ class TestWeights:
         held, ratios = [], []
         for seed in range(6):
             rng = np.random.default_rng(seed)
-            slopes, X, new = rng.normal(size=(8, 2)), rng.normal(size=(30, 8)), rng.normal(size=(300, 8))
+            slopes, X, new = (
+                rng.normal(size=(8, 2)),
+                rng.normal(size=(30, 8)),
+                rng.normal(size=(300, 8)),
+            )
             Y = X @ slopes + rng.normal(0, 0.5, (30, 2))
             model = DependentGPRegressor(random_state=seed, max_iter=20).fit(X, Y)
             mean, std = model.predict(new, return_std=True, include_noise=True)
-            held.append(np.mean(np.abs(mean - new @ slopes - rng.normal(0, 0.5, mean.shape)) < 1.96 * std))
+            held.append(
+                np.mean(np.abs(mean - new @ slopes - rng.normal(0, 0.5, mean.shape)) < 1.96 * std)
+            )
             A, B = np.column_stack([np.ones(30), X]), np.column_stack([np.ones(300), new])
             line = B @ np.linalg.lstsq(A, Y, rcond=None)[0]
-            ratios.append(np.sqrt(np.mean((mean - new @ slopes) ** 2) / np.mean((line - new @ slopes) ** 2)))
+            ratios.append(
+                np.sqrt(np.mean((mean - new @ slopes) ** 2) / np.mean((line - new @ slopes) ** 2))
+            )
         assert 0.88 <= np.mean(held) <= 0.99
         assert np.mean(ratios) < 1.5
 
@@ -356,10 +428,15 @@ class TestWeights:
     def test_drift_of_a_linear_function_earns_nothing_for_the_process(self):
         """Errors that last as long as the regressor's excursions look like a function, but blocks tell."""
         rng = np.random.default_rng(1)
-        x, drift = (np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240] for _ in range(2))
+        x, drift = (
+            np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240]
+            for _ in range(2)
+        )
         trend, y = [], x + 0.5 * drift
         for sign in (1, -1):
-            model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=20).fit(x[:, None], sign * y)
+            model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=20).fit(
+                x[:, None], sign * y
+            )
             trend.append(model.weights_["trend"][0])
         assert min(trend) > 0.4
 
@@ -378,7 +455,9 @@ class TestRegressor:
         ids=lambda options: " ".join(map(str, *options.items())),
     )
     def test_one_member_has_all_the_weight(self, data, options):
-        model = DependentGPRegressor(**{"n_latent": 0, "max_iter": 3, "random_state": 0} | options).fit(*data)
+        model = DependentGPRegressor(
+            **{"n_latent": 0, "max_iter": 3, "random_state": 0} | options
+        ).fit(*data)
         ((_, weight),) = model.weights_.items()
         np.testing.assert_array_equal(weight, np.ones(P))
         assert not isinstance(model.posterior_, AveragePosterior)
@@ -395,26 +474,44 @@ class TestRegressor:
         model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
         members = np.array([member.noise for member in model.posterior_.members])
         weights = np.array(list(model.weights_.values()))
-        np.testing.assert_allclose(model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0))
+        np.testing.assert_allclose(
+            model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0)
+        )
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_effects_add_up_to_the_mean(self, data, inference):
         X, Y = data
-        options = {"inference": inference, "n_inducing": 15, "n_latent": 1, "random_state": 0, "max_iter": 5}
+        options = {
+            "inference": inference,
+            "n_inducing": 15,
+            "n_latent": 1,
+            "random_state": 0,
+            "max_iter": 5,
+        }
         model = DependentGPRegressor(**options).fit(X, Y)
         assert isinstance(model.posterior_, AveragePosterior)
         found = effects(model)
         mean, std = found.evaluate(AT, return_std=True)
         assert len(mean) == 3  # of each regressor alone, and of both together
-        np.testing.assert_allclose(sum(mean.values()) + found.intercept, model.predict(AT), rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(
+            sum(mean.values()) + found.intercept, model.predict(AT), rtol=1e-8, atol=1e-8
+        )
         assert all((values >= 0).all() for values in std.values())
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_further_rows_are_those_of_members(self, data, inference):
         X, Y = data
-        options = {"inference": inference, "n_inducing": 15, "n_latent": 1, "random_state": 0, "max_iter": 5}
+        options = {
+            "inference": inference,
+            "n_inducing": 15,
+            "n_latent": 1,
+            "random_state": 0,
+            "max_iter": 5,
+        }
         model = DependentGPRegressor(**options).fit(X[:40], Y[:40])
-        expected = model.posterior_.updated(Data.from_table(X[40:], (Y[40:] - model.center_) / model.scale_))
+        expected = model.posterior_.updated(
+            Data.from_table(X[40:], (Y[40:] - model.center_) / model.scale_)
+        )
         before, weights = model.predict(X, return_std=True)[1], model.weights_
         after = [member.predict(X, True)[1] for member in expected.members]
         former = [member.predict(X, True)[1] for member in model.posterior_.members]
@@ -430,7 +527,13 @@ class TestRegressor:
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_a_compact_model_predicts_nearly_the_same(self, data, inference):
         X, Y = data
-        options = {"inference": inference, "n_inducing": 30, "n_latent": 1, "random_state": 0, "max_iter": 10}
+        options = {
+            "inference": inference,
+            "n_inducing": 30,
+            "n_latent": 1,
+            "random_state": 0,
+            "max_iter": 10,
+        }
         model = DependentGPRegressor(**options).fit(X, Y)
         small = model.compact(tolerance=0.05)
         mean, std = model.predict(X, return_std=True)

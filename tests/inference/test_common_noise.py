@@ -29,7 +29,9 @@ def test_the_objective_keeps_or_neglects_it(log):
     theta = np.concatenate([kernel.theta, np.log(noise)])
     alone = [np.where(np.arange(2) == i, Y, np.nan) for i in range(2)]
     parts = [log_likelihood(kernel, noise, Data.from_table(X, one, loading)) for one in alone]
-    assert Objective(kernel, data, 3)(theta)[0] == pytest.approx(log_likelihood(kernel, noise, data))
+    assert Objective(kernel, data, 3)(theta)[0] == pytest.approx(
+        log_likelihood(kernel, noise, data)
+    )
     assert Objective(kernel, data, 3, common=False)(theta)[0] == pytest.approx(sum(parts))
     assert sum(parts) != pytest.approx(log_likelihood(kernel, noise, data), rel=1e-3)
 
@@ -37,9 +39,9 @@ def test_the_objective_keeps_or_neglects_it(log):
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_the_noise_of_each_regressor_is_found(log, inference):
     X, Y = log if inference == "sparse" else (part[:150] for part in log)
-    model = DependentGPRegressor(n_latent=0, structure="joint", inference=inference, random_state=0, max_iter=30).fit(
-        X, Y, time=0.1 * np.arange(len(X))
-    )
+    model = DependentGPRegressor(
+        n_latent=0, structure="joint", inference=inference, random_state=0, max_iter=30
+    ).fit(X, Y, time=0.1 * np.arange(len(X)))
     found = np.sqrt(np.diag(model.input_covariance_))
     assert found[0] == pytest.approx(STD[0], rel=0.2)
     assert found[1] < 3 * STD[1]

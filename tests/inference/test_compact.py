@@ -33,8 +33,12 @@ class TestParts:
     def test_at_every_sample_nothing_is_lost(self, problem):
         """What every latent does to every output at every sample is all that the data tell of."""
         exact_one, all_of_them = exact(problem), sparse(problem, parts(problem, 10**6))
-        assert all_of_them.log_marginal_likelihood == pytest.approx(exact_one.log_marginal_likelihood, abs=1e-2)
-        for got, expected in zip(all_of_them.predict(NEW, True), exact_one.predict(NEW, True), strict=True):
+        assert all_of_them.log_marginal_likelihood == pytest.approx(
+            exact_one.log_marginal_likelihood, abs=1e-2
+        )
+        for got, expected in zip(
+            all_of_them.predict(NEW, True), exact_one.predict(NEW, True), strict=True
+        ):
             np.testing.assert_allclose(got, expected, atol=1e-3)
 
     def test_gradient_of_the_bound_by_everything(self, problem, assert_gradient):
@@ -48,7 +52,9 @@ class TestParts:
             ).log_marginal_likelihood
 
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise), features.theta])
-        assert_gradient(sparse(problem, features).bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
+        assert_gradient(
+            sparse(problem, features).bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4
+        )
 
     def test_as_many_as_asked_for(self, one_problem):
         trend = 3 * 3
@@ -56,7 +62,9 @@ class TestParts:
 
     def test_go_where_they_are_needed(self, one_problem):
         """An output that may be wrong a thousandfold gets no more than its private latent must have: one."""
-        features = one_problem.kernel.feature_ranking(one_problem.X, np.array([1.0, 1.0, 1e3]), 0)(20).second
+        features = one_problem.kernel.feature_ranking(one_problem.X, np.array([1.0, 1.0, 1e3]), 0)(
+            20
+        ).second
         assert sum(len(Z) for i, Z in zip(features.outputs, features.Z, strict=True) if i == 2) == 1
 
     @pytest.mark.filterwarnings("error")
@@ -88,10 +96,15 @@ class TestRows:
             c = posterior.features.columns(i)
             A = posterior.features.Kfu(i, NEW)
             V = np.linalg.solve(np.tril(posterior.Lu)[np.ix_(c, c)], A.T)
-            learned = np.einsum("an,ab,bn->n", V, np.eye(len(c)) - posterior.B_inverse[np.ix_(c, c)], V)
+            learned = np.einsum(
+                "an,ab,bn->n", V, np.eye(len(c)) - posterior.B_inverse[np.ix_(c, c)], V
+            )
             np.testing.assert_allclose(mean[:, i], A @ posterior.weights[c], rtol=1e-10, atol=1e-10)
             np.testing.assert_allclose(
-                variance[:, i], posterior.kernel.block_diag(i, NEW) - learned, rtol=1e-10, atol=1e-10
+                variance[:, i],
+                posterior.kernel.block_diag(i, NEW) - learned,
+                rtol=1e-10,
+                atol=1e-10,
             )
         np.testing.assert_allclose(posterior.predict(NEW[3:4]), mean[3:4], rtol=1e-10)
         np.testing.assert_allclose(posterior.predict(NEW[3:4], True)[1], variance[3:4], rtol=1e-10)
@@ -186,7 +199,9 @@ def test_file_does_not_grow_with_the_samples(one_problem):
     sizes = [
         len(
             pickle.dumps(
-                SparsePosterior(one_problem.kernel, parts(one_problem, 20), one_problem.noise, shares).without_samples()
+                SparsePosterior(
+                    one_problem.kernel, parts(one_problem, 20), one_problem.noise, shares
+                ).without_samples()
             )
         )
         for shares in (shares_of(one_problem.data), shares_of(more))

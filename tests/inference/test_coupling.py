@@ -9,7 +9,12 @@ from skdgp.kernels import ConvolvedGaussian
 
 def shared(amplitude, length_scale, shift=0.0, n_latent=1, **more):
     return ConvolvedGaussian(
-        n_latent, private_latents=False, amplitude=amplitude, length_scale=length_scale, shift=shift, **more
+        n_latent,
+        private_latents=False,
+        amplitude=amplitude,
+        length_scale=length_scale,
+        shift=shift,
+        **more,
     )
 
 
@@ -51,7 +56,9 @@ def test_it_is_the_largest_of_all_separations(seed):
 
 def test_opposite_latents_couple_away_from_zero():
     """Narrow and wide latents that cancel at zero separation leave their mark beside it."""
-    kernel = shared([[1.0, 1.0], [1.0, -0.9]], np.array([[[1.0], [1.0]], [[3.0], [3.0]]]), n_latent=2)
+    kernel = shared(
+        [[1.0, 1.0], [1.0, -0.9]], np.array([[[1.0], [1.0]], [[3.0], [3.0]]]), n_latent=2
+    )
     found = output_correlation(kernel)
     assert found.correlation[0, 1] == pytest.approx(-0.3153, abs=1e-3)
     assert abs(found["shift"][0, 1, 0]) == pytest.approx(2.28, abs=0.02)
@@ -59,7 +66,12 @@ def test_opposite_latents_couple_away_from_zero():
 
 def test_matrix_is_symmetric_and_shifts_are_antisymmetric():
     rng = np.random.default_rng(3)
-    kernel = shared(rng.normal(size=(2, 4)), rng.uniform(0.5, 2, (2, 4, 3)), rng.normal(0, 0.5, (2, 4, 3)), n_latent=2)
+    kernel = shared(
+        rng.normal(size=(2, 4)),
+        rng.uniform(0.5, 2, (2, 4, 3)),
+        rng.normal(0, 0.5, (2, 4, 3)),
+        n_latent=2,
+    )
     found = output_correlation(kernel)
     np.testing.assert_array_equal(found.correlation, found.correlation.T)
     np.testing.assert_array_equal(found["shift"], -found["shift"].swapaxes(0, 1))

@@ -33,7 +33,9 @@ class TestResiduals:
         """Four flights, each with its own clock from zero and its own drift."""
         rng = np.random.default_rng(5)
         time = np.tile(self.step * np.arange(300), 4)
-        x = np.sin(2 * np.pi * 0.1 * time + np.repeat([0, 1, 2, 3], 300)) + 0.1 * rng.normal(size=1200)
+        x = np.sin(2 * np.pi * 0.1 * time + np.repeat([0, 1, 2, 3], 300)) + 0.1 * rng.normal(
+            size=1200
+        )
         drift = [ornstein_uhlenbeck(rng, 300, self.step, self.memory, self.tau2) for _ in range(4)]
         Y = 2 * x + np.concatenate(drift) + rng.normal(0, np.sqrt(self.sigma2), 1200)
         Y = np.column_stack([Y, rng.normal(0, 0.3, 1200) - x])  # the second output has white noise
@@ -49,36 +51,53 @@ class TestResiduals:
         if inference == "exact":
             Y[::2, 1] = np.nan
             Y[1::4, 1] = np.nan
-        model = DependentGPRegressor(structure="trend", inference=inference, n_inducing=10, random_state=0)
+        model = DependentGPRegressor(
+            structure="trend", inference=inference, n_inducing=10, random_state=0
+        )
         other = clone(model).fit(X, Y, time=np.arange(len(X)))
         model.fit(X, Y, time=time, flight=flight)
         assert model.drift_variance_[0] == pytest.approx(self.tau2, rel=0.3)
         for horizon in (0.5, 2.0, 5.0):  # what a simulated flight integrates
             found = integral_variance(model.drift_variance_[0], model.drift_memory_[0], horizon)
-            assert found == pytest.approx(integral_variance(self.tau2, self.memory, horizon), rel=0.4)
+            assert found == pytest.approx(
+                integral_variance(self.tau2, self.memory, horizon), rel=0.4
+            )
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
-        for found, expected in zip(*(m.posterior_.predict(X[:9], True) for m in (model, other)), strict=True):
+        for found, expected in zip(
+            *(m.posterior_.predict(X[:9], True) for m in (model, other)), strict=True
+        ):
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         totals = [m.noise_variance_ + m.misfit_variance_ for m in (model, other)]
         np.testing.assert_allclose(*totals, rtol=1e-6)
-        np.testing.assert_array_equal(clone(model).set_params(max_iter=1).fit(X, Y).drift_variance_, 0.0)
+        np.testing.assert_array_equal(
+            clone(model).set_params(max_iter=1).fit(X, Y).drift_variance_, 0.0
+        )
 
     def test_flights_are_independent(self, log):
         """Any order of the flights has the same likelihood."""
         _, Y, time, _ = log
         Y, flight = Y - Y.mean(axis=0), np.repeat(np.arange(4), 300)
-        orders = [np.concatenate([np.arange(300) + 300 * k for k in order]) for order in ([0, 1, 2, 3], [2, 0, 3, 1])]
+        orders = [
+            np.concatenate([np.arange(300) + 300 * k for k in order])
+            for order in ([0, 1, 2, 3], [2, 0, 3, 1])
+        ]
         first, second = (
-            residual_drift(Nothing(), Y[rows], Y[rows], np.column_stack([time[rows], flight[rows]])) for rows in orders
+            residual_drift(Nothing(), Y[rows], Y[rows], np.column_stack([time[rows], flight[rows]]))
+            for rows in orders
         )
         np.testing.assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
 
     def test_the_end_of_a_flight_tells_nothing_of_the_next(self):
         """Errors that only change from flight to flight last as long as a flight can show."""
-        offset, white = np.random.default_rng(0).choice([-1.0, 1.0], 40), np.random.default_rng(1).normal(0, 0.1, 800)
+        offset, white = (
+            np.random.default_rng(0).choice([-1.0, 1.0], 40),
+            np.random.default_rng(1).normal(0, 0.1, 800),
+        )
         Y, time = (np.repeat(offset, 20) + white)[:, None], 0.1 * np.arange(800)
-        apart = residual_drift(Nothing(), Y, Y, np.column_stack([time, np.repeat(np.arange(40), 20)]))
+        apart = residual_drift(
+            Nothing(), Y, Y, np.column_stack([time, np.repeat(np.arange(40), 20)])
+        )
         assert apart[2, 0] == pytest.approx(1.9, rel=0.01)
 
     def test_rows_in_any_order_and_of_one_time(self):
@@ -87,16 +106,23 @@ class TestResiduals:
         clock, mixed = np.column_stack([0.05 * np.arange(400), np.zeros(400)]), rng.permutation(400)
         expected = residual_drift(Nothing(), Y, Y, clock)
         np.testing.assert_allclose(
-            residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]), expected, rtol=1e-6, atol=1e-9
+            residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]),
+            expected,
+            rtol=1e-6,
+            atol=1e-9,
         )
         twice = np.repeat(np.arange(400), 2)
         found = residual_drift(Nothing(), Y[twice], Y[twice], clock[twice])
         np.testing.assert_allclose(found[1:], expected[1:], rtol=0.1)
 
-    @pytest.mark.parametrize("flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"])
+    @pytest.mark.parametrize(
+        "flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"]
+    )
     def test_rows_that_show_no_drift_have_none(self, flight):
         Y = np.random.default_rng(0).normal(size=(60, 1))
-        white, variance, _ = residual_drift(Nothing(), Y, Y, np.column_stack([0.1 * np.arange(60), flight]))
+        white, variance, _ = residual_drift(
+            Nothing(), Y, Y, np.column_stack([0.1 * np.arange(60), flight])
+        )
         assert white == pytest.approx(np.mean(Y**2))
         assert variance < 1e-6 * white
 
@@ -111,7 +137,9 @@ class Nothing:
 def test_further_samples_change_no_drift():
     rng, time = np.random.default_rng(1), 0.05 * np.arange(120)
     X, Y = np.sin(time)[:, None], 2 * np.sin(time) + ornstein_uhlenbeck(rng, 120, 0.05, 0.5, 0.09)
-    model = DependentGPRegressor(structure="trend", random_state=0).fit(X[:100], Y[:100], time=time[:100])
+    model = DependentGPRegressor(structure="trend", random_state=0).fit(
+        X[:100], Y[:100], time=time[:100]
+    )
     before = model.drift_variance_, model.drift_memory_
     assert before[0] > 0.01
     without = clone(model).fit(X[:100], Y[:100], time=time[:100]).partial_fit(X[100:], Y[100:])
@@ -128,7 +156,10 @@ def test_further_samples_change_no_drift():
         ({"time": np.arange(49.0)}, r"\(49,\).*\(50,\)"),
         ({"time": np.arange(50.0), "flight": ["a"] * 48 + [None, None]}, "2 rows without a flight"),
         ({"time": np.full(50, np.nan)}, "NaN"),
-        ({"time": np.datetime64("2026-01-01", "ms") + np.arange(50)}, r"datetime64.*expected seconds"),
+        (
+            {"time": np.datetime64("2026-01-01", "ms") + np.arange(50)},
+            r"datetime64.*expected seconds",
+        ),
     ],
 )
 def test_rows_must_say_when_they_were(clock, words):

@@ -27,7 +27,13 @@ def log():
 
 def make(**options):
     """Return a model of all terms, with exact regressors; it stops early where rows have a time."""
-    given = {"n_latent": 1, "structure": "joint", "input_noise": None, "max_iter": 60, "random_state": 0}
+    given = {
+        "n_latent": 1,
+        "structure": "joint",
+        "input_noise": None,
+        "max_iter": 60,
+        "random_state": 0,
+    }
     return DependentGPRegressor(**(given | options))
 
 
@@ -49,7 +55,9 @@ def test_the_noise_is_learned_to_the_end(log, monkeypatch):
     options = {"optimizer": "fmin_l_bfgs_b", "max_iter": 60, "random_state": 0}
     fit = fit_exact(ConvolvedGaussian(1), X, Y, stop_early=True, **options)
     data = Data.from_table(X, Y)
-    slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, data, eval_gradient=True)[1][-2:]
+    slope = log_likelihood(fit.posterior.kernel, fit.learned.noise, data, eval_gradient=True)[1][
+        -2:
+    ]
     assert np.abs(slope).max() < 1e-3 * data.n_values
 
 
@@ -58,7 +66,10 @@ def test_the_posterior_knows_the_held_out_rows(log, stopped):
     held = _search.held_out_rows(Y, np.random.RandomState(0))[1]
     fewer = clone(stopped).set_params(optimizer=None).fit(X, Y)
     without = clone(fewer).fit(np.delete(X, held, axis=0), np.delete(Y, held, axis=0))
-    assert fewer.predict(X[held], return_std=True)[1].mean() < without.predict(X[held], return_std=True)[1].mean()
+    assert (
+        fewer.predict(X[held], return_std=True)[1].mean()
+        < without.predict(X[held], return_std=True)[1].mean()
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,8 +96,14 @@ def test_goes_with(log, options):
 
 def test_few_rows_are_all_learned_from(log):
     X, Y = log
-    options = {"kernel": ConvolvedGaussian(1), "max_iter": 10, "inference": "exact"}  # without a log's smallest widths
-    first, other = (make(**options).fit(X[:60], Y[:60], time=time).predict(X) for time in (TIME[:60], None))
+    options = {
+        "kernel": ConvolvedGaussian(1),
+        "max_iter": 10,
+        "inference": "exact",
+    }  # without a log's smallest widths
+    first, other = (
+        make(**options).fit(X[:60], Y[:60], time=time).predict(X) for time in (TIME[:60], None)
+    )
     np.testing.assert_allclose(first, other, rtol=1e-9, atol=1e-9)
 
 

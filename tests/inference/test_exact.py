@@ -17,7 +17,9 @@ NEW = np.random.default_rng(5).normal(size=(6, 2))
 def at(problem, theta):
     """The likelihood as a function of [theta, log noise]."""
     n = problem.kernel.n_dims
-    return log_likelihood(problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), problem.data)
+    return log_likelihood(
+        problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), problem.data
+    )
 
 
 def posterior_of(problem):
@@ -32,11 +34,15 @@ def cross(problem, Xs):
 class TestLikelihood:
     def test_is_the_density_of_the_observed_values(self, problem):
         expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
-        assert log_likelihood(problem.kernel, problem.noise, problem.data) == pytest.approx(expected, rel=1e-10)
+        assert log_likelihood(problem.kernel, problem.noise, problem.data) == pytest.approx(
+            expected, rel=1e-10
+        )
         assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
 
     def test_gradient(self, problem, assert_gradient):
-        value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+        value, gradient = log_likelihood(
+            problem.kernel, problem.noise, problem.data, eval_gradient=True
+        )
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
         assert value == pytest.approx(at(problem, theta))
         assert_gradient(gradient, lambda t: at(problem, t), theta, rtol=1e-7, atol=1e-7)
@@ -45,8 +51,12 @@ class TestLikelihood:
     def test_an_output_without_values_has_no_gradient_by_its_noise(self, one_problem, silent):
         X = [x[:0] if i == silent else x for i, x in enumerate(one_problem.data.X)]
         y = [v[:0] if i == silent else v for i, v in enumerate(one_problem.data.y)]
-        everything = log_likelihood(one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True)[1]
-        _, gradient = log_likelihood(one_problem.kernel, one_problem.noise, Data(X, y), eval_gradient=True)
+        everything = log_likelihood(
+            one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True
+        )[1]
+        _, gradient = log_likelihood(
+            one_problem.kernel, one_problem.noise, Data(X, y), eval_gradient=True
+        )
         assert (gradient[-3:] == 0).tolist() == [i == silent for i in range(3)]
         assert np.isfinite(gradient).all()
         assert everything[-3:].all()
@@ -62,13 +72,20 @@ class TestLikelihood:
         Y[:, 1] = np.nan  # an output without values
         data = Data.from_table(one_problem.X, Y)
         expected = log_likelihood(kernel, one_problem.noise, data, eval_gradient=True)
-        parts = [log_likelihood(kernel, one_problem.noise, part, eval_gradient=True) for part in data.by_output()]
+        parts = [
+            log_likelihood(kernel, one_problem.noise, part, eval_gradient=True)
+            for part in data.by_output()
+        ]
         assert len(parts) == 2
         assert sum(value for value, _ in parts) == pytest.approx(expected[0], rel=1e-10)
-        np.testing.assert_allclose(sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(
+            sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10
+        )
 
     def test_what_a_workspace_held_before_is_gone(self, one_problem):
-        kernel = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=np.ones((3, 3, 2)))  # couples no outputs
+        kernel = ConvolvedGaussian(
+            0, amplitude=np.eye(3), length_scale=np.ones((3, 3, 2))
+        )  # couples no outputs
         noise, data = one_problem.noise, one_problem.data
         used = np.full((data.n_values, data.n_values), np.nan)
         expected = log_likelihood(kernel, noise, data)
@@ -76,7 +93,10 @@ class TestLikelihood:
 
     def test_other_hyperparameters_of_the_same_data(self, problem):
         posterior = posterior_of(problem)
-        other, noise = problem.kernel.clone_with_theta(problem.kernel.theta + 0.1), 2 * problem.noise
+        other, noise = (
+            problem.kernel.clone_with_theta(problem.kernel.theta + 0.1),
+            2 * problem.noise,
+        )
         expected = log_likelihood(other, noise, problem.data, eval_gradient=True)
         value, gradient = posterior.likelihood_at(other, noise, eval_gradient=True)
         assert value == pytest.approx(expected[0])
@@ -87,7 +107,9 @@ class TestLikelihood:
 class TestPosterior:
     def test_mean_is_equation_17(self, problem):
         expected = cross(problem, NEW) @ np.linalg.solve(problem.K, problem.y)
-        np.testing.assert_allclose(posterior_of(problem).predict(NEW), expected.reshape(-1, len(NEW)).T, rtol=1e-9)
+        np.testing.assert_allclose(
+            posterior_of(problem).predict(NEW), expected.reshape(-1, len(NEW)).T, rtol=1e-9
+        )
 
     def test_covariance_is_equation_18(self, problem):
         Ks = cross(problem, NEW)
@@ -166,20 +188,34 @@ class TestTiles:
 
     @pytest.mark.parametrize(("tile", "threads"), [(1, 2), (3, 1)])
     def test_do_not_change_the_results(self, problem, tile, threads, monkeypatch):
-        value, gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+        value, gradient = log_likelihood(
+            problem.kernel, problem.noise, problem.data, eval_gradient=True
+        )
         posterior = posterior_of(problem)
-        expected = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
+        expected = (
+            posterior.predict(NEW, True),
+            posterior.covariance(NEW),
+            posterior.gradient(NEW, True),
+        )
         monkeypatch.setattr(_likelihood, "TILE", tile)
         monkeypatch.setattr(_likelihood, "HALF", 2)
         monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
         monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
-            again, again_gradient = log_likelihood(problem.kernel, problem.noise, problem.data, eval_gradient=True)
+            again, again_gradient = log_likelihood(
+                problem.kernel, problem.noise, problem.data, eval_gradient=True
+            )
             posterior = posterior_of(problem)
-            got = posterior.predict(NEW, True), posterior.covariance(NEW), posterior.gradient(NEW, True)
+            got = (
+                posterior.predict(NEW, True),
+                posterior.covariance(NEW),
+                posterior.gradient(NEW, True),
+            )
         assert again == pytest.approx(value, rel=1e-12)
         np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
-        for a, b in zip((*got[0], got[1], *got[2]), (*expected[0], expected[1], *expected[2]), strict=True):
+        for a, b in zip(
+            (*got[0], got[1], *got[2]), (*expected[0], expected[1], *expected[2]), strict=True
+        ):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
@@ -216,8 +252,12 @@ class TestMemory:
         few, many = np.zeros((300, 4)), np.zeros((3000, 4))
         results = 2 * 8 * 3 * 2700
         for call, times in ((posterior.predict, 1), (posterior.gradient, 4)):
-            grown = peak_memory(lambda call=call: call(many, True)) - peak_memory(lambda call=call: call(few, True))
-            assert grown < 2 * times * results + _exact.CHUNK_BYTES  # which threads need not hold at the same time
+            grown = peak_memory(lambda call=call: call(many, True)) - peak_memory(
+                lambda call=call: call(few, True)
+            )
+            assert (
+                grown < 2 * times * results + _exact.CHUNK_BYTES
+            )  # which threads need not hold at the same time
 
 
 def test_few_points_have_the_means_that_many_have(one_problem):

@@ -20,7 +20,10 @@ def drawn():
     rng = np.random.default_rng(1)
     X = np.sort(rng.uniform(-9, 9, (110, 1)), axis=0)
     kernel = ConvolvedGaussian(
-        1, amplitude=[[1.0, -0.9], [0.3, 0], [0, 0.3]], length_scale=np.full((3, 2, 1), 0.8), private_latents=True
+        1,
+        amplitude=[[1.0, -0.9], [0.3, 0], [0, 0.3]],
+        length_scale=np.full((3, 2, 1), 0.8),
+        private_latents=True,
     )
     noise = np.array([0.01, 0.09])
     K = kernel(X) + np.diag(np.repeat(noise, 110))
@@ -35,7 +38,8 @@ class TestFit:
         X, Y, kernel, noise = drawn
         found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
         truth = log_likelihood(kernel, noise, Data.from_table(X, Y))
-        # More hyperparameters than the truth has: the maximum is above it. The bound may lie a little below.
+        # More hyperparameters than the truth has: the maximum is above it. The bound may lie a
+        # little below.
         assert found.log_marginal_likelihood > truth - (1.0 if fit is not fit_exact else 0.0)
 
     def test_recovers_noise_and_coupling(self, fit, drawn):
@@ -48,12 +52,15 @@ class TestFit:
 
     def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(self, fit, drawn):
         X, Y, *_ = drawn
-        found = fit(ConvolvedGaussian(1, covariance_type="tied"), X, Y, **(OPTIONS | {"max_iter": 1000}))
+        found = fit(
+            ConvolvedGaussian(1, covariance_type="tied"), X, Y, **(OPTIONS | {"max_iter": 1000})
+        )
         posterior = found.posterior
         _, gradient = posterior.likelihood_at(posterior.kernel, posterior.noise, eval_gradient=True)
         theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
         inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
-        # One unit of log likelihood is nothing. The bound of given inducing inputs has its maximum a little elsewhere.
+        # One unit of log likelihood is nothing. The bound of given inducing inputs has its maximum
+        # a little elsewhere.
         assert np.abs(gradient[: len(theta)][inside]).max() < (0.5 if fit is fit_exact else 1.0)
 
     def test_never_ends_below_its_start(self, fit, drawn):
@@ -64,7 +71,9 @@ class TestFit:
 
     def test_value_is_the_likelihood_at_what_was_found(self, fit, drawn):
         X, Y, *_ = drawn
-        posterior = fit(LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior
+        posterior = fit(
+            LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
+        ).posterior
         again = posterior.likelihood_at(posterior.kernel, posterior.noise)
         assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
 
@@ -91,7 +100,9 @@ class TestFit:
         Y = Y.copy()
         Y[:, 1] = np.nan
         Y[::30, 1] = 0.0
-        posterior = fit(LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior
+        posterior = fit(
+            LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
+        ).posterior
         assert np.isfinite(posterior.predict(X[:3], True)).all()
 
 
@@ -139,9 +150,15 @@ class TestGivenKernel:
     def test_fixed_trend_stays(self, fit, drawn):
         X, Y, *_ = drawn
         trend = LinearTrend(
-            [1.0, 2.0], [[0.5], [0.6]], [0.0], intercept_scale_bounds="fixed", slope_scale_bounds="fixed"
+            [1.0, 2.0],
+            [[0.5], [0.6]],
+            [0.0],
+            intercept_scale_bounds="fixed",
+            slope_scale_bounds="fixed",
         )
-        found = fit(trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})).posterior.kernel
+        found = fit(
+            trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
+        ).posterior.kernel
         np.testing.assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
         np.testing.assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
 
@@ -155,7 +172,10 @@ def test_default_fits_are_good_fits():
     Y += rng.normal(0, 0.1, Y.shape)
     values = [
         fit_exact(
-            LinearTrend() + ConvolvedGaussian(2), X, Y, **(OPTIONS | {"random_state": seed, "max_iter": 60})
+            LinearTrend() + ConvolvedGaussian(2),
+            X,
+            Y,
+            **(OPTIONS | {"random_state": seed, "max_iter": 60}),
         ).posterior.log_marginal_likelihood
         for seed in range(3)
     ]

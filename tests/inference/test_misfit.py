@@ -55,11 +55,15 @@ class TestVariance:
         clock = clock_of(len(x)) / 250
         assert misfit_variance(Given(np.zeros_like), x, y, clock)[0] == 0
         clock[1000:, 1] = 1  # two flights
-        assert misfit_variance(Given(np.zeros_like), x, y, clock)[0] == pytest.approx(1 / 3, rel=0.1)
+        assert misfit_variance(Given(np.zeros_like), x, y, clock)[0] == pytest.approx(
+            1 / 3, rel=0.1
+        )
 
     def test_of_each_output_is_that_of_its_own_values(self):
         x, y, _ = log_of(np.abs, 4000)
-        Y = np.column_stack([y, np.where(np.arange(len(y)) % 3, 2 * y[:, 0], np.nan), np.full(len(y), np.nan)])
+        Y = np.column_stack(
+            [y, np.where(np.arange(len(y)) % 3, 2 * y[:, 0], np.nan), np.full(len(y), np.nan)]
+        )
         model = Given(lambda x: np.zeros((len(x), 3)))
         found = misfit_variance(model, x, Y, clock_of(len(x)))
         assert found[1] == pytest.approx(4 * found[0], rel=0.1)
@@ -83,7 +87,9 @@ class TestBand:
 
     def test_of_the_right_model_does_not_grow(self):
         x, y, _ = log_of(lambda x: np.sin(3 * x), 400)
-        model = DependentGPRegressor(n_latent=1, max_iter=30, random_state=0).fit(x, y, time=np.arange(len(x)))
+        model = DependentGPRegressor(n_latent=1, max_iter=30, random_state=0).fit(
+            x, y, time=np.arange(len(x))
+        )
         assert model.misfit_variance_[0] < 0.02 * NOISE**2
 
     def test_is_the_same_in_all_forms(self, kinked):
@@ -95,12 +101,17 @@ class TestBand:
 
     def test_joint_covariance_paths_and_slopes_are_those_of_the_posterior(self):
         x, y, _ = log_of(np.abs, 300)
-        model = DependentGPRegressor(structure="trend", random_state=0).fit(x, y, time=np.arange(len(x)))
+        model = DependentGPRegressor(structure="trend", random_state=0).fit(
+            x, y, time=np.arange(len(x))
+        )
         assert model.misfit_variance_[0] > 0.01
         found = []
         for misfit in (model.misfit_variance_, np.zeros(1)):
             model.misfit_variance_ = misfit
-            cov, slope = model.predict(x[:4], return_cov=True)[1], model.predict_gradient(x[:4], return_std=True)[1]
+            cov, slope = (
+                model.predict(x[:4], return_cov=True)[1],
+                model.predict_gradient(x[:4], return_std=True)[1],
+            )
             paths = model.sample_paths(3, random_state=0)(x[:4])
             found.append([cov, slope, paths, model.sample_y(x[:4], 3)])
         for without, with_misfit in zip(*found, strict=True):
@@ -111,6 +122,8 @@ class TestBand:
         mean, std = model.predict(x, return_std=True, include_noise=True)
         assert np.mean(np.abs(y - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
         of_function = model.predict(x, return_std=True)[1]
-        np.testing.assert_allclose(std**2 - of_function**2, np.full_like(std, model.noise_variance_[0]))
+        np.testing.assert_allclose(
+            std**2 - of_function**2, np.full_like(std, model.noise_variance_[0])
+        )
         # Without the misfit, which the search took for noise, too:
         assert model.noise_variance_[0] == pytest.approx(NOISE**2, rel=0.1)

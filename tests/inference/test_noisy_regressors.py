@@ -50,7 +50,9 @@ def test_every_second_value_keeps_its_own_noise(noisy):
 class TestExact:
     def test_likelihood(self, noisy):
         expected = multivariate_normal(cov=dense(noisy)).logpdf(noisy.y)
-        assert log_likelihood(noisy.kernel, noisy.noise, noisy.data) == pytest.approx(expected, rel=1e-10)
+        assert log_likelihood(noisy.kernel, noisy.noise, noisy.data) == pytest.approx(
+            expected, rel=1e-10
+        )
 
     def test_likelihood_of_learned_variances(self, noisy):
         scale = np.array([0.3, 2.0])
@@ -62,14 +64,20 @@ class TestExact:
         n = noisy.kernel.n_dims
 
         def at(theta):
-            return log_likelihood(noisy.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), noisy.data)
+            return log_likelihood(
+                noisy.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), noisy.data
+            )
 
         theta = np.concatenate([noisy.kernel.theta, np.log(noisy.noise), np.log([0.3, 2.0])])
-        _, gradient = log_likelihood(noisy.kernel, np.exp(theta[n:]), noisy.data, eval_gradient=True)
+        _, gradient = log_likelihood(
+            noisy.kernel, np.exp(theta[n:]), noisy.data, eval_gradient=True
+        )
         assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
 
     def test_posterior(self, noisy):
-        mean, variance = ExactPosterior(noisy.kernel, noisy.noise, noisy.data).predict(NEW, return_variance=True)
+        mean, variance = ExactPosterior(noisy.kernel, noisy.noise, noisy.data).predict(
+            NEW, return_variance=True
+        )
         cross = noisy.kernel([NEW] * 3, noisy.data.X)
         expected = cross @ np.linalg.solve(dense(noisy), noisy.y)
         left = noisy.kernel(NEW) - cross @ np.linalg.solve(dense(noisy), cross.T)
@@ -88,9 +96,17 @@ class TestSparse:
 
     def test_posterior(self, noisy, stacked):
         features, S = noisy.kernel.features(Z), noise_of(noisy)
-        Kuu, Kfu, Ksu = features.Kuu(), stacked(features, noisy.data.X), stacked(features, [NEW] * 3)
-        weights = np.linalg.solve(Kuu + Kfu.T @ np.linalg.solve(S, Kfu), Kfu.T @ np.linalg.solve(S, noisy.y))
-        np.testing.assert_allclose(sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9)
+        Kuu, Kfu, Ksu = (
+            features.Kuu(),
+            stacked(features, noisy.data.X),
+            stacked(features, [NEW] * 3),
+        )
+        weights = np.linalg.solve(
+            Kuu + Kfu.T @ np.linalg.solve(S, Kfu), Kfu.T @ np.linalg.solve(S, noisy.y)
+        )
+        np.testing.assert_allclose(
+            sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9
+        )
 
     def test_gradient_by_everything(self, noisy, assert_gradient):
         features, n = noisy.kernel.features(Z), noisy.kernel.n_dims
@@ -105,12 +121,19 @@ class TestSparse:
 
     def test_a_zero_factor_is_no_shared_noise(self, noisy):
         apart = SparsePosterior(
-            noisy.kernel, noisy.kernel.features(Z), noisy.noise, shares_of(Data.from_table(noisy.X, noisy.Y))
+            noisy.kernel,
+            noisy.kernel.features(Z),
+            noisy.noise,
+            shares_of(Data.from_table(noisy.X, noisy.Y)),
         )
         noisy.data = Data.from_table(noisy.X, noisy.Y, 0 * noisy.loading)
         together = sparse(noisy)
-        assert together.log_marginal_likelihood == pytest.approx(apart.log_marginal_likelihood, rel=1e-10)
-        np.testing.assert_allclose(together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7)
+        assert together.log_marginal_likelihood == pytest.approx(
+            apart.log_marginal_likelihood, rel=1e-10
+        )
+        np.testing.assert_allclose(
+            together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7
+        )
 
 
 def test_a_file_without_samples_keeps_what_outputs_have_in_common(noisy):
@@ -125,7 +148,9 @@ def test_later_samples_are_as_good_as_earlier_ones(noisy, make):
     whole = make(noisy)
     X, Y, loading = noisy.X, noisy.Y, noisy.loading
     noisy.data = Data.from_table(X[:9], Y[:9], loading[:9])
-    grown = pickle.loads(pickle.dumps(make(noisy))).updated(Data.from_table(X[9:], Y[9:], loading[9:]))
+    grown = pickle.loads(pickle.dumps(make(noisy))).updated(
+        Data.from_table(X[9:], Y[9:], loading[9:])
+    )
     assert grown.log_marginal_likelihood == pytest.approx(whole.log_marginal_likelihood, rel=1e-8)
     for mine, theirs in zip(grown.predict(NEW, True), whole.predict(NEW, True), strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)

@@ -65,7 +65,9 @@ def test_slopes_have_the_posteriors_moments(one_problem, make):
     slopes = posterior.paths(N_PATHS, 1).gradient(X)
     mean, variance = posterior.gradient(X, return_variance=True)
     assert (np.abs(slopes.mean(axis=0) - mean) < 5 * np.sqrt(variance / N_PATHS)).all()
-    assert (np.abs(((slopes - mean) ** 2).mean(axis=0) / variance - 1.0) < 5 * np.sqrt(2 / N_PATHS)).all()
+    assert (
+        np.abs(((slopes - mean) ** 2).mean(axis=0) / variance - 1.0) < 5 * np.sqrt(2 / N_PATHS)
+    ).all()
 
 
 def test_noise_that_outputs_share(one_problem, make):
@@ -85,7 +87,9 @@ def test_a_trend_in_any_columns(one_problem, make):
 def test_after_an_update(one_problem, make):
     """An exact posterior has appended rows then; loaded from a file it factors anew."""
     X, Y = one_problem.X, one_problem.Y
-    posterior = make(one_problem, Data.from_table(X[:9], Y[:9])).updated(Data.from_table(X[9:], Y[9:]))
+    posterior = make(one_problem, Data.from_table(X[:9], Y[:9])).updated(
+        Data.from_table(X[9:], Y[9:])
+    )
     paths = assert_moments(posterior, points(one_problem))
     again = pickle.loads(pickle.dumps(posterior)).paths(N_PATHS, 0)
     np.testing.assert_allclose(again(Z), paths(Z), rtol=1e-6, atol=1e-7)

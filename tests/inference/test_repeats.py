@@ -33,7 +33,15 @@ def quick(monkeypatch):
 
 
 def fitted(X, Y):
-    return fit_sparse(ConvolvedGaussian(0), X, Y, n_inducing=15, optimizer="fmin_l_bfgs_b", max_iter=15, random_state=0)
+    return fit_sparse(
+        ConvolvedGaussian(0),
+        X,
+        Y,
+        n_inducing=15,
+        optimizer="fmin_l_bfgs_b",
+        max_iter=15,
+        random_state=0,
+    )
 
 
 class TestSparseFit:
@@ -41,13 +49,17 @@ class TestSparseFit:
 
     x = np.linspace(0, 8, 3000)[:, None]
     truth = np.sin(2 * x)
-    noise = 0.3 * lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], np.random.default_rng(3).normal(size=(3000, 4)), axis=0)
+    noise = 0.3 * lfilter(
+        [np.sqrt(1 - 0.9**2)], [1.0, -0.9], np.random.default_rng(3).normal(size=(3000, 4)), axis=0
+    )
 
     def test_deviations_are_as_large_as_errors(self):
         fit = fitted(self.x, self.truth + self.noise)
         mean, variance = fit.posterior.predict(self.x, True)
         z = (mean - self.truth) / np.sqrt(variance)
-        assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5  # counted as independent, errors are about four deviations
+        assert (
+            0.6 < np.sqrt(np.mean(z**2)) < 1.5
+        )  # counted as independent, errors are about four deviations
         assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
 
     def test_shuffled_rows_are_independent_evidence(self):

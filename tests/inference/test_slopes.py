@@ -42,14 +42,20 @@ def test_are_the_scatter_over_many_logs(memory):
         white.append(alone[0])
     ratio = np.std(found, axis=0) / np.sqrt(np.mean(stated, axis=0))
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.13)
-    inflation = np.sqrt(1 + 2 / np.expm1(2 / memory)) if memory else 1.0  # of products with rho^2 for each sample
-    assert np.std(found, axis=0) / np.mean(white, axis=0) == pytest.approx(inflation * np.ones(2), rel=0.25)
+    inflation = (
+        np.sqrt(1 + 2 / np.expm1(2 / memory)) if memory else 1.0
+    )  # of products with rho^2 for each sample
+    assert np.std(found, axis=0) / np.mean(white, axis=0) == pytest.approx(
+        inflation * np.ones(2), rel=0.25
+    )
 
 
 def test_are_of_the_polynomial():
     x = np.random.default_rng(1).normal(size=(400, 2))
     y = 1.0 + x @ [2.0, -1.0] + 0.5 * x[:, 0] * x[:, 1] - x[:, 1] ** 2
-    assert slopes_at(_Polynomial(_parabola, x, y))[0] == pytest.approx([2 + 0.5 * -0.2, -1 + 0.5 * 0.3 + 2 * 0.2])
+    assert slopes_at(_Polynomial(_parabola, x, y))[0] == pytest.approx(
+        [2 + 0.5 * -0.2, -1 + 0.5 * 0.3 + 2 * 0.2]
+    )
     assert slopes_at(_Polynomial(_line, x, x @ [2.0, -1.0]))[0] == pytest.approx([2.0, -1.0])
 
 
@@ -84,7 +90,12 @@ def test_of_a_straight_line_all_methods_agree(log):
 def test_errors_by_method_have_a_sign(log):
     """An output and its negative err to opposite sides, as their sum has no error; so does a reversed regressor."""
     x, y = log[0], log[1][:, :1] + log[0][:, :1] ** 2
-    both = DependentGPRegressor(structure="trend").fit(x, np.hstack([y, -y])).slope_errors(x[:3]).method
+    both = (
+        DependentGPRegressor(structure="trend")
+        .fit(x, np.hstack([y, -y]))
+        .slope_errors(x[:3])
+        .method
+    )
     assert np.abs(both).min() > 1e-6
     assert both[:, 0] == pytest.approx(-both[:, 1], rel=1e-6)
     alone, turned = (
@@ -101,7 +112,9 @@ def test_difference_to_instruments_counts_by_how_well_they_know(log):
     _, weights, errors = instrumented(x, y)
     d = model.predict_gradient(at)[0] - (_slopes_of(_parabola, at) @ weights)[0]
     s = np.sqrt(np.sum((_slopes_of(_parabola, at) @ errors.T) ** 2, axis=-1))[0]
-    assert model.slope_errors(at).method[0, 0, :, 0] == pytest.approx(d * np.abs(d) / np.hypot(d, s), rel=1e-4)
+    assert model.slope_errors(at).method[0, 0, :, 0] == pytest.approx(
+        d * np.abs(d) / np.hypot(d, s), rel=1e-4
+    )
 
 
 def test_what_instruments_hardly_know_counts_less_than_they_scatter():
@@ -124,7 +137,10 @@ def test_third_powers_tell_the_slope_of_what_saturates():
     """A tail that stalls on both sides: polynomials of second order find a mean slope, which is too small at zero."""
     x = np.linspace(-1, 1, 600)[:, None]
     model = DependentGPRegressor(structure="trend").fit(x, np.tanh(1.5 * x[:, 0]))
-    slope, third = model.predict_gradient([[0.0]])[0, 0], model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, 1]
+    slope, third = (
+        model.predict_gradient([[0.0]])[0, 0],
+        model.slope_errors(np.zeros((1, 1))).method[0, 0, 0, 1],
+    )
     assert slope < 1.2
     assert slope + np.sqrt(2) * third == pytest.approx(1.5, rel=0.07)
 
@@ -138,14 +154,17 @@ def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
 def test_none_without_samples_enough(log, model):
     few = DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20])
     assert few.slope_errors(log[0][:1]) is None
-    compact = DependentGPRegressor(n_latent=1, optimizer=None).fit(log[0][:60], log[1][:60]).compact(40)
+    compact = (
+        DependentGPRegressor(n_latent=1, optimizer=None).fit(log[0][:60], log[1][:60]).compact(40)
+    )
     assert slope_errors(compact.posterior_, AT) is None
 
 
 def flown_in_gusts(memory=1.5):
     """Return rate and stick, and a load of -1 times the rate, the stick and a gust, (9000, 2) and (9000,).
 
-    The load turns the rate, so its lasting error is in the rate, and least squares finds too little damping.
+    The load turns the rate, so its lasting error is in the rate, and least squares finds too little
+    damping.
     """
     rng = np.random.default_rng(3)
     gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
@@ -154,7 +173,9 @@ def flown_in_gusts(memory=1.5):
     return np.column_stack([rate, stick]), -rate + stick + gust
 
 
-@pytest.mark.parametrize(("memory", "every", "left"), [(1.5, 1, 0.5), (1.5, 2, 0.5), (3.0, 1, 0.65)])
+@pytest.mark.parametrize(
+    ("memory", "every", "left"), [(1.5, 1, 0.5), (1.5, 2, 0.5), (3.0, 1, 0.65)]
+)
 def test_past_regressors_tell_the_damping_that_gusts_flatten(memory, every, left):
     """Of gusts that last longer, more of the bias is left; instruments one row earlier would leave .76 of the last."""
     x, load = flown_in_gusts(memory)
@@ -174,7 +195,10 @@ def test_deviation_by_method_holds_what_gusts_take_from_the_damping():
 def noisy(share, noise, n=600):
     """Return a regressor of which a share of the variance is noise, and two outputs of slopes 2 and -1 by its truth."""
     rng = np.random.default_rng(6)
-    truth, error = np.sqrt(1 - share) * rng.normal(size=(n, 1)), np.sqrt(share) * rng.normal(size=(n, 1))
+    truth, error = (
+        np.sqrt(1 - share) * rng.normal(size=(n, 1)),
+        np.sqrt(share) * rng.normal(size=(n, 1)),
+    )
     return truth + error, truth @ [[2.0, -1.0]] + noise * rng.normal(size=(n, 2))
 
 
@@ -228,17 +252,26 @@ class TestFunctionErrors:
         errors, at, step = model.function_errors(), log[0][:3], np.array([1e-3, 0.0])
         each = np.broadcast_to(at, (len(errors.weights), *at.shape))
         slopes = errors.gradient(each)
-        assert slopes[..., 0] == pytest.approx((errors(each + step) - errors(each - step)) / 2e-3, rel=1e-6, abs=1e-12)
+        assert slopes[..., 0] == pytest.approx(
+            (errors(each + step) - errors(each - step)) / 2e-3, rel=1e-6, abs=1e-12
+        )
         n_blocks = model.slope_errors(at).random.shape[-1]
-        assert np.moveaxis(slopes, 0, -1)[..., :n_blocks] == pytest.approx(model.slope_errors(at).random, abs=1e-9)
+        assert np.moveaxis(slopes, 0, -1)[..., :n_blocks] == pytest.approx(
+            model.slope_errors(at).random, abs=1e-9
+        )
 
     def test_draws_have_their_covariance_and_move_with_the_units(self, log, model):
         errors, at = model.function_errors(), log[0][:1]
         drawn = errors.draw(4000, 0)(np.broadcast_to(at, (4000, 1, 2)))[:, 0]
         each = errors(np.broadcast_to(at, (len(errors.weights), 1, 2)))[:, 0]
         assert drawn.T @ drawn / 4000 == pytest.approx(each.T @ each, rel=0.1)
-        moved = errors.in_units(1.0, 2.0, [1, 0])(np.broadcast_to(1.0 + 2.0 * at, (len(errors.weights), 1, 2)))[:, 0]
+        moved = errors.in_units(1.0, 2.0, [1, 0])(
+            np.broadcast_to(1.0 + 2.0 * at, (len(errors.weights), 1, 2))
+        )[:, 0]
         assert moved == pytest.approx(each[:, [1, 0]])
 
     def test_none_without_samples_enough(self, log):
-        assert DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20]).function_errors() is None
+        assert (
+            DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20]).function_errors()
+            is None
+        )

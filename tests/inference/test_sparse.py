@@ -13,7 +13,9 @@ Z = np.random.default_rng(6).normal(size=(7, 2))
 
 
 def sparse(problem, inputs=Z):
-    return SparsePosterior(problem.kernel, problem.kernel.features(inputs), problem.noise, shares_of(problem.data))
+    return SparsePosterior(
+        problem.kernel, problem.kernel.features(inputs), problem.noise, shares_of(problem.data)
+    )
 
 
 @pytest.fixture
@@ -29,14 +31,19 @@ class TestBound:
     def test_is_titsias(self, problem, reference):
         *_, S, Qff = reference
         missing = problem.kernel.diag(problem.data.X) - np.diag(Qff)
-        expected = multivariate_normal(cov=Qff + np.diag(S)).logpdf(problem.y) - 0.5 * (missing / S).sum()
+        expected = (
+            multivariate_normal(cov=Qff + np.diag(S)).logpdf(problem.y) - 0.5 * (missing / S).sum()
+        )
         assert sparse(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-9)
 
     def test_is_below_the_likelihood_and_rises_to_it(self, problem):
         exact = log_likelihood(problem.kernel, problem.noise, problem.data)
         axis = np.linspace(-3.2, 3.2, 12)
         grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-        bounds = [sparse(problem, inputs).log_marginal_likelihood for inputs in (grid[::24], grid[::6], grid)]
+        bounds = [
+            sparse(problem, inputs).log_marginal_likelihood
+            for inputs in (grid[::24], grid[::6], grid)
+        ]
         assert bounds[0] < bounds[1] < bounds[2] < exact
         assert exact - bounds[2] < 0.02 * (exact - bounds[0])
 
@@ -62,7 +69,9 @@ class TestBound:
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)]) + 0.05
 
         def bound(theta):
-            return posterior.likelihood_at(problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]))
+            return posterior.likelihood_at(
+                problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:])
+            )
 
         value, gradient = posterior.likelihood_at(
             problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), eval_gradient=True
@@ -72,10 +81,14 @@ class TestBound:
 
     def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
         trend = one_problem.kernel.k1
-        posterior = SparsePosterior(trend, trend.features(Z), one_problem.noise, shares_of(one_problem.data))
+        posterior = SparsePosterior(
+            trend, trend.features(Z), one_problem.noise, shares_of(one_problem.data)
+        )
         exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
         assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
-        np.testing.assert_allclose(posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8)
+        np.testing.assert_allclose(
+            posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8
+        )
 
 
 class TestPosterior:
@@ -114,7 +127,9 @@ class TestNoise:
         posterior, noise = sparse(problem), 2.5 * problem.noise
         got = posterior.with_noise(noise)
         expected = SparsePosterior(problem.kernel, posterior.features, noise, posterior.shares)
-        assert got.log_marginal_likelihood == pytest.approx(expected.log_marginal_likelihood, rel=1e-10)
+        assert got.log_marginal_likelihood == pytest.approx(
+            expected.log_marginal_likelihood, rel=1e-10
+        )
         for a, b in zip(got.predict(NEW, True), expected.predict(NEW, True), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
 
@@ -130,7 +145,11 @@ class TestRows:
     @pytest.mark.parametrize("threads", [1, 2])
     def test_how_samples_are_cut_does_not_matter(self, problem, threads, monkeypatch):
         posterior = sparse(problem)
-        expected = posterior.log_marginal_likelihood, posterior.bound_gradient(), *posterior.predict(NEW, True)
+        expected = (
+            posterior.log_marginal_likelihood,
+            posterior.bound_gradient(),
+            *posterior.predict(NEW, True),
+        )
         monkeypatch.setattr(_sparse, "ROWS", 3)
         monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):

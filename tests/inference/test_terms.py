@@ -10,7 +10,9 @@ RNG = np.random.default_rng(0)
 X, Y, NEW = RNG.normal(size=(25, 2)), RNG.normal(size=(25, 2)), RNG.normal(size=(6, 2))
 NOISE = np.array([0.2, 0.4])
 TREND = LinearTrend([1.0, 2.0], [[1.0, 0.5], [2.0, 0.3]], [0.0, 0.0])
-DEPENDENT = ConvolvedGaussian(1, amplitude=[[1.0, -0.5], [0.6, 0.0], [0.0, 0.7]], length_scale=np.full((3, 2, 2), 1.3))
+DEPENDENT = ConvolvedGaussian(
+    1, amplitude=[[1.0, -0.5], [0.6, 0.0], [0.0, 0.7]], length_scale=np.full((3, 2, 2), 1.3)
+)
 
 
 class Own(MultiOutputKernel):
@@ -42,13 +44,17 @@ def posteriors(kernel):
     ]
 
 
-@pytest.mark.parametrize("kernel", [TREND + DEPENDENT, TREND + Own(DEPENDENT), Own(DEPENDENT) + TREND])
+@pytest.mark.parametrize(
+    "kernel", [TREND + DEPENDENT, TREND + Own(DEPENDENT), Own(DEPENDENT) + TREND]
+)
 @pytest.mark.parametrize("kind", [0, 1], ids=["exact", "sparse"])
 class TestTerms:
     def test_means_add_up(self, kernel, kind):
         posterior = posteriors(kernel)[kind]
         terms = [posterior.term(kernel.term(columns)) for columns in kernel.term_regressors()]
-        np.testing.assert_allclose(sum(term.predict(NEW) for term in terms), posterior.predict(NEW), atol=1e-10)
+        np.testing.assert_allclose(
+            sum(term.predict(NEW) for term in terms), posterior.predict(NEW), atol=1e-10
+        )
         slopes = sum(term.gradient(NEW) for term in terms)
         np.testing.assert_allclose(slopes, posterior.gradient(NEW), atol=1e-8)
 
@@ -78,7 +84,10 @@ def test_terms_of_an_updated_posterior(kind):
     """Appended rows change the order of the rows of the factor."""
     kernel = TREND + DEPENDENT
     further = Data.from_table(NEW, np.ones((6, 2)))
-    updated, joined = posteriors(kernel)[kind].updated(further), Data.from_table(X, Y).joined(further)
+    updated, joined = (
+        posteriors(kernel)[kind].updated(further),
+        Data.from_table(X, Y).joined(further),
+    )
     if kind == 0:
         again = ExactPosterior(kernel, NOISE, joined)
     else:
@@ -94,6 +103,8 @@ def test_a_term_has_the_posterior_of_dense_matrices():
     K, y = kernel(X) + np.diag(np.repeat(NOISE, len(X))), Y.T.ravel()
     term = posteriors(kernel)[0].term(kernel.term((0, 1)))
     cross = DEPENDENT(NEW, X)
-    np.testing.assert_allclose(term.predict(NEW).T.ravel(), cross @ np.linalg.solve(K, y), atol=1e-10)
+    np.testing.assert_allclose(
+        term.predict(NEW).T.ravel(), cross @ np.linalg.solve(K, y), atol=1e-10
+    )
     expected = DEPENDENT(NEW) - cross @ np.linalg.solve(K, cross.T)
     np.testing.assert_allclose(term.covariance(NEW), expected, atol=1e-10)

@@ -40,7 +40,13 @@ def test_one_thread(posterior, call, monkeypatch):
 
         return recorded
 
-    for module, name in ((np, "einsum"), (np, "exp"), (np, "cos"), (np, "sqrt"), (np.linalg, "pinv")):
+    for module, name in (
+        (np, "einsum"),
+        (np, "exp"),
+        (np, "cos"),
+        (np, "sqrt"),
+        (np.linalg, "pinv"),
+    ):
         monkeypatch.setattr(module, name, seen(getattr(module, name)))
     with threadpool_limits(2, user_api="blas"):
         if n_threads() != 2:

@@ -17,7 +17,9 @@ def exact(problem, data):
 
 
 def sparse(problem, data):
-    return SparsePosterior(problem.kernel, problem.kernel.features(Z), problem.noise, shares_of(data))
+    return SparsePosterior(
+        problem.kernel, problem.kernel.features(Z), problem.noise, shares_of(data)
+    )
 
 
 def compact(problem, data):
@@ -34,7 +36,9 @@ def batches(problem, sizes, seed=1):
 
 
 def assert_same(posterior, reference, rtol=1e-8):
-    assert posterior.log_marginal_likelihood == pytest.approx(reference.log_marginal_likelihood, rel=rtol)
+    assert posterior.log_marginal_likelihood == pytest.approx(
+        reference.log_marginal_likelihood, rel=rtol
+    )
     for got, expected in zip(
         (
             *posterior.predict(NEW, True),
@@ -123,7 +127,9 @@ class TestFactor:
         np.testing.assert_allclose(np.tril(factor.matrix()), L, rtol=1e-8, atol=1e-10)
         solved = factor.solve_lower(np.array(b, order="F"))
         np.testing.assert_allclose(solved, np.linalg.solve(L, b), rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(factor.solve_upper(b[:, 0]), np.linalg.solve(L.T, b[:, 0]), rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(
+            factor.solve_upper(b[:, 0]), np.linalg.solve(L.T, b[:, 0]), rtol=1e-7, atol=1e-9
+        )
         assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(K)[1])
 
 

@@ -43,11 +43,16 @@ class ULogWriter:
 
     def __init__(self, **parameters):
         self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-        self.definitions = [ulog_message("B", bytes(40)), ulog_keyed("I", "char[3] sys_name", b"PX4")]
+        self.definitions = [
+            ulog_message("B", bytes(40)),
+            ulog_keyed("I", "char[3] sys_name", b"PX4"),
+        ]
         for name, value in parameters.items():
             code = "i" if isinstance(value, int) else "f"
             self.definitions.append(
-                ulog_keyed("P", f"{'int32_t' if code == 'i' else 'float'} {name}", struct.pack(code, value))
+                ulog_keyed(
+                    "P", f"{'int32_t' if code == 'i' else 'float'} {name}", struct.pack(code, value)
+                )
             )
         self.subscriptions, self.data, self.formats = [], [], set()
 
@@ -56,10 +61,17 @@ class ULogWriter:
         if name not in self.formats:
             self.formats.add(name)
             layout = "".join(f"{kind} {field};" for field, (kind, _) in fields.items())
-            self.definitions.append(ulog_message("F", f"{name}:uint64_t timestamp;{layout}".encode()))
+            self.definitions.append(
+                ulog_message("F", f"{name}:uint64_t timestamp;{layout}".encode())
+            )
         number = len(self.subscriptions)
-        self.subscriptions.append(ulog_message("A", struct.pack("<BH", instance, number) + name.encode()))
-        columns = [(kind.split("[")[0], np.asarray(values).reshape(len(time), -1)) for kind, values in fields.values()]
+        self.subscriptions.append(
+            ulog_message("A", struct.pack("<BH", instance, number) + name.encode())
+        )
+        columns = [
+            (kind.split("[")[0], np.asarray(values).reshape(len(time), -1))
+            for kind, values in fields.values()
+        ]
         for row, t in enumerate(time):
             payload = struct.pack("<HQ", number, round(t * 1e6))
             for kind, values in columns:
@@ -101,14 +113,18 @@ class DataFlashWriter:
         layout = "<" + "".join(DATAFLASH_CODES.get(code, "B") for code in codes)
         length = length or struct.calcsize(layout) + 3
         self.types[name] = kind, layout
-        body = struct.pack("<BB4s16s64s", kind, length, name.encode(), codes.encode(), columns.encode())
+        body = struct.pack(
+            "<BB4s16s64s", kind, length, name.encode(), codes.encode(), columns.encode()
+        )
         self.definitions.append(b"\xa3\x95\x80" + body)
         return self.types[name]
 
     def rows(self, name, codes, columns, rows):
         """Add messages as they are stored: the first value is TimeUS."""
         kind, layout = self._define(name, codes, columns)
-        self.data += [(row[0], b"\xa3\x95" + bytes([kind]) + struct.pack(layout, *row)) for row in rows]
+        self.data += [
+            (row[0], b"\xa3\x95" + bytes([kind]) + struct.pack(layout, *row)) for row in rows
+        ]
         return self
 
     def topic(self, name, time, **fields):
@@ -116,13 +132,21 @@ class DataFlashWriter:
         columns = []
         for code, values in fields.values():
             values = np.broadcast_to(values, len(time)) * DATAFLASH_SCALE.get(code, 1)
-            columns.append(values.tolist() if code == "f" else np.round(values).astype(int).tolist())
+            columns.append(
+                values.tolist() if code == "f" else np.round(values).astype(int).tolist()
+            )
         stamps = np.round(np.asarray(time) * 1e6).astype(int).tolist()
-        names, codes = ",".join(["TimeUS", *fields]), "Q" + "".join(code for code, _ in fields.values())
+        names, codes = (
+            ",".join(["TimeUS", *fields]),
+            "Q" + "".join(code for code, _ in fields.values()),
+        )
         return self.rows(name, codes, names, list(zip(stamps, *columns, strict=True)))
 
     def parts(self):
-        return [*self.definitions, *(message for _, message in sorted(self.data, key=lambda d: d[0]))]
+        return [
+            *self.definitions,
+            *(message for _, message in sorted(self.data, key=lambda d: d[0])),
+        ]
 
     def __bytes__(self):
         return b"".join(self.parts())
@@ -206,9 +230,21 @@ def px4(flight):
 
     valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), always("bool", True))
     attitude = {"q": lambda t: ("float[4]", quaternion(f.at(t, "phi", "theta", "psi")))}
-    pulses = {"output": lambda t: ("float[4]", 1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder"))}
+    pulses = {
+        "output": lambda t: (
+            "float[4]",
+            1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder"),
+        )
+    }
     indicated = {"indicated_airspeed_m_s": lambda t: ("float", 0.9 * f.at(t, "airspeed"))}
-    position = {"x": "north", "y": "east", "z": "down", "vx": "v_north", "vy": "v_east", "vz": "v_down"}
+    position = {
+        "x": "north",
+        "y": "east",
+        "z": "down",
+        "vx": "v_north",
+        "vy": "v_east",
+        "vz": "v_down",
+    }
     add("vehicle_angular_velocity", 200, xyz="p q r")
     add("vehicle_acceleration", 100, delay=0.0017, xyz="ax ay az")
     add("vehicle_attitude", 50, delay=0.003, **attitude)
@@ -246,7 +282,9 @@ def ardupilot(flight):
     degree = 180 / np.pi
     heading = {"Yaw": lambda t: ("C", f["psi"](t) * degree % 360)}
     pitot = {"Airspeed": lambda t: ("f", f["airspeed"](t) * np.sqrt(f["density"](t) / 1.225))}
-    pressure = {"Press": lambda t: ("f", 101325 * (f["density"](t) / 1.225) ** (1 / (1 - 1 / 5.25588)))}
+    pressure = {
+        "Press": lambda t: ("f", 101325 * (f["density"](t) / 1.225) ** (1 / (1 - 1 / 5.25588)))
+    }
     others = {"C2": lambda t: ("H", 1500 - 1000 * f["elevator"](t)), "C3": always("H", 1100)}
     velocity = {"VN": "v_north", "VE": "v_east", "VD": "v_down"}
     add("IMU", 100, **first, GyrX="p", GyrY="q", GyrZ="r", AccX="ax", AccY="ay", AccZ="az")

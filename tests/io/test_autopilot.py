@@ -13,16 +13,42 @@ from skdgp.preprocessing import FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")
 PX4_SERVOS = {
-    name: {"channel": f"actuator_outputs.output[{n}]", "min": 1000, "trim": 1500, "max": 2000, "deflection": 0.5}
+    name: {
+        "channel": f"actuator_outputs.output[{n}]",
+        "min": 1000,
+        "trim": 1500,
+        "max": 2000,
+        "deflection": 0.5,
+    }
     for n, name in enumerate(SURFACES)
 }
 ARDUPILOT_SERVOS = {
     "aileron": {"channel": "RCOU.C1", "points": [[1000, -0.5], [2000, 0.5]]},
-    "elevator": {"channel": "RCOU.C2", "min": 1000, "trim": 1500, "max": 2000, "deflection": 0.5, "reversed": True},
-    "rudder": {"channel": "RCOU.C4", "min": 1000, "trim": 1500, "max": 2000, "deflection": [-0.5, 0.5]},
+    "elevator": {
+        "channel": "RCOU.C2",
+        "min": 1000,
+        "trim": 1500,
+        "max": 2000,
+        "deflection": 0.5,
+        "reversed": True,
+    },
+    "rudder": {
+        "channel": "RCOU.C4",
+        "min": 1000,
+        "trim": 1500,
+        "max": 2000,
+        "deflection": [-0.5, 0.5],
+    },
 }
-# Interpolation between samples of a slow channel, and the resolution of centidegrees and microseconds of pulses.
-TOLERANCE = {"airspeed": 2e-3, "altitude": 0.05, "density": 1e-4, "propeller_speed": 0.1, "wind_north": 5e-3}
+# Interpolation between samples of a slow channel, and the resolution of centidegrees and
+# microseconds of pulses.
+TOLERANCE = {
+    "airspeed": 2e-3,
+    "altitude": 0.05,
+    "density": 1e-4,
+    "propeller_speed": 0.1,
+    "wind_north": 5e-3,
+}
 LOOSE = 2e-3
 
 
@@ -74,7 +100,11 @@ class TestEveryChannelComesBack:
     def test_at_any_rate(self, write, px4, flight, rate):
         table = read_flight(write("sortie.ulg", px4), rate=rate)
         np.testing.assert_allclose(np.diff(table.time), 1 / rate, rtol=1e-9)
-        assert_is(table, flight, ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi", "v_north", "v_east"])
+        assert_is(
+            table,
+            flight,
+            ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi", "v_north", "v_east"],
+        )
 
     def test_sources_are_told(self, write, px4, ardupilot):
         sources = read_flight(write("a.ulg", px4)).attrs["sources"]
@@ -111,7 +141,9 @@ class TestChoices:
         return 1.0 + np.arange(n) / rate
 
     def gyro(self, log, t):
-        return log.topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([np.sin(t), t, t])))
+        return log.topic(
+            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([np.sin(t), t, t]))
+        )
 
     def test_a_slow_source_gives_way_to_a_fast_one(self, write, ulog):
         t, slow = self.time(), self.time(1.0, 12)
@@ -125,7 +157,11 @@ class TestChoices:
         log = self.gyro(ulog(), t)
         valid = (t < 5) | (t > 6)
         log.topic(
-            "vehicle_local_position", t, vx=("float", np.sin(t)), vy=("float", np.cos(t)), v_xy_valid=("bool", valid)
+            "vehicle_local_position",
+            t,
+            vx=("float", np.sin(t)),
+            vy=("float", np.cos(t)),
+            v_xy_valid=("bool", valid),
         )
         with pytest.warns(FlightDataWarning, match=r"vx vy \(v_north v_east\) has 1 gaps"):
             table = read_flight(write("a.ulg", log), airborne=False)
@@ -136,13 +172,17 @@ class TestChoices:
 
     def test_another_instance_where_the_first_is_not_there(self, write, ulog):
         t = self.time()
-        log = ulog().topic("vehicle_angular_velocity", t, instance=2, xyz=("float[3]", np.column_stack([t, t, t])))
+        log = ulog().topic(
+            "vehicle_angular_velocity", t, instance=2, xyz=("float[3]", np.column_stack([t, t, t]))
+        )
         table = read_flight(write("a.ulg", log), airborne=False)
         assert table.attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
 
     def test_density_of_the_standard_atmosphere_where_only_altitude_is_known(self, write, ulog):
         t = self.time()
-        log = self.gyro(ulog(), t).topic("vehicle_global_position", t, alt=("float", np.full(600, 1000.0)))
+        log = self.gyro(ulog(), t).topic(
+            "vehicle_global_position", t, alt=("float", np.full(600, 1000.0))
+        )
         table = read_flight(write("a.ulg", log), airborne=False)
         assert table.density.median() == pytest.approx(1.1117, abs=2e-4)
         assert "standard atmosphere" in table.attrs["sources"]["density"]
@@ -161,20 +201,31 @@ class TestChoices:
         omega, turning = 2 + 0.5 * np.sin(t), 0.5 * np.cos(t)
         arm = np.array([0.3, -0.1, 0.2])
         felt = np.column_stack(
-            [-(omega**2) * arm[0] - turning * arm[1], -(omega**2) * arm[1] + turning * arm[0], 0 * t]
+            [
+                -(omega**2) * arm[0] - turning * arm[1],
+                -(omega**2) * arm[1] + turning * arm[0],
+                0 * t,
+            ]
         )
-        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([0 * t, 0 * t, omega])))
+        log = ulog().topic(
+            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([0 * t, 0 * t, omega]))
+        )
         log.topic("vehicle_acceleration", t, xyz=("float[3]", felt + np.array([0, 0, -9.81])))
         table = read_flight(write("a.ulg", log), airborne=False, imu_position=arm)
         middle = table.iloc[50:-50]
-        np.testing.assert_allclose(middle[["ax", "ay", "az"]], np.tile([0, 0, -9.81], (len(middle), 1)), atol=2e-3)
+        np.testing.assert_allclose(
+            middle[["ax", "ay", "az"]], np.tile([0, 0, -9.81], (len(middle), 1)), atol=2e-3
+        )
 
     def test_sensors_count_from_when_they_sampled(self, write, ulog):
         """The message comes 40 ms later; what was sent to a servo counts from when it was sent."""
         t = self.time()
         late = {"timestamp_sample": ("uint64_t", np.round((t - 0.04) * 1e6))}
         log = ulog().topic(
-            "vehicle_angular_velocity", t, **late, xyz=("float[3]", np.column_stack([np.sin(t - 0.04)] * 3))
+            "vehicle_angular_velocity",
+            t,
+            **late,
+            xyz=("float[3]", np.column_stack([np.sin(t - 0.04)] * 3)),
         )
         log.topic("actuator_motors", t, **late, control=("float[1]", np.sin(t) ** 2))
         table = read_flight(write("a.ulg", log), airborne=False).iloc[10:-10]
@@ -187,12 +238,16 @@ class TestChoices:
             "actuator_motors", t, control=("float[2]", np.column_stack([0 * t, 0 * t + 0.7]))
         )
         servos = {"throttle": {"channel": "actuator_motors.control[1]", "points": [[0, 0], [1, 1]]}}
-        assert read_flight(write("a.ulg", log), airborne=False, servos=servos).throttle.median() == pytest.approx(0.7)
+        assert read_flight(
+            write("a.ulg", log), airborne=False, servos=servos
+        ).throttle.median() == pytest.approx(0.7)
 
 
 class TestFlights:
     def log(self, ulog, airspeed, t, **parameters):
-        log = ulog(**parameters).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([t, t, t]) % 1))
+        log = ulog(**parameters).topic(
+            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([t, t, t]) % 1)
+        )
         return log.topic("airspeed", t, true_airspeed_m_s=("float", airspeed))
 
     def test_stretches_in_the_air_become_flights(self, write, ulog):
@@ -204,7 +259,9 @@ class TestFlights:
         spans = table.groupby("flight").time.agg(["min", "max"])
         assert spans.index.tolist() == ["log", "log#2"]
         np.testing.assert_allclose(spans.to_numpy(), [[20.05, 49.95], [70.05, 99.95]], atol=0.051)
-        assert len(read_flight(write("log.ulg", self.log(ulog, airspeed, t)), airborne=False)) == len(t)
+        assert len(
+            read_flight(write("log.ulg", self.log(ulog, airspeed, t)), airborne=False)
+        ) == len(t)
 
     def test_a_leap_of_the_clock_ends_a_flight(self, write, ulog):
         t = np.arange(0, 60, 0.05)
@@ -218,7 +275,9 @@ class TestFlights:
         t = np.arange(0, 60, 0.05)
         log = self.log(ulog, np.full(t.size, 20.0), t)
         log.topic("rpm", t[14:-3:10], indicated_frequency_rpm=("float", t[14:-3:10]))
-        log.topic("airflow_aoa", t[500:], aoa_rad=("float", t[500:] / 100))  # a vane that comes later is no reason
+        log.topic(
+            "airflow_aoa", t[500:], aoa_rad=("float", t[500:] / 100)
+        )  # a vane that comes later is no reason
         table = read_flight(write("log.ulg", log))
         assert table.propeller_speed.notna().all()
         assert table.time.min() == pytest.approx(0.7)
@@ -248,10 +307,17 @@ class TestFlights:
         t = np.arange(100, 140, 0.05)
         first = self.log(ulog, np.full(t.size, 20.0), t)
         again = self.log(ulog, np.full(t.size, 25.0), t - 95)
-        content = bytes(first) + b"".join(message for _, message in sorted(again.data, key=lambda d: d[0]))
+        content = bytes(first) + b"".join(
+            message for _, message in sorted(again.data, key=lambda d: d[0])
+        )
         with pytest.warns(FlightDataWarning, match=r"set back 1 times \(from 139.9 s to 5.0 s\)"):
             table = read_flight(write("log.ulg", content))
-        spans = table.groupby("flight").agg({"time": ["min", "max"], "airspeed": "median"}).round(1).to_numpy()
+        spans = (
+            table.groupby("flight")
+            .agg({"time": ["min", "max"], "airspeed": "median"})
+            .round(1)
+            .to_numpy()
+        )
         np.testing.assert_allclose(spans, [[100.0, 140.0, 20.0], [5.0, 45.0, 25.0]], atol=0.2)
 
     def test_names(self, write, ulog):
@@ -268,16 +334,28 @@ class TestFlights:
 class TestRefusals:
     def test_a_multicopter(self, write, ulog):
         t = np.arange(0, 30, 0.02)
-        log = ulog(MAV_TYPE=2).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
-        log.topic("vehicle_local_position", t, vx=("float", np.full(t.size, 15.0)), vy=("float", np.zeros(t.size)))
-        with pytest.raises(FlightReadError, match="the vehicle is a multicopter, there is no valid airspeed"):
+        log = ulog(MAV_TYPE=2).topic(
+            "vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3)))
+        )
+        log.topic(
+            "vehicle_local_position",
+            t,
+            vx=("float", np.full(t.size, 15.0)),
+            vy=("float", np.zeros(t.size)),
+        )
+        with pytest.raises(
+            FlightReadError, match="the vehicle is a multicopter, there is no valid airspeed"
+        ):
             read_flight(write("quad.ulg", log))
 
     def test_a_bench_log(self, write, ulog):
         t = np.arange(0, 30, 0.02)
         log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
         log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 0.5)))
-        with pytest.raises(FlightReadError, match=r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)"):
+        with pytest.raises(
+            FlightReadError,
+            match=r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)",
+        ):
             read_flight(write("bench.ulg", log))
 
     def test_nothing_of_a_flight(self, write, ulog):
@@ -319,7 +397,11 @@ class TestWithoutAnAccelerometer:
         log.topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
         log.topic("vehicle_attitude", t, q=("float[4]", q))
         velocity = {"vx": speed * np.cos(psi), "vy": speed * np.sin(psi), "vz": np.zeros(t.size)}
-        log.topic("vehicle_local_position", t, **{name: ("float", each) for name, each in velocity.items()})
+        log.topic(
+            "vehicle_local_position",
+            t,
+            **{name: ("float", each) for name, each in velocity.items()},
+        )
         for name, values in accelerometer.items():
             log.topic(name, t, xyz=("float[3]", np.broadcast_to(values, (t.size, 3))))
         return log, 9.80665 / np.cos(phi)
@@ -328,8 +410,12 @@ class TestWithoutAnAccelerometer:
         log, load = self.log(ulog)
         table = read_flight(write("log.ulg", log))
         found = table[(table.time > 2) & (table.time < 28)][["ax", "ay", "az"]].to_numpy()
-        np.testing.assert_allclose(found, np.broadcast_to([0.0, 0.0, -load], found.shape), atol=0.03)
-        assert table.attrs["sources"]["az"] == "velocity and attitude, as no accelerometer is of use"
+        np.testing.assert_allclose(
+            found, np.broadcast_to([0.0, 0.0, -load], found.shape), atol=0.03
+        )
+        assert (
+            table.attrs["sources"]["az"] == "velocity and attitude, as no accelerometer is of use"
+        )
 
     def test_an_accelerometer_has_priority(self, write, ulog):
         log, _ = self.log(ulog, vehicle_acceleration=[0.0, 0.0, -9.0])
@@ -340,7 +426,10 @@ class TestRules:
     def test_columns_are_words_of_the_vocabulary(self):
         for rule in (*ulog.RULES, *dataflash.RULES):
             assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}, rule.topic
-            assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (3, len(rule.columns)), rule.topic
+            assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (
+                3,
+                len(rule.columns),
+            ), rule.topic
 
 
 @pytest.mark.shared
@@ -351,7 +440,9 @@ class TestSharedLogs:
             table = read_flight(path)
         assert 48 < np.ptp(table.time) < 51  # the first seconds are on the runway
         assert 20 < table.airspeed.mean() < 27
-        assert "velocity and attitude" in table.attrs["sources"]["ax"]  # the sensor's integers overflowed
+        assert (
+            "velocity and attitude" in table.attrs["sources"]["ax"]
+        )  # the sensor's integers overflowed
         assert table.az.median() == pytest.approx(-9.8, abs=0.1)
 
     def test_bench_logs_are_no_flights_but_can_be_read(self, shared_data):
@@ -360,4 +451,6 @@ class TestSharedLogs:
                 read_flight(shared_data / "logs" / name)
             with pytest.warns(FlightDataWarning):
                 table = read_flight(shared_data / "logs" / name, airborne=False)
-            assert np.median(np.linalg.norm(table[["ax", "ay", "az"]].dropna(), axis=1)) == pytest.approx(9.7, abs=0.2)
+            assert np.median(
+                np.linalg.norm(table[["ax", "ay", "az"]].dropna(), axis=1)
+            ) == pytest.approx(9.7, abs=0.2)

@@ -108,7 +108,9 @@ class TestResample:
 
     def test_slower_channels_are_interpolated(self):
         clock, found = self.sine(0.5, own=10.0, rate=50.0)
-        bound = (2 * np.pi * 0.5 * 0.1) ** 2 / 8  # of linear interpolation: step^2 / 8 times the second derivative
+        bound = (
+            2 * np.pi * 0.5 * 0.1
+        ) ** 2 / 8  # of linear interpolation: step^2 / 8 times the second derivative
         assert np.abs(found - np.sin(2 * np.pi * 0.5 * clock)).max() < 1.01 * bound
 
     @pytest.mark.parametrize("own", [10.0, 50.0, 400.0])
@@ -118,10 +120,14 @@ class TestResample:
         kept[np.searchsorted(time, 8.0)] = False
         clock = np.arange(0, 500) / 50
         found = resample(time[kept], np.column_stack([time, 2 * time])[kept], clock, 50.0)
-        inside = (clock > time[kept][time[kept] < 4].max() + 1e-9) & (clock < time[kept][time[kept] > 4].min() - 1e-9)
+        inside = (clock > time[kept][time[kept] < 4].max() + 1e-9) & (
+            clock < time[kept][time[kept] > 4].min() - 1e-9
+        )
         assert np.isnan(found[inside]).all()
         known = ~inside & (clock <= time.max())
-        np.testing.assert_allclose(found[known], np.column_stack([clock, 2 * clock])[known], atol=1e-5)
+        np.testing.assert_allclose(
+            found[known], np.column_stack([clock, 2 * clock])[known], atol=1e-5
+        )
 
     def test_values_that_are_not_numbers_are_not_sampled(self):
         time = np.arange(100) / 50
@@ -138,4 +144,6 @@ class TestAttitude:
         signs = np.random.default_rng(1).choice([-1.0, 1.0], 300)[:, None]
         smooth = without_sign_changes(turning * signs)
         assert np.abs(np.diff(smooth, axis=0)).max() < 0.06
-        np.testing.assert_allclose(quaternion_to_euler(smooth), quaternion_to_euler(turning), atol=1e-12)
+        np.testing.assert_allclose(
+            quaternion_to_euler(smooth), quaternion_to_euler(turning), atol=1e-12
+        )

@@ -16,17 +16,34 @@ DEGREE = np.pi / 180
 
 # Case of the page: files, and the columns that come of each, or words of the refusal.
 CASES = {
-    "separator": (["time,alpha\n0,.1\n.02,.2\n", "time;alpha\n0;.1\n.02;.2\n", "time\talpha\n0\t.1\n.02\t.2\n"], RIGHT),
+    "separator": (
+        [
+            "time,alpha\n0,.1\n.02,.2\n",
+            "time;alpha\n0;.1\n.02;.2\n",
+            "time\talpha\n0\t.1\n.02\t.2\n",
+        ],
+        RIGHT,
+    ),
     "byte order mark, line ends": (
-        ["\ufefftime,alpha\r\n0,.1\r\n.02,.2\r\n", "time,alpha\r0,.1\r.02,.2\r", "time,alpha\n0,.1\n.02,.2"],
+        [
+            "\ufefftime,alpha\r\n0,.1\r\n.02,.2\r\n",
+            "time,alpha\r0,.1\r.02,.2\r",
+            "time,alpha\n0,.1\n.02,.2",
+        ],
         RIGHT,
     ),
     "quoted name": (
         ['"pilot, name",time,airspeed,alpha\nAnn,0,20,.1\nBob,.02,21,.2\n'],
         {**RIGHT, "airspeed": [20, 21], "pilot, name": ["Ann", "Bob"]},
     ),
-    "quoted name over two lines": (['"wind\nspeed",time,alpha\n7,0,.1\n8,.02,.2\n'], {**RIGHT, "wind\nspeed": [7, 8]}),
-    "quotes within quotes": (['"a ""b""",time,alpha\n7,0,.1\n8,.02,.2\n'], {**RIGHT, 'a "b"': [7, 8]}),
+    "quoted name over two lines": (
+        ['"wind\nspeed",time,alpha\n7,0,.1\n8,.02,.2\n'],
+        {**RIGHT, "wind\nspeed": [7, 8]},
+    ),
+    "quotes within quotes": (
+        ['"a ""b""",time,alpha\n7,0,.1\n8,.02,.2\n'],
+        {**RIGHT, 'a "b"': [7, 8]},
+    ),
     "quoted cell": (
         [
             'time,note,alpha\n0,"gust, left",.1\n.02,"a\nb",.2\n',
@@ -44,29 +61,49 @@ CASES = {
         {"time": [0, 0.02], "alpha": [DEGREE, 2 * DEGREE]},
     ),
     "units under the header": (
-        ["time,alpha\nms,deg\n0,1\n20,2\n", "time,alpha\n[ms],[deg]\n0,1\n20,2\n", "time,alpha\n(ms),(°)\n0,1\n20,2\n"],
+        [
+            "time,alpha\nms,deg\n0,1\n20,2\n",
+            "time,alpha\n[ms],[deg]\n0,1\n20,2\n",
+            "time,alpha\n(ms),(°)\n0,1\n20,2\n",
+        ],
         {"time": [0, 0.02], "alpha": [DEGREE, 2 * DEGREE]},
     ),
-    "units that contradict": (["time [ms],alpha\ns,deg\n0,1\n20,2\n"], "units 'ms' in and 's' under the header"),
+    "units that contradict": (
+        ["time [ms],alpha\ns,deg\n0,1\n20,2\n"],
+        "units 'ms' in and 's' under the header",
+    ),
     "decimal comma": (
-        ["time;alpha\n0,00;0,1\n0,02;0,2\n", "time\talpha\n0,00\t0,1\n0,02\t0,2\n", "time;alpha\n0;0,1\n0,02;,2\n"],
+        [
+            "time;alpha\n0,00;0,1\n0,02;0,2\n",
+            "time\talpha\n0,00\t0,1\n0,02\t0,2\n",
+            "time;alpha\n0;0,1\n0,02;,2\n",
+        ],
         RIGHT,
     ),
     "decimal comma between commas": (
         ["time,alpha\n0,00,0,1\n0,02,0,2\n", 'time,alpha\n"0,00","0,1"\n"0,02","0,2"\n'],
         "decimal commas need another|are not numbers",
     ),
-    "both decimal marks": (["time;altitude\n0.00;1,200\n0.02;1,201\n"], "'1,200' with a decimal comma and '0.00' with"),
+    "both decimal marks": (
+        ["time;altitude\n0.00;1,200\n0.02;1,201\n"],
+        "'1,200' with a decimal comma and '0.00' with",
+    ),
     "separators of thousands": (
         ['time,altitude\n0,"1,200"\n0.02,"1,201"\n', "time;altitude\n0,00;1.200,5\n0,02;1.201,5\n"],
         "write no separators of thousands",
     ),
     "lines above the header": (
-        ["\n\ntime,alpha\n0,.1\n.02,.2\n", "# logger 3, A\n;;\nsep=,\r\ntime,alpha\n0,.1\n.02,.2\n"],
+        [
+            "\n\ntime,alpha\n0,.1\n.02,.2\n",
+            "# logger 3, A\n;;\nsep=,\r\ntime,alpha\n0,.1\n.02,.2\n",
+        ],
         RIGHT,
     ),
     "empty lines": (["time,alpha\n0,.1\n\n  \n.02,.2\n\n"], RIGHT),
-    "remarks between rows": (["time,alpha\n0,.1\n# gust\n.02,.2\n"], "line 3 has 1 cells, the header has 2"),
+    "remarks between rows": (
+        ["time,alpha\n0,.1\n# gust\n.02,.2\n"],
+        "line 3 has 1 cells, the header has 2",
+    ),
     "no header": (["0,.1\n.02,.2\n", "# time,alpha\n0,.1\n.02,.2\n"], "no column 'time'"),
     "name twice": (
         ["time,alpha,alpha\n0,.1,.1\n.02,.2,.2\n", "time,alpha [deg],alpha\n0,1,1\n.02,1,1\n"],
@@ -74,7 +111,11 @@ CASES = {
     ),
     "no name": ([",time,alpha\n0,0,.1\n1,.02,.2\n", ",time,alpha,\n0,0,.1,\n1,.02,.2,\n"], RIGHT),
     "separator at the end": (
-        ["time,alpha,\n0,.1,\n.02,.2,\n", "time,alpha\n0,.1,\n.02,.2,,\n", "time,alpha,\n0,.1\n.02,.2\n"],
+        [
+            "time,alpha,\n0,.1,\n.02,.2,\n",
+            "time,alpha\n0,.1,\n.02,.2,,\n",
+            "time,alpha,\n0,.1\n.02,.2\n",
+        ],
         RIGHT,
     ),
     "row longer than the header": (
@@ -87,21 +128,30 @@ CASES = {
     ),
     "last row shorter": (["time,q,alpha\n0,1,.1\n.02,1,.2\n.04,1"], {**RIGHT, "q": [1, 1]}),
     "empty cell": (["time,q,alpha\n0,,.1\n.02,NaN,.2\n"], {**RIGHT, "q": [np.nan, np.nan]}),
-    "flights": (["time,alpha,flight\n0,.1,007\n.02,.2, 007 \n"], {**RIGHT, "flight": ["007", "007"]}),
+    "flights": (
+        ["time,alpha,flight\n0,.1,007\n.02,.2, 007 \n"],
+        {**RIGHT, "flight": ["007", "007"]},
+    ),
     "not UTF-8": (["utf-16", "latin-1"], "expected a CSV in UTF-8"),
 }
 
 
-@pytest.mark.parametrize(("text", "expected"), [(text, given) for texts, given in CASES.values() for text in texts])
+@pytest.mark.parametrize(
+    ("text", "expected"), [(text, given) for texts, given in CASES.values() for text in texts]
+)
 def test_case(tmp_path, text, expected):
     path = tmp_path / "log.csv"
-    path.write_bytes("time,alpha [°]\n0,1\n".encode(text) if text in ("utf-16", "latin-1") else text.encode())
+    path.write_bytes(
+        "time,alpha [°]\n0,1\n".encode(text) if text in ("utf-16", "latin-1") else text.encode()
+    )
     if isinstance(expected, str):
         with pytest.raises(FlightReadError, match=expected):
             read_flight(path)
         return
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "log.csv: line 4 has 2 cells, so it was cut off", FlightDataWarning)
+        warnings.filterwarnings(
+            "ignore", "log.csv: line 4 has 2 cells, so it was cut off", FlightDataWarning
+        )
         found = read_flight(path)
     assert set(found) == {"flight", *expected}
     for name, values in expected.items():

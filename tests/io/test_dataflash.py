@@ -23,7 +23,9 @@ def read(tmp_path):
 
 def assert_as_pymavlink(path):
     """Every number of every message is the one that pymavlink reads."""
-    reader = pytest.importorskip("pymavlink.DFReader").DFReader_binary(str(path), zero_time_base=True)
+    reader = pytest.importorskip("pymavlink.DFReader").DFReader_binary(
+        str(path), zero_time_base=True
+    )
     theirs = {}
     with reader:
         while (message := reader.recv_msg()) is not None:
@@ -82,20 +84,28 @@ class TestWhatTheLogSaysOfItself:
     def test_instances(self, read, dataflash):
         log = dataflash()
         for n in (0, 1, 2):
-            log.topic("BARO", [0.1 * (3 * k + n) for k in range(4)], I=("B", n), Alt=("f", 10.0 * n))
+            log.topic(
+                "BARO", [0.1 * (3 * k + n) for k in range(4)], I=("B", n), Alt=("f", 10.0 * n)
+            )
         topics = read(log).topics
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         np.testing.assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
-        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=("f", [1, 2, 3, 4]))
+        log = dataflash().topic(
+            "ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=("f", [1, 2, 3, 4])
+        )
         kind = log.types["ABC"][0]
         log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
         np.testing.assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
 
     def test_scaled_integers(self, read, dataflash):
         log = dataflash().topic(
-            "S", [0.1, 0.2], c=("c", [-1.25, 1.25]), C=("C", [3.5, 350.25]), L=("L", [48.1234567, -9.0])
+            "S",
+            [0.1, 0.2],
+            c=("c", [-1.25, 1.25]),
+            C=("C", [3.5, 350.25]),
+            L=("L", [48.1234567, -9.0]),
         )
         topic = read(log).topics["S"]
         np.testing.assert_allclose(topic["c"], [-1.25, 1.25])
@@ -114,7 +124,9 @@ class TestDamage:
         parts = ticks(dataflash(), 1, 2, 3).parts()
         whole, first = b"".join(parts), len(b"".join(parts[:-2]))
         for length in range(first, len(whole)):
-            assert times(read(whole[:length])) == list(range(1, 2 + (length - first) // len(parts[-1])))
+            assert times(read(whole[:length])) == list(
+                range(1, 2 + (length - first) // len(parts[-1]))
+            )
         for length in range(2, first - len(parts[-1])):
             with pytest.raises(FlightReadError, match="no message has a TimeUS"):
                 read(whole[:length])

@@ -25,7 +25,11 @@ SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 """A small file is read within so many seconds, in so many bytes and so many times its own."""
 
 
-DOCUMENTED = ("Unknown columns are kept as they are", "Infinite values in .* are read", ".* rows repeat the row before")
+DOCUMENTED = (
+    "Unknown columns are kept as they are",
+    "Infinite values in .* are read",
+    ".* rows repeat the row before",
+)
 EXTREME = np.array([np.inf, -np.inf, np.nan, 3.4e38, 1e-45, 0.0, -1.0, 1e30])
 
 
@@ -108,9 +112,17 @@ def logs(tmp_path_factory, px4, ardupilot):
     """Return the bytes of a small log of each format."""
     folder = tmp_path_factory.mktemp("logs")
     t = np.arange(300) * 0.02
-    savemat(folder / "log.mat", {"data": {"time": t, "alpha": 0.1 * np.sin(t), "q": np.cos(t)}}, do_compression=False)
-    table = "time,alpha [deg],q\n" + "".join(f"{x:.2f},{np.sin(x):.4f},{np.cos(x):.4f}\n" for x in t)
-    columns = pd.DataFrame({"time": t, "alpha": 0.1 * np.sin(t), "flight": "a", "note": np.tile(["x", None, "z"], 100)})
+    savemat(
+        folder / "log.mat",
+        {"data": {"time": t, "alpha": 0.1 * np.sin(t), "q": np.cos(t)}},
+        do_compression=False,
+    )
+    table = "time,alpha [deg],q\n" + "".join(
+        f"{x:.2f},{np.sin(x):.4f},{np.cos(x):.4f}\n" for x in t
+    )
+    columns = pd.DataFrame(
+        {"time": t, "alpha": 0.1 * np.sin(t), "flight": "a", "note": np.tile(["x", None, "z"], 100)}
+    )
     columns.to_parquet(folder / "log.parquet")
     raw = {".ulg": px4, ".bin": ardupilot, ".csv": table.encode()}
     raw |= {suffix: (folder / f"log{suffix}").read_bytes() for suffix in (".mat", ".parquet")}
@@ -146,11 +158,15 @@ HEADS = {
     ".bin": [b"\xa3\x95\x80\x80\x59"],
 }
 LETTERS = [*b"time flight alpha [deg] , ; 0 1 . # \xff".split(), b"\t", b'"', b"\n", b"\r\n"]
-WORDS = st.one_of(st.binary(max_size=300), st.lists(st.sampled_from(LETTERS), max_size=60).map(b"".join))
+WORDS = st.one_of(
+    st.binary(max_size=300), st.lists(st.sampled_from(LETTERS), max_size=60).map(b"".join)
+)
 
 
 @settings(max_examples=60)
-@given(suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".MAT"]), head=st.integers(0, 3), content=WORDS)
+@given(
+    suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".MAT"]), head=st.integers(0, 3), content=WORDS
+)
 def test_any_bytes(folder, suffix, head, content):
     heads = HEADS.get(suffix.lower(), [])
     content = (heads[head] if head < len(heads) else b"") + content
@@ -179,14 +195,22 @@ def of_zeros(size, kind=9, width=8, array=6):
         + element(1, b"time")
     )
     packing = zlib.compressobj(1)
-    packed = packing.compress(struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", kind, size))
-    packed += b"".join(packing.compress(bytes(2**20)) for _ in range(size // 2**20)) + packing.flush()
+    packed = packing.compress(
+        struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", kind, size)
+    )
+    packed += (
+        b"".join(packing.compress(bytes(2**20)) for _ in range(size // 2**20)) + packing.flush()
+    )
     return HEADS[".mat"][0] + struct.pack("<II", 15, len(packed)) + packed
 
 
 def of_nothing(n):
     """Return a MATLAB file of a cell array whose cells are empty, compressed."""
-    head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", n, 1)) + element(1, b"time")
+    head = (
+        element(6, struct.pack("<II", 1, 0))
+        + element(5, struct.pack("<ii", n, 1))
+        + element(1, b"time")
+    )
     body = head + struct.pack("<II", 14, 0) * n
     packed = zlib.compress(struct.pack("<II", 14, len(body)) + body)
     return HEADS[".mat"][0] + struct.pack("<II", 15, len(packed)) + packed
@@ -213,7 +237,11 @@ def many_rows():
 
 
 def long_text():
-    return parquet(pa.table({"time": np.arange(20_000) * 0.02, "note": pa.array(["x" * 20_000]).take([0] * 20_000)}))
+    return parquet(
+        pa.table(
+            {"time": np.arange(20_000) * 0.02, "note": pa.array(["x" * 20_000]).take([0] * 20_000)}
+        )
+    )
 
 
 def wide(n):
@@ -228,23 +256,46 @@ def nested(k):
     return b"Fm%d:uint64_t timestamp;" % k + b"".join(b"m%d a%d;" % (k + 1, i) for i in range(40))
 
 
-# Files of which a few bytes ask for all memory or for hours: what they are called, and why they are refused.
+# Files of which a few bytes ask for all memory or for hours: what they are called, and why they are
+# refused.
 BOMBS = {
-    "vector of zeros": ("log.mat", lambda: of_zeros(2**29), "takes 512 MiB when unpacked, but expected at most"),
+    "vector of zeros": (
+        "log.mat",
+        lambda: of_zeros(2**29),
+        "takes 512 MiB when unpacked, but expected at most",
+    ),
     "vector of bytes": ("log.mat", lambda: of_zeros(2**25, 2, 1, 9), "takes 288 MiB when unpacked"),
     "empty cells": ("log.mat", lambda: of_nothing(2**20), "no vector 'time'"),
     "many rows": ("log.parquet", many_rows, "takes 320 MiB when unpacked"),
     "long text": ("log.parquet", long_text, "takes 381 MiB when unpacked"),
-    "blanks": ("log.csv", lambda: b"time," + b" " * 50_000 + b"x" + b" " * 50_000 + b"y\n0,1,2\n", "unequal length"),
-    "wide header": ("log.csv", lambda: wide(100_000) + b"0\n", "Got 100000 columns, but expected at most 10000"),
-    "short rows": ("log.csv", lambda: wide(9_000) + b"0\n" * 50_000, "line 2 has 1 cells, the header has 9000"),
+    "blanks": (
+        "log.csv",
+        lambda: b"time," + b" " * 50_000 + b"x" + b" " * 50_000 + b"y\n0,1,2\n",
+        "unequal length",
+    ),
+    "wide header": (
+        "log.csv",
+        lambda: wide(100_000) + b"0\n",
+        "Got 100000 columns, but expected at most 10000",
+    ),
+    "short rows": (
+        "log.csv",
+        lambda: wide(9_000) + b"0\n" * 50_000,
+        "line 2 has 1 cells, the header has 9000",
+    ),
     "remarks": ("log.csv", lambda: b"#\n" * 100_000, "is empty"),
     "subscriptions": (
         "log.ulg",
-        lambda: ulog_of(b"Fw:" + fields(3000), *[b"A\0" + struct.pack("<H", i) + b"w" for i in range(5000)]),
+        lambda: ulog_of(
+            b"Fw:" + fields(3000), *[b"A\0" + struct.pack("<H", i) + b"w" for i in range(5000)]
+        ),
         "without any data",
     ),
-    "nested": ("log.ulg", lambda: ulog_of(*map(nested, range(7)), b"Fm7:bool a;", b"A\0\0\0m0"), "without any data"),
+    "nested": (
+        "log.ulg",
+        lambda: ulog_of(*map(nested, range(7)), b"Fm7:bool a;", b"A\0\0\0m0"),
+        "without any data",
+    ),
     "letters": ("log.ulg", lambda: ulog_of(b"F" * 30_000), "without any data"),
     "marks": ("log.bin", lambda: b"\xa3\x95" * 50_000, "no message has a TimeUS"),
 }

@@ -29,7 +29,9 @@ def whole(tmp_path, px4):
 @pytest.fixture
 def quad(tmp_path, ulog):
     t = np.arange(0, 20, 0.02)
-    log = ulog(MAV_TYPE=2).topic("vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t]))))
+    log = ulog(MAV_TYPE=2).topic(
+        "vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t])))
+    )
     (tmp_path / "quad.ulg").write_bytes(bytes(log))
     return tmp_path / "quad.ulg"
 
@@ -41,7 +43,11 @@ class TestNeeds:
         return {word for need in NEEDS[step] for word in need.split(" or ")}
 
     def test_coefficients(self):
-        assert self.alternatives("coefficients") == {*_inverse.NEEDED, "thrust_x", "propeller_speed"}
+        assert self.alternatives("coefficients") == {
+            *_inverse.NEEDED,
+            "thrust_x",
+            "propeller_speed",
+        }
 
     def test_reconstruction(self):
         assert set(NEEDS["reconstruction"]) == set(_path.NEEDED)
@@ -78,7 +84,10 @@ class TestSummary:
         assert "alpha or reconstruction" in missing["regressors"]
 
     def test_a_multicopter_is_called_one(self, quad):
-        assert inspect_log(quad).no_flight == "the vehicle is a multicopter, there is no valid airspeed"
+        assert (
+            inspect_log(quad).no_flight
+            == "the vehicle is a multicopter, there is no valid airspeed"
+        )
 
     def test_a_sensor_that_never_changes_is_missing(self, tmp_path, ulog):
         t = np.arange(0, 20, 0.02)
@@ -92,7 +101,9 @@ class TestSummary:
     def test_gaps(self, tmp_path, ulog):
         t = np.arange(0, 20, 0.02)
         t = t[(t < 5) | (t > 7)]
-        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t]))))
+        log = ulog().topic(
+            "vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t])))
+        )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         summary = inspect_log(tmp_path / "log.ulg")
         (topic,) = summary.topics
@@ -103,15 +114,24 @@ class TestSummary:
         time = 0.01 * np.arange(150)
         records = [
             pd.DataFrame(
-                {"time": 0.003 * k + time, "flight": f"run {k}", "airspeed": 5 + np.sin(time), "p": np.cos(time)}
+                {
+                    "time": 0.003 * k + time,
+                    "flight": f"run {k}",
+                    "airspeed": 5 + np.sin(time),
+                    "p": np.cos(time),
+                }
             )
             for k in range(9)
         ]
-        table = pd.concat(records).assign(**dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1))
+        table = pd.concat(records).assign(
+            **dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
+        )
         table.to_csv(tmp_path / "runs.csv", index=False)
         summary = inspect_log(tmp_path / "runs.csv")
         assert len(summary.flights) == 9
-        assert [column.rate for column in summary.columns] == pytest.approx([100.0] * len(summary.columns))
+        assert [column.rate for column in summary.columns] == pytest.approx(
+            [100.0] * len(summary.columns)
+        )
         text = str(summary)
         assert "9 flights of 1.5 to 1.5 s at 5." in text
         assert "flight from" not in text
@@ -121,7 +141,9 @@ class TestSummary:
 
     def test_the_faults_of_a_table(self, tmp_path):
         rng = np.random.default_rng(0)
-        table = pd.DataFrame({"time": 0.02 * np.arange(500), "flight": "a", "alpha": rng.normal(0.1, 0.01, 500)})
+        table = pd.DataFrame(
+            {"time": 0.02 * np.arange(500), "flight": "a", "alpha": rng.normal(0.1, 0.01, 500)}
+        )
         table.loc[200:260, "alpha"] = table.alpha[200]
         table.to_csv(tmp_path / "a.csv", index=False)
         (remark,) = inspect_log(tmp_path / "a.csv").remarks
@@ -136,7 +158,9 @@ class TestCommand:
 
     def test_servo_template_to_table(self, whole, tmp_path, ulog, capsys):
         t = np.arange(0, 20, 0.02)
-        log = ulog().topic("actuator_controls_0", t, control=("float[4]", np.column_stack([np.sin(t) ** 2] * 4)))
+        log = ulog().topic(
+            "actuator_controls_0", t, control=("float[4]", np.column_stack([np.sin(t) ** 2] * 4))
+        )
         path, servo = tmp_path / "log.ulg", tmp_path / "servo.toml"
         path.write_bytes(bytes(log))
         assert main(["inspect", str(path), "--servo-template", str(servo)]) == 0
@@ -159,7 +183,12 @@ class TestCommand:
     )
     def test_one_message_and_an_exit_code(self, tmp_path, capsys, name, content, message):
         (tmp_path / name).write_bytes(content)
-        assert main(["inspect", str(tmp_path / name), "--servo-template", str(tmp_path / "servo.toml")]) == 1
+        assert (
+            main(
+                ["inspect", str(tmp_path / name), "--servo-template", str(tmp_path / "servo.toml")]
+            )
+            == 1
+        )
         out, err = capsys.readouterr()
         assert message in err
         assert len(err.splitlines()) == 1
@@ -173,13 +202,24 @@ class TestCommand:
         assert set(flights["table"].columns) == {"time", "flight", "alpha"}
 
     def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
-        flown, everything = (named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False))
+        flown, everything = (
+            named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False)
+        )
         assert len(flown) == len(read_flight(whole))
         assert len(everything) == len(read_flight(whole, airborne=False)) > 0
         (tmp_path / "uav.json").write_text(
-            json.dumps({"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5})
+            json.dumps(
+                {"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5}
+            )
         )
-        words = ["identify", str(whole), "--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
+        words = [
+            "identify",
+            str(whole),
+            "--aircraft",
+            str(tmp_path / "uav.json"),
+            "-o",
+            str(tmp_path / "out"),
+        ]
         assert main([*words, "--airborne", "300"]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
@@ -195,7 +235,9 @@ class TestSharedLogs:
         summary = inspect_log(shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg")
         assert len(summary.flights) == 1
         assert summary.missing["coefficients"] == ("thrust_x or propeller_speed",)
-        assert any("sensor_accel.x y z cannot be ax, ay, az" in remark for remark in summary.remarks)
+        assert any(
+            "sensor_accel.x y z cannot be ax, ay, az" in remark for remark in summary.remarks
+        )
 
     def test_benches(self, shared_data):
         summary = inspect_log(shared_data / "logs" / "pyulog_sample_log_small_vtol_bench.ulg")
@@ -209,8 +251,19 @@ class TestSharedLogs:
     def test_servos_that_were_switched_off(self, shared_data):
         """The safety switch was on: no pulses went out, but the commands stand in AETR."""
         path = shared_data / "logs" / "pyflightcoach_elevator_bench.BIN"
-        pulses = {"elevator": {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.35}}
-        assert "RCOU.C2 sends no pulse, so there is no elevator" in inspect_log(path, servos=pulses).remarks
+        pulses = {
+            "elevator": {
+                "channel": "RCOU.C2",
+                "min": 1100,
+                "trim": 1500,
+                "max": 1900,
+                "deflection": 0.35,
+            }
+        }
+        assert (
+            "RCOU.C2 sends no pulse, so there is no elevator"
+            in inspect_log(path, servos=pulses).remarks
+        )
         commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
         summary = inspect_log(path, servos=commands)
         (elevator,) = [column for column in summary.columns if column.name == "elevator"]
@@ -220,6 +273,8 @@ class TestSharedLogs:
 
 
 def test_a_missing_channel_names_the_others(whole):
-    servos = {"rudder": {"channel": "actuator_outputs.output[9]", "points": [[1000, -0.5], [2000, 0.5]]}}
+    servos = {
+        "rudder": {"channel": "actuator_outputs.output[9]", "points": [[1000, -0.5], [2000, 0.5]]}
+    }
     with pytest.raises(FlightReadError, match=r"expected one of \['actuator_outputs.output\[0\]'"):
         inspect_log(whole, servos=servos)

@@ -13,7 +13,14 @@ from skdgp.io._servos import Mixture, read_servos
 
 
 def servo(n, low=-0.4, high=0.4, trim=1500, **more):
-    return {"channel": f"RCOU.C{n}", "min": 1100, "trim": trim, "max": 1900, "deflection": [low, high], **more}
+    return {
+        "channel": f"RCOU.C{n}",
+        "min": 1100,
+        "trim": trim,
+        "max": 1900,
+        "deflection": [low, high],
+        **more,
+    }
 
 
 FILES = {
@@ -34,7 +41,9 @@ def logged(outputs, tmp_path, writer, **parameters):
     """Return the path of a DataFlash log of the outputs of servos, with all decimals that its format has."""
     log = writer("ArduPlane V4.5.1", **parameters)
     time = outputs["time"].to_numpy()
-    channels = {name.removeprefix("RCOU."): outputs[name].to_numpy() for name in outputs if name != "time"}
+    channels = {
+        name.removeprefix("RCOU."): outputs[name].to_numpy() for name in outputs if name != "time"
+    }
     log.topic("RCOU", time, **{name: ("f", values) for name, values in channels.items()})
     log.topic("ARSP", time, Airspeed=("f", np.full(len(time), 20.0)), H=("B", np.ones(len(time))))
     (tmp_path / "log.bin").write_bytes(bytes(log))
@@ -54,11 +63,15 @@ def test_table_to_servos_to_table(name, tmp_path, dataflash):
     found = {}
     for control, each in read_servos(servos).items():
         parts = each.parts if isinstance(each, Mixture) else ((1.0, each),)
-        found[control] = sum(weight * part.deflection(outputs[part.channel].to_numpy()) for weight, part in parts)
+        found[control] = sum(
+            weight * part.deflection(outputs[part.channel].to_numpy()) for weight, part in parts
+        )
     if name == "elevons":
         left, right = found.pop("elevon_left"), found.pop("elevon_right")
         found |= {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
-    np.testing.assert_allclose(pd.DataFrame(found)[list(waves)], table[list(waves)], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        pd.DataFrame(found)[list(waves)], table[list(waves)], rtol=0, atol=1e-13
+    )
     path = logged(outputs, tmp_path, dataflash)
     flight = read_flight(path, servos=servos, airborne=False)  # floats of 32 bits, on another clock
     if name == "elevons":
@@ -72,7 +85,8 @@ def test_table_to_servos_to_table(name, tmp_path, dataflash):
 def test_the_signs_of_pairs():
     """Left down and right up rolls right; both halves of a V-tail down pitch down; left down, right up yaws left."""
     entries = {
-        name: servo(n) for n, name in enumerate(("vtail_left", "vtail_right", "flaperon_left", "flaperon_right"))
+        name: servo(n)
+        for n, name in enumerate(("vtail_left", "vtail_right", "flaperon_left", "flaperon_right"))
     }
     up, down = np.array([1100.0]), np.array([1900.0])
 
@@ -83,31 +97,59 @@ def test_the_signs_of_pairs():
     assert control("elevator", down, down) == pytest.approx(0.4)
     assert control("rudder", down, up) == pytest.approx(0.4)
     assert control("aileron", down, up) == pytest.approx(0.4)
-    assert control("aileron", down, down) == control("elevator", down, up) == control("rudder", up, up) == 0
+    assert (
+        control("aileron", down, down)
+        == control("elevator", down, up)
+        == control("rudder", up, up)
+        == 0
+    )
 
 
 @pytest.mark.parametrize("left", [1.0, -1.0])
 def test_flaperons_of_ardupilot(left, tmp_path, dataflash):
-    """Versions differ in the sign of the left output: it moves with the right one or against it. No flap in it."""
+    """Versions differ in the sign of the left output: it moves with the right one or against it.
+
+    No flap in it.
+    """
     time = np.arange(0.0, 10, 0.02)
     aileron, flap = 0.5 * np.sin(2 * np.pi * 0.5 * time), 0.3 * time / 10
     outputs = pd.DataFrame({"time": time, "RCOU.C1": 1500 + 400 * left * (aileron + flap)})
     outputs["RCOU.C2"] = 1500 - 400 * (aileron - flap)  # reversed
     functions = {"SERVO1_FUNCTION": 24.0, "SERVO2_FUNCTION": 25.0, "SERVO2_REVERSED": 1.0}
-    table = read_flight(logged(outputs, tmp_path, dataflash, **functions), servos="full throw", airborne=False)
+    table = read_flight(
+        logged(outputs, tmp_path, dataflash, **functions), servos="full throw", airborne=False
+    )
     assert np.allclose(table["aileron"], np.interp(table["time"], time, aileron), atol=2e-2)
 
 
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
-        ({"vtail_left": servo(1)}, "Got 'vtail_left' in the servo file, but expected one of .* both of vtail_left and"),
-        ({"fin": servo(1), "mixing": {"tail": {"fin": 1.0}}}, r"expected weights of surfaces for some of"),
-        ({"fin": servo(1), "mixing": {"rudder": {"fin": "all"}}}, r"expected weights of surfaces for some of"),
+        (
+            {"vtail_left": servo(1)},
+            "Got 'vtail_left' in the servo file, but expected one of .* both of vtail_left and",
+        ),
+        (
+            {"fin": servo(1), "mixing": {"tail": {"fin": 1.0}}},
+            r"expected weights of surfaces for some of",
+        ),
+        (
+            {"fin": servo(1), "mixing": {"rudder": {"fin": "all"}}},
+            r"expected weights of surfaces for some of",
+        ),
         ({"mixing": {"rudder": {"fin": 1.0}}}, "expected a channel of each of these"),
-        ({"fin": "20 deg", "mixing": {"rudder": {"fin": 1.0}}}, "expected a channel of each of these"),
-        ({"fin": servo(1), "rudder": servo(2), "mixing": {"rudder": {"fin": 1.0}}}, "and none of the rudder itself"),
-        ({"aileron_left": servo(1), "aileron_right": servo(2) | {"channel": "AUX.C2"}}, "channels of several topics"),
+        (
+            {"fin": "20 deg", "mixing": {"rudder": {"fin": 1.0}}},
+            "expected a channel of each of these",
+        ),
+        (
+            {"fin": servo(1), "rudder": servo(2), "mixing": {"rudder": {"fin": 1.0}}},
+            "and none of the rudder itself",
+        ),
+        (
+            {"aileron_left": servo(1), "aileron_right": servo(2) | {"channel": "AUX.C2"}},
+            "channels of several topics",
+        ),
     ],
 )
 def test_mixtures_that_make_no_sense(entries, words):
@@ -143,7 +185,9 @@ def test_the_command_plan_writes_what_servos_send(tmp_path):
     train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}})
     tail = {"vtail_left": servo(2), "vtail_right": servo(4)}
     trim = {"elevator": -0.05, "rudder": 0.02}
-    planned = SimpleNamespace(trains=[train], trims=[SimpleNamespace(controls=trim)], flight=pd.DataFrame())
+    planned = SimpleNamespace(
+        trains=[train], trims=[SimpleNamespace(controls=trim)], flight=pd.DataFrame()
+    )
     files = _writers(SimpleNamespace(rate=50.0, full=[], servos=tail), planned, {})
     files["plan_servos.csv"](tmp_path / "plan_servos.csv")
     sent = pd.read_csv(tmp_path / "plan_servos.csv")
@@ -159,7 +203,8 @@ def test_reversed_surfaces_of_parameters(tmp_path, dataflash):
     outputs = outputs.assign(**{"RCOU.C2": 1600.0, "RCOU.C4": 1700.0})
     path = logged(outputs, tmp_path, dataflash, SERVO2_FUNCTION=19.0, SERVO4_FUNCTION=21.0)
     one, other = (
-        read_flight(path, airborne=False, servos=f"full throw{more}").iloc[0] for more in ("", ", reversed rudder")
+        read_flight(path, airborne=False, servos=f"full throw{more}").iloc[0]
+        for more in ("", ", reversed rudder")
     )
     assert one["rudder"] == -other["rudder"] == pytest.approx(-0.5)
     assert one["elevator"] == other["elevator"] == pytest.approx(-0.25)

@@ -55,6 +55,16 @@ def test_every_rule_stands_in_the_table(rules):
         for column in rule.columns:
             assert f"`{rule.topic}`" in sources_of[names.get(column, column)], (column, rule.topic)
     for name, cell in sources_of.items():
-        sources = {rule.topic for rule in rules for column in rule.columns if names.get(column, column) == name}
+        sources = {
+            rule.topic
+            for rule in rules
+            for column in rule.columns
+            if names.get(column, column) == name
+        }
         if sources:
-            assert set(re.findall(r"`(\w+)`", cell)) == sources or name in ("theta", "psi", "alpha", "beta"), name
+            assert set(re.findall(r"`(\w+)`", cell)) == sources or name in (
+                "theta",
+                "psi",
+                "alpha",
+                "beta",
+            ), name

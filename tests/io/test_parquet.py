@@ -48,7 +48,9 @@ def test_numbers(read, values):
 
 TIMES = {
     "timestamp": pa.array([NOON + second for second in SECONDS], pa.timestamp("us")),
-    "time zone": pa.array([NOON + second for second in SECONDS], pa.timestamp("ns", "Europe/Berlin")),
+    "time zone": pa.array(
+        [NOON + second for second in SECONDS], pa.timestamp("ns", "Europe/Berlin")
+    ),
     "far away": pa.array([10**15 + int(1000 * second) for second in TIME], pa.timestamp("ms")),
     "duration": pa.array(SECONDS),
     "decimal": pa.array([Decimal(str(second)) for second in TIME]),
@@ -84,7 +86,9 @@ NO_NUMBERS = {
 
 @pytest.mark.parametrize("values", NO_NUMBERS.values(), ids=NO_NUMBERS)
 def test_what_is_no_number(read, values):
-    with pytest.raises(FlightReadError, match=r"in column 'alpha' at row 0 \(3 rows are not numbers\)"):
+    with pytest.raises(
+        FlightReadError, match=r"in column 'alpha' at row 0 \(3 rows are not numbers\)"
+    ):
         read(alpha=values)
 
 
@@ -93,23 +97,33 @@ NESTED = {
     "struct": pa.array([{"lat": 47.0}] * 3),
     "map": pa.array([[("a", 1)]] * 3, pa.map_(pa.string(), pa.int64())),
     "bytes": pa.array([b"\xff\xfe"] * 3),
-    **({"extension": pa.array([b"0123456789abcdef"] * 3, pa.uuid())} if hasattr(pa, "uuid") else {}),  # from 18 on
+    **(
+        {"extension": pa.array([b"0123456789abcdef"] * 3, pa.uuid())} if hasattr(pa, "uuid") else {}
+    ),  # from 18 on
 }
 
 
 @pytest.mark.parametrize("values", NESTED.values(), ids=NESTED)
 def test_nested_columns(read, values):
-    with pytest.warns(FlightDataWarning, match=r"log.parquet: columns that hold .* are left out: {'my_sensor': "):
+    with pytest.warns(
+        FlightDataWarning, match=r"log.parquet: columns that hold .* are left out: {'my_sensor': "
+    ):
         table = read(my_sensor=values)
     assert set(table) == {"time", "flight", "alpha"}
-    with pytest.raises(FlightReadError, match=r"column 'alpha' of type .*, but expected one value in each row"):
+    with pytest.raises(
+        FlightReadError, match=r"column 'alpha' of type .*, but expected one value in each row"
+    ):
         read(alpha=values)
 
 
 @pytest.mark.parametrize("name", ["alpha", " alpha"])
 def test_a_name_twice(read, name):
     with pytest.raises(FlightReadError, match=r"columns \['alpha'\] repeated"):
-        read(pa.Table.from_arrays([TABLE["time"], TABLE["alpha"], TABLE["alpha"]], names=["time", "alpha", name]))
+        read(
+            pa.Table.from_arrays(
+                [TABLE["time"], TABLE["alpha"], TABLE["alpha"]], names=["time", "alpha", name]
+            )
+        )
 
 
 @pytest.mark.parametrize("table", [pa.table({}), TABLE.slice(0, 0)])
@@ -127,11 +141,15 @@ def test_an_index_that_pandas_wrote(tmp_path):
     frame.to_parquet(tmp_path / "log.parquet")
     assert read_flight(tmp_path / "log.parquet").time.tolist() == TIME
     frame.reset_index()[::-1].to_parquet(tmp_path / "log.parquet")
-    with pytest.raises(FlightReadError, match="expected time to increase"):  # rows stay in their order
+    with pytest.raises(
+        FlightReadError, match="expected time to increase"
+    ):  # rows stay in their order
         read_flight(tmp_path / "log.parquet")
 
 
-@pytest.mark.parametrize("words", ["{}", "{x", '{"index_columns": ["none"], "columns": [], "column_indexes": []}'])
+@pytest.mark.parametrize(
+    "words", ["{}", "{x", '{"index_columns": ["none"], "columns": [], "column_indexes": []}']
+)
 def test_what_pandas_is_told_does_not_matter(read, words):
     assert read(TABLE.replace_schema_metadata({"pandas": words})).alpha.tolist() == ALPHA
 
@@ -139,7 +157,12 @@ def test_what_pandas_is_told_does_not_matter(read, words):
 def test_the_damage_that_pyarrow_tells_in_its_own_words(tmp_path):
     pq.write_table(TABLE, tmp_path / "log.parquet")
     raw = (tmp_path / "log.parquet").read_bytes()
-    for content in (b"PAR1", b"PAR1PAR1", raw[:-5] + b"\xffPAR1", raw.replace(b"time", b"\xff\xfeme")):
+    for content in (
+        b"PAR1",
+        b"PAR1PAR1",
+        raw[:-5] + b"\xffPAR1",
+        raw.replace(b"time", b"\xff\xfeme"),
+    ):
         (tmp_path / "log.parquet").write_bytes(content)
         for reader in (read_flight, inspect_log):
             with pytest.raises(FlightReadError, match="not a whole parquet file"):

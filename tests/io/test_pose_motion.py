@@ -8,7 +8,14 @@ from scipy import stats
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from skdgp.io._poses import ROUGHEST, SMOOTHEST, Record, minus_log_likelihood, smooth_motion, smooth_rotation
+from skdgp.io._poses import (
+    ROUGHEST,
+    SMOOTHEST,
+    Record,
+    minus_log_likelihood,
+    smooth_motion,
+    smooth_rotation,
+)
 
 LOG_K = np.array([-1.0, -3.0, 0.5])
 
@@ -30,7 +37,9 @@ def record(axes, n=14, *, gravity=0.0):
 def splines(record):
     """B-splines of the samples (n, K)."""
     n_splines = len(record.knots) - 6
-    elements = [BSpline.basis_element(record.knots[j : j + 7], extrapolate=False) for j in range(n_splines)]
+    elements = [
+        BSpline.basis_element(record.knots[j : j + 7], extrapolate=False) for j in range(n_splines)
+    ]
     return np.nan_to_num(np.stack([element(record.time) for element in elements], axis=-1))
 
 
@@ -45,7 +54,9 @@ def test_coefficients_are_those_of_least_squares(gravity):
     for j in range(K - 4):
         row, known = np.zeros((3, K, 3)), np.zeros(3)
         for i, difference in enumerate((1, -2, 1)):
-            row[:, j + i : j + i + 3] += difference * np.multiply.outer((1, -2, 1), C[j + i].T).swapaxes(0, 1)
+            row[:, j + i : j + i + 3] += difference * np.multiply.outer(
+                (1, -2, 1), C[j + i].T
+            ).swapaxes(0, 1)
             known += difference * C[j + i].T @ [0, 0, gravity * given.step**2]
         weight = np.exp(-0.5 * LOG_K) / given.step**2
         rows.append(weight[:, None] * row.reshape(3, 3 * K))
@@ -70,7 +81,9 @@ def test_likelihood_is_that_of_the_samples_without_their_cubics():
         parts = [np.exp(k) * spread @ spread.T + np.eye(len(spread)) for k in log_k]
         values = left.T @ given.x
         misfit = sum(y @ np.linalg.solve(part, y) for y, part in zip(values.T, parts, strict=True))
-        density = sum(stats.multivariate_normal(cov=part).logpdf(0 * values[:, 0]) for part in parts)
+        density = sum(
+            stats.multivariate_normal(cov=part).logpdf(0 * values[:, 0]) for part in parts
+        )
         expected = values.size * np.log(misfit) - 2 * density
         offsets.append(minus_log_likelihood([given], log_k) - expected)
     np.testing.assert_allclose(offsets[0], offsets[1], atol=1e-8)
@@ -94,12 +107,16 @@ def test_constant_acceleration_is_exact_up_to_the_ends(start):
     np.testing.assert_allclose(motion.x, truth, rtol=1e-9, atol=1e-9)
     velocity = np.array([5.0, -1, 2]) + np.outer(time, [1.0, 4, -3])
     np.testing.assert_allclose(motion.v, velocity, atol=1e-6 if start == 0 else 1e-4)
-    np.testing.assert_allclose(motion.f, np.tile([1.0, 4, -3], (150, 1)), atol=1e-4 if start == 0 else 1e-1)
+    np.testing.assert_allclose(
+        motion.f, np.tile([1.0, 4, -3], (150, 1)), atol=1e-4 if start == 0 else 1e-1
+    )
 
 
 def test_body_falls_freely_where_nothing_acts():
     time = np.arange(100) * 0.02
-    motion = smooth_motion(time, np.outer(time**2, [0, 0, 9.8 / 2]), [slice(0, 100)], axes=turning(time), gravity=9.8)
+    motion = smooth_motion(
+        time, np.outer(time**2, [0, 0, 9.8 / 2]), [slice(0, 100)], axes=turning(time), gravity=9.8
+    )
     np.testing.assert_allclose(motion.f, 0, atol=1e-5)
 
 
@@ -115,7 +132,9 @@ def test_noise_is_learned_from_all_records():
 @pytest.mark.parametrize("rate", [25, 100])
 def test_rates_are_those_of_the_body_in_a_fast_turn(rate):
     fine = np.arange(0, 6, 0.001)
-    rates = np.stack([4 * np.sin(1.3 * fine), 0.5 + 2 * np.cos(2.1 * fine), np.sin(0.9 * fine + 1)], axis=-1)
+    rates = np.stack(
+        [4 * np.sin(1.3 * fine), 0.5 + 2 * np.cos(2.1 * fine), np.sin(0.9 * fine + 1)], axis=-1
+    )
     turns = Rotation.from_rotvec((rates[1:] + rates[:-1]) / 2 * 0.001)
     attitudes = [Rotation.identity()]
     for turn in turns:

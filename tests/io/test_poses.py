@@ -24,20 +24,34 @@ def flown(seconds=3.0, rate=100, *, heading=0.0, bank=0.6):
     for k in range(len(t) - 1):
         climb[k + 1] = climb[k] + 0.001 * (lift[k] * np.cos(phi[k]) - G * np.cos(climb[k])) / SPEED
         psi[k + 1] = psi[k] + 0.001 * lift[k] * np.sin(phi[k]) / (SPEED * np.cos(climb[k]))
-    velocity = SPEED * np.stack([np.cos(climb) * np.cos(psi), np.cos(climb) * np.sin(psi), -np.sin(climb)], axis=-1)
-    position = np.concatenate([np.zeros((1, 3)), np.cumsum((velocity[1:] + velocity[:-1]) * 0.0005, axis=0)])
-    attitude = Rotation.from_euler("ZYX", np.stack([psi, climb + 0.05 + 0.04 * np.sin(4 * t), phi], axis=-1))
+    velocity = SPEED * np.stack(
+        [np.cos(climb) * np.cos(psi), np.cos(climb) * np.sin(psi), -np.sin(climb)], axis=-1
+    )
+    position = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum((velocity[1:] + velocity[:-1]) * 0.0005, axis=0)]
+    )
+    attitude = Rotation.from_euler(
+        "ZYX", np.stack([psi, climb + 0.05 + 0.04 * np.sin(4 * t), phi], axis=-1)
+    )
     rates = np.gradient(attitude.as_matrix(), 0.001, axis=0)
     spin = np.einsum("nji,njk->nik", attitude.as_matrix(), rates)
     rates = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
     force = attitude.inv().apply(np.gradient(velocity, 0.001, axis=0) - [0, 0, G])
     rows = slice(100, 100 + round(seconds * 1000), 1000 // rate)
     truth = dict(zip(["p", "q", "r"], rates[rows].T, strict=True))
-    truth |= dict(zip(["p_dot", "q_dot", "r_dot"], np.gradient(rates, 0.001, axis=0)[rows].T, strict=True))
+    truth |= dict(
+        zip(["p_dot", "q_dot", "r_dot"], np.gradient(rates, 0.001, axis=0)[rows].T, strict=True)
+    )
     truth |= dict(zip(["ax", "ay", "az"], force[rows].T, strict=True))
     truth |= dict(zip(["u", "v", "w"], attitude.inv().apply(velocity)[rows].T, strict=True))
     truth |= dict(zip(["v_north", "v_east", "v_down"], velocity[rows].T, strict=True))
-    truth |= dict(zip(["phi", "theta", "psi"], quaternion_to_euler(scalar_first(attitude))[rows].T, strict=True))
+    truth |= dict(
+        zip(
+            ["phi", "theta", "psi"],
+            quaternion_to_euler(scalar_first(attitude))[rows].T,
+            strict=True,
+        )
+    )
     return t[rows] - t[rows][0], position[rows], attitude[rows], pd.DataFrame(truth)
 
 
@@ -69,7 +83,9 @@ def in_frame(frame, position, attitude):
 def noisy(position, attitude, seed=0):
     rng = np.random.default_rng(seed)
     shape = position.shape
-    return position + rng.normal(0, 1e-3, shape), attitude * Rotation.from_rotvec(rng.normal(0, np.deg2rad(0.1), shape))
+    return position + rng.normal(0, 1e-3, shape), attitude * Rotation.from_rotvec(
+        rng.normal(0, np.deg2rad(0.1), shape)
+    )
 
 
 def rms(error):
@@ -77,10 +93,16 @@ def rms(error):
 
 
 def test_frames_take_vectors_to_north_east_down():
-    expected = {"NED": np.eye(3), "NWU": np.diag([1, -1, -1]), "ENU": [[0, 1, 0], [1, 0, 0], [0, 0, -1]]}
+    expected = {
+        "NED": np.eye(3),
+        "NWU": np.diag([1, -1, -1]),
+        "ENU": [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
+    }
     for frame, (earth, body) in FRAMES.items():
         np.testing.assert_allclose(earth.as_matrix(), expected[frame[:3]], atol=1e-15)
-        np.testing.assert_allclose(body.as_matrix(), np.diag([1, 1, 1] if "FRD" in frame else [1, -1, -1]), atol=1e-15)
+        np.testing.assert_allclose(
+            body.as_matrix(), np.diag([1, 1, 1] if "FRD" in frame else [1, -1, -1]), atol=1e-15
+        )
 
 
 def test_exact_poses_give_the_motion():
@@ -96,20 +118,36 @@ def test_exact_poses_give_the_motion():
         "az": 0.05,
         "q_dot": 0.1,
     }.items():
-        np.testing.assert_allclose(table[name][inner], truth[name][inner], atol=within, err_msg=name)
+        np.testing.assert_allclose(
+            table[name][inner], truth[name][inner], atol=within, err_msg=name
+        )
     np.testing.assert_allclose(np.exp(1j * table.psi), np.exp(1j * truth.psi), atol=1e-4)
 
 
 def test_noise_of_a_millimetre_and_a_tenth_of_a_degree_in_records_of_three_seconds():
     """Ends included; the accuracies that docs/logs.md states are those of longer and rougher flights."""
     records = [flown(heading=heading) for heading in (0.0, 3.0)]
-    tables = [noisy(position, attitude, seed) for seed, (_, position, attitude, _) in enumerate(records)]
+    tables = [
+        noisy(position, attitude, seed) for seed, (_, position, attitude, _) in enumerate(records)
+    ]
     time = np.concatenate([record[0] for record in records])
     position = np.concatenate([each[0] + 100 * k for k, each in enumerate(tables)])
     attitude = Rotation.concatenate([each[1] for each in tables])
     truth = pd.concat([record[3] for record in records], ignore_index=True)
-    table = flight_from_poses(time, position, scalar_first(attitude), frame="NED/FRD", flight=np.repeat([*"ab"], 300))
-    limits = {"u": 0.01, "v": 0.02, "w": 0.02, "p": 0.03, "q": 0.03, "r": 0.03, "ax": 0.15, "ay": 0.15, "az": 0.3}
+    table = flight_from_poses(
+        time, position, scalar_first(attitude), frame="NED/FRD", flight=np.repeat([*"ab"], 300)
+    )
+    limits = {
+        "u": 0.01,
+        "v": 0.02,
+        "w": 0.02,
+        "p": 0.03,
+        "q": 0.03,
+        "r": 0.03,
+        "ax": 0.15,
+        "ay": 0.15,
+        "az": 0.3,
+    }
     limits |= {"p_dot": 0.6, "q_dot": 0.6, "r_dot": 0.6, "v_down": 0.01}
     for name, limit in limits.items():
         assert rms(table[name] - truth[name]) < limit, name
@@ -128,7 +166,10 @@ def test_signs_of_quaternions_mean_nothing():
     time, position, attitude, _ = flown(1.0, heading=3.0)
     quaternion = scalar_first(attitude)
     signs = np.random.default_rng(0).choice([-1, 1], (len(time), 1))
-    tables = [flight_from_poses(time, position, each, frame="NED/FRD") for each in (quaternion, signs * quaternion)]
+    tables = [
+        flight_from_poses(time, position, each, frame="NED/FRD")
+        for each in (quaternion, signs * quaternion)
+    ]
     pd.testing.assert_frame_equal(*tables, atol=1e-9)
 
 
@@ -140,7 +181,9 @@ def test_a_wrong_frame_is_found_but_for_the_heading(true, given):
     if true[3:] == given[3:] and (true[:3] == "NED") == (given[:3] == "NED"):
         assert len(flight_from_poses(time, *poses, frame=given)) == len(time)
         return
-    with pytest.raises(ValueError, match=f"frame='{given}' and poses with a .* try .*frame='{true}'"):
+    with pytest.raises(
+        ValueError, match=f"frame='{given}' and poses with a .* try .*frame='{true}'"
+    ):
         flight_from_poses(time, *poses, frame=given)
 
 
@@ -159,12 +202,16 @@ def test_level_flight_upside_down_flight_backward_and_conjugates():
 def test_a_steady_turn_names_every_frame_that_it_fits():
     """A constant bank cannot say to which side it turns the aircraft; the true frame is among those to try."""
     time = np.arange(0, 2, 0.01)
-    north_west_up = np.stack([5 * np.sin(time), 5 - 5 * np.cos(time), np.full(time.size, 1.5)], axis=-1)
+    north_west_up = np.stack(
+        [5 * np.sin(time), 5 - 5 * np.cos(time), np.full(time.size, 1.5)], axis=-1
+    )
     bank = np.full(time.size, -np.arctan(5 / G))
     earth, body = FRAMES["NWU/FLU"]
     attitude = earth * Rotation.from_euler("ZX", np.stack([time, bank], axis=-1)) * body
     poses = in_frame("ENU/FRD", earth.apply(north_west_up), attitude)
-    with pytest.raises(ValueError, match=r"frame='ENU/FLU' and poses with a .* try .*frame='ENU/FRD'"):
+    with pytest.raises(
+        ValueError, match=r"frame='ENU/FLU' and poses with a .* try .*frame='ENU/FRD'"
+    ):
         flight_from_poses(time, *poses, frame="ENU/FLU")
 
 
@@ -186,7 +233,13 @@ def test_controls_and_density():
     time, position, attitude, _ = flown(1.0)
     controls = pd.DataFrame({"elevator": 0.3 * np.sin(time), "mode": "manual"}, index=time)
     table = flight_from_poses(
-        time, position, scalar_first(attitude), frame="NED/FRD", controls=controls, altitude=1000.0, flight="x"
+        time,
+        position,
+        scalar_first(attitude),
+        frame="NED/FRD",
+        controls=controls,
+        altitude=1000.0,
+        flight="x",
     )
     np.testing.assert_array_equal(table.elevator, 0.3 * np.sin(time))
     assert table["mode"].eq("manual").all()
@@ -213,7 +266,12 @@ def test_poses_that_were_not_measured_are_named():
 
 def edit(name, change):
     time, position, attitude, _ = flown(1.0)
-    poses = {"time": time, "position": position.copy(), "quaternion": scalar_first(attitude), "frame": "NED/FRD"}
+    poses = {
+        "time": time,
+        "position": position.copy(),
+        "quaternion": scalar_first(attitude),
+        "frame": "NED/FRD",
+    }
     poses[name] = change(poses.get(name))
     return poses
 
@@ -229,26 +287,54 @@ def put(array, row, value):
     [
         ("frame", lambda _: "FRD/NED", r"frame='FRD/NED', but expected one of \['NED/FRD'"),
         ("time", lambda t: put(t, 4, t[3]), "at row 4 .*expected time to increase"),
-        ("time", lambda t: put(t, 4, np.nan), "time that is not finite in 1 of 100 rows .the first is row 4"),
+        (
+            "time",
+            lambda t: put(t, 4, np.nan),
+            "time that is not finite in 1 of 100 rows .the first is row 4",
+        ),
         ("time", lambda t: t[:, None], r"time of shape \(100, 1\), but expected \(100,\)"),
         ("time", lambda t: t[:5], r"position of shape \(100, 3\), but expected \(5, 3\)"),
-        ("position", lambda x: put(x, 7, np.nan), "position that is not finite in 1 of 100 rows .the first is row 7"),
+        (
+            "position",
+            lambda x: put(x, 7, np.nan),
+            "position that is not finite in 1 of 100 rows .the first is row 7",
+        ),
         ("position", lambda x: x[:, :2], r"position of shape \(100, 2\)"),
         (
             "position",
             lambda x: np.repeat(x[::5], 5, axis=0),
             "position that repeats the row before in 81 % of the rows",
         ),
-        ("quaternion", lambda q: np.repeat(q[::2], 2, axis=0), "quaternion that repeats the row before in 51 %"),
+        (
+            "quaternion",
+            lambda q: np.repeat(q[::2], 2, axis=0),
+            "quaternion that repeats the row before in 51 %",
+        ),
         ("position", lambda x: 1000 * x, "divide positions in millimetres by 1000"),
-        ("quaternion", lambda q: put(q, slice(3), 0.0), "quaternion of length 0 at row 0 .3 such rows"),
+        (
+            "quaternion",
+            lambda q: put(q, slice(3), 0.0),
+            "quaternion of length 0 at row 0 .3 such rows",
+        ),
         ("quaternion", lambda q: 2 * q, "length 2 at row 0 .100 such rows., but expected length 1"),
-        ("flight", lambda _: np.r_[np.zeros(95), np.ones(5)], "5 samples of flight '1.0' from 0.95 s on"),
-        ("controls", lambda _: {"elevator": np.zeros(3)}, r"controls\['elevator'\] of shape \(3,\)"),
+        (
+            "flight",
+            lambda _: np.r_[np.zeros(95), np.ones(5)],
+            "5 samples of flight '1.0' from 0.95 s on",
+        ),
+        (
+            "controls",
+            lambda _: {"elevator": np.zeros(3)},
+            r"controls\['elevator'\] of shape \(3,\)",
+        ),
         ("controls", lambda _: {"p": np.zeros(100)}, r"controls with the columns \['p'\]"),
         ("controls", lambda _: {"elevator": np.full(100, 10.0)}, "these look like degrees"),
         ("controls", lambda _: {"time": np.zeros(100)}, r"controls with the columns \['time'\]"),
-        ("flight", lambda _: ["a", "b"], r"flight of shape \(2,\), but expected one name or \(100,\)"),
+        (
+            "flight",
+            lambda _: ["a", "b"],
+            r"flight of shape \(2,\), but expected one name or \(100,\)",
+        ),
         ("wind", lambda _: 3.0, "wind=3.0, but expected three numbers"),
     ],
 )

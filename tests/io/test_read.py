@@ -57,13 +57,16 @@ def test_flight_column_and_argument(write):
     path = write("two.csv", pd.concat([table(flight="a"), table(flight="b")]))
     assert read_flight(path).flight.unique().tolist() == ["a", "b"]
     assert read_flight(write("one.csv", table(flight=7))).flight.unique().tolist() == ["7"]
-    assert read_flight(write("one.csv", table()), flight="named").flight.unique().tolist() == ["named"]
+    assert read_flight(write("one.csv", table()), flight="named").flight.unique().tolist() == [
+        "named"
+    ]
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed [kt]\n0,90,180,10,1\n20,45,90,20,2\n",
+        "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed "
+        "[kt]\n0,90,180,10,1\n20,45,90,20,2\n",
         "time,alpha,q,airspeed,wind speed [kt]\nms,deg,°/s,kts,\n0,90,180,10,1\n20,45,90,20,2\n",
     ],
     ids=["header", "row"],
@@ -79,7 +82,9 @@ def test_stated_units_are_converted(write, text):
 
 @pytest.mark.parametrize("unit", ["furlong", "deg"])
 def test_unit_that_does_not_fit(write, unit):
-    with pytest.raises(FlightReadError, match=f"Got unit '{unit}' for column 'airspeed', but expected one of"):
+    with pytest.raises(
+        FlightReadError, match=f"Got unit '{unit}' for column 'airspeed', but expected one of"
+    ):
         read_flight(write("log.csv", f"time,airspeed [{unit}]\n0,1\n1,2\n"))
 
 
@@ -88,40 +93,63 @@ class TestAirData:
 
     velocity = {"u": np.full(50, 20.0), "v": np.full(50, 1.0), "w": np.full(50, 2.0)}
     attitude = {"phi": np.full(50, 0.3), "theta": np.full(50, 0.1), "psi": np.full(50, 2.0)}
-    wind = {"wind_north": np.full(50, 3.0), "wind_east": np.full(50, -4.0), "wind_down": np.zeros(50)}
+    wind = {
+        "wind_north": np.full(50, 3.0),
+        "wind_east": np.full(50, -4.0),
+        "wind_down": np.zeros(50),
+    }
 
     def write(self, write, columns):
-        return write("log.csv", pd.DataFrame({"time": 0.02 * np.arange(50)} | columns).to_csv(index=False))
+        return write(
+            "log.csv", pd.DataFrame({"time": 0.02 * np.arange(50)} | columns).to_csv(index=False)
+        )
 
     def test_of_still_air_with_a_warning(self, write):
-        with pytest.warns(UserWarning, match="u, v, w but neither air data nor wind, .* of still air"):
+        with pytest.warns(
+            UserWarning, match="u, v, w but neither air data nor wind, .* of still air"
+        ):
             flight = read_flight(self.write(write, self.velocity))
         expected = np.sqrt(405.0), np.arctan2(2, 20), np.arcsin(1 / np.sqrt(405))
-        np.testing.assert_allclose(flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1)))
+        np.testing.assert_allclose(
+            flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1))
+        )
 
     def test_relative_to_the_wind(self, write):
         flight = read_flight(self.write(write, self.velocity | self.attitude | self.wind))
         turn = Rotation.from_euler("ZYX", [2.0, 0.1, 0.3])
         u, v, w = np.array([20.0, 1, 2]) - turn.inv().apply([3.0, -4, 0])
-        expected = np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arcsin(v / np.sqrt(u * u + v * v + w * w))
-        np.testing.assert_allclose(flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1)))
+        expected = (
+            np.sqrt(u * u + v * v + w * w),
+            np.arctan2(w, u),
+            np.arcsin(v / np.sqrt(u * u + v * v + w * w)),
+        )
+        np.testing.assert_allclose(
+            flight[["airspeed", "alpha", "beta"]], np.tile(expected, (50, 1))
+        )
 
     def test_in_tables_of_identify(self):
-        table = pd.DataFrame({"time": 0.02 * np.arange(50)} | self.velocity | self.attitude | self.wind)
+        table = pd.DataFrame(
+            {"time": 0.02 * np.arange(50)} | self.velocity | self.attitude | self.wind
+        )
         assert {"airspeed", "alpha", "beta"} <= set(named_flights(table)["flight 1"].columns)
 
     @pytest.mark.parametrize(
-        "columns", [velocity | {"airspeed": np.full(50, 20.0)}, velocity | wind, {"u": velocity["u"]}]
+        "columns",
+        [velocity | {"airspeed": np.full(50, 20.0)}, velocity | wind, {"u": velocity["u"]}],
     )
     def test_not_beside_measured_air_data_nor_without_what_they_need(self, write, columns):
         assert set(read_flight(self.write(write, columns))) == {"time", "flight", *columns}
 
 
 class TestUnitsThatNumbersGiveAway:
-    @pytest.mark.parametrize("name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"])
+    @pytest.mark.parametrize(
+        "name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"]
+    )
     def test_degrees(self, write, name):
         values = 12 * np.sin(np.arange(50))
-        with pytest.raises(FlightReadError, match=f"'{name}'.*look like degrees. Convert them with numpy.deg2rad"):
+        with pytest.raises(
+            FlightReadError, match=f"'{name}'.*look like degrees. Convert them with numpy.deg2rad"
+        ):
             read_flight(write("log.csv", table(**{name: values})))
         read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
 
@@ -129,13 +157,22 @@ class TestUnitsThatNumbersGiveAway:
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
             read_flight(write("log.csv", table(psi=degrees)))
-        unwrapped = read_flight(write("log.csv", table(4500, psi=np.linspace(0, 40, 4500))))  # six orbits in radians
+        unwrapped = read_flight(
+            write("log.csv", table(4500, psi=np.linspace(0, 40, 4500)))
+        )  # six orbits in radians
         assert unwrapped.psi.iloc[-1] == 40
 
     def test_one_bad_sample_is_not_a_unit(self, write):
         alpha = np.full(500, 0.05)
         alpha[100] = 3.0
-        assert len(read_flight(write("log.csv", pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha})))) == 500
+        assert (
+            len(
+                read_flight(
+                    write("log.csv", pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha}))
+                )
+            )
+            == 500
+        )
 
     def test_per_cent_g_and_milliseconds(self, write):
         with pytest.raises(FlightReadError, match="expected 0 to 1: divide it"):
@@ -144,7 +181,9 @@ class TestUnitsThatNumbersGiveAway:
             read_flight(write("log.csv", table(ax=0.02, ay=0.0, az=-1.01)))
         with pytest.raises(FlightReadError, match="looks like milliseconds"):
             read_flight(write("log.csv", table(time=20.0 * np.arange(50))))
-        assert read_flight(write("log.csv", table(ax=0.2, ay=0.0, az=-9.9))).az.mean() == pytest.approx(-9.9)
+        assert read_flight(
+            write("log.csv", table(ax=0.2, ay=0.0, az=-9.9))
+        ).az.mean() == pytest.approx(-9.9)
 
 
 class TestRefusals:
@@ -190,7 +229,8 @@ class TestRemarks:
     def test_misspelt_names(self, write):
         path = write("log.csv", table(Beta=0.0, trottle=0.2, my_sensor=1.0))
         with pytest.warns(
-            UserWarning, match=r"'Beta' \(did you mean 'beta'\?\), 'trottle' \(did you mean 'throttle'\?\)"
+            UserWarning,
+            match=r"'Beta' \(did you mean 'beta'\?\), 'trottle' \(did you mean 'throttle'\?\)",
         ):
             assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
 
@@ -207,8 +247,12 @@ class TestRemarks:
             assert np.isnan(read_flight(write("log.parquet", rows)).q[3])
 
     def test_dates_become_seconds(self, write):
-        rows = table(time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s"))
-        np.testing.assert_allclose(read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50))
+        rows = table(
+            time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s")
+        )
+        np.testing.assert_allclose(
+            read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50)
+        )
 
 
 class TestSeveral:
@@ -240,7 +284,12 @@ class TestSeveral:
 
 @pytest.mark.shared
 def test_every_shared_flight(shared_data):
-    paths = sorted([*(shared_data / "flights").glob("*.parquet"), *(shared_data / "ampyx_ap2").glob("*.parquet")])
+    paths = sorted(
+        [
+            *(shared_data / "flights").glob("*.parquet"),
+            *(shared_data / "ampyx_ap2").glob("*.parquet"),
+        ]
+    )
     assert len(paths) == 6
     for path in paths:
         flight = read_flight(path)

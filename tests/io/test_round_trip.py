@@ -28,7 +28,9 @@ def tables(draw):
     """Times that increase in each flight, numbers of any size, cells that are missing, columns in any order."""
     n = draw(st.integers(2, 8))
     column = st.lists(NUMBERS, min_size=n, max_size=n)
-    columns = {name: draw(column) for name in ("north", "east")} | {draw(st.sampled_from(STRANGE)): draw(column)}
+    columns = {name: draw(column) for name in ("north", "east")} | {
+        draw(st.sampled_from(STRANGE)): draw(column)
+    }
     table = pd.DataFrame(columns).assign(
         time=0.02 * np.cumsum(draw(st.lists(st.integers(1, 50), min_size=n, max_size=n)))
     )
@@ -46,7 +48,9 @@ def same(found, table, **tolerance):
         if name == "flight":
             assert found[name].tolist() == table[name].tolist()
         else:
-            np.testing.assert_allclose(found[name], table[name].to_numpy(float), err_msg=name, **tolerance)
+            np.testing.assert_allclose(
+                found[name], table[name].to_numpy(float), err_msg=name, **tolerance
+            )
     assert set(found) == {"flight", *table}
 
 
@@ -67,7 +71,9 @@ def test_csv(folder, table, separator, comma, quoting, end, mark, units):
         return text.replace(".", ",") if decimal else text
 
     unit = {"time": "ms", "east": "ft"}
-    heads = [f"{name} [{unit[name]}]" if units == "header" and name in unit else name for name in table]
+    heads = [
+        f"{name} [{unit[name]}]" if units == "header" and name in unit else name for name in table
+    ]
     text = io.StringIO()
     writer = csv.writer(text, delimiter=separator, quoting=quoting, lineterminator=end)
     writer.writerow(heads)
@@ -88,12 +94,19 @@ NAMES = ["object", "string", "str", "category", "large_string[pyarrow]"]
 
 
 @FEW
-@given(table=tables(), holder=st.sampled_from(HOLDERS), names=st.sampled_from(NAMES), index=st.booleans())
+@given(
+    table=tables(),
+    holder=st.sampled_from(HOLDERS),
+    names=st.sampled_from(NAMES),
+    index=st.booleans(),
+)
 def test_parquet(folder, table, holder, names, index):
     with np.errstate(over="ignore"):
         single = table["east"].astype("float32").replace([np.inf, -np.inf], 0.0)
     table = table.assign(east=single.astype(float)) if holder == "float32" else table
-    written = table.assign(east=table["east"].map(repr) if holder == "text" else table["east"].astype(holder))
+    written = table.assign(
+        east=table["east"].map(repr) if holder == "text" else table["east"].astype(holder)
+    )
     written["north"] = written["north"].astype("Float64")
     if "flight" in written:
         written["flight"] = written["flight"].astype(names)

@@ -18,7 +18,9 @@ def deflection(values, **entry):
 
 class TestAngles:
     def test_ends(self):
-        np.testing.assert_allclose(deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4])
+        np.testing.assert_allclose(
+            deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4]
+        )
 
     def test_two_deflections(self):
         np.testing.assert_allclose(
@@ -43,7 +45,11 @@ class TestRefusals:
         ("name", "entry", "message"),
         [
             ("flap", ENDS, "Got 'flap' in the servo file, but expected one of"),
-            ("rudder", "25", 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg" or'),
+            (
+                "rudder",
+                "25",
+                'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg" or',
+            ),
             ("rudder", {}, 'without a channel, but expected one, as in channel = "RCOU.C2"'),
             ("rudder", ENDS | {"trimm": 1}, r"Got \['trimm'\] for rudder"),
             ("rudder", ENDS | {"deflection": float("nan")}, "measure the angle of the surface"),
@@ -52,7 +58,11 @@ class TestRefusals:
             ("rudder", ENDS | {"max": 1500}, "each value of the channel once"),
             ("rudder", ENDS | {"reversed": "yes"}, "expected true or false"),
             ("rudder", ENDS | {"max": 10**400}, "expected numbers min, trim, max and deflection"),
-            ("rudder", {"channel": "a.b", "points": [[1100, 0.1], [10**400, 0.2]]}, "expected pairs of numbers"),
+            (
+                "rudder",
+                {"channel": "a.b", "points": [[1100, 0.1], [10**400, 0.2]]},
+                "expected pairs of numbers",
+            ),
         ],
     )
     def test_entries(self, name, entry, message):
@@ -73,7 +83,9 @@ class TestFullThrow:
     def test_of_ardupilot(self, tmp_path, ardupilot, flight):
         (tmp_path / "log.bin").write_bytes(ardupilot)
         table = read_flight(tmp_path / "log.bin", servos="full throw")
-        template = servo_template(tmp_path / "log.bin").replace("deflection = nan", "deflection = 0.5")
+        template = servo_template(tmp_path / "log.bin").replace(
+            "deflection = nan", "deflection = 0.5"
+        )
         (tmp_path / "servo.toml").write_text(template)
         angles = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
         for name in ("aileron", "elevator", "rudder"):
@@ -89,12 +101,15 @@ class TestFullThrow:
         np.testing.assert_allclose(table["rudder"], 0.5 * parts["rudder"])
         assert "aileron" not in table
         with pytest.raises(
-            FlightReadError, match=r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'"
+            FlightReadError,
+            match=r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'",
         ):
             read_flight(tmp_path / "log.bin", servos={"elevon_left": "25 deg"})
 
     def test_a_deviation_of_a_throw_changes_no_angle(self):
-        with_std, without = (read_servos({"elevator": f"25{more} deg"})["elevator"] for more in (" +- 2.5", ""))
+        with_std, without = (
+            read_servos({"elevator": f"25{more} deg"})["elevator"] for more in (" +- 2.5", "")
+        )
         assert (with_std.angle, with_std.std) == pytest.approx((without.angle, 0.1 * without.angle))
         with pytest.raises(FlightReadError, match="deviation of elevator or aileron alone"):
             read_servos({"elevon_left": "25 +- 2 deg"})
@@ -110,8 +125,12 @@ class TestFullThrow:
         }  # the last: a wheel
         parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
         for k, axis in enumerate("RPY"):
-            parameters |= {f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()}
-        log = ulog(**parameters).topic("actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+            parameters |= {
+                f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()
+            }
+        log = ulog(**parameters).topic(
+            "actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4)))
+        )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         mixing = read_log(tmp_path / "log.ulg").mixing
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
@@ -119,11 +138,23 @@ class TestFullThrow:
 
     def test_any_mixing_of_px4(self, tmp_path, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
-        types = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5), 4: (9, 0.3, 0, 0)}
+        types = {
+            0: (1, -0.5, 0, 0),
+            1: (2, 0.8, 0, 0),
+            2: (7, 0, 0.5, 0.5),
+            3: (8, 0, 0.5, -0.5),
+            4: (9, 0.3, 0, 0),
+        }
         parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
         for k, axis in enumerate("RPY"):
-            parameters |= {f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()}
-        roll, pitch, yaw = self.COMMANDS["aileron"], -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
+            parameters |= {
+                f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()
+            }
+        roll, pitch, yaw = (
+            self.COMMANDS["aileron"],
+            -self.COMMANDS["elevator"],
+            -self.COMMANDS["rudder"],
+        )
         t = np.arange(0, 10, 0.05)
         control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
         log = ulog(**parameters).topic("actuator_servos", t, control=("float[5]", control))
@@ -136,18 +167,26 @@ class TestFullThrow:
     def test_a_v_tail_of_ardupilot(self, tmp_path, dataflash):
         """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
         pitch, yaw = -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
-        log = dataflash(SERVO1_FUNCTION=4.0, SERVO2_FUNCTION=79.0, SERVO4_FUNCTION=80.0, SERVO4_REVERSED=1.0)
+        log = dataflash(
+            SERVO1_FUNCTION=4.0, SERVO2_FUNCTION=79.0, SERVO4_FUNCTION=80.0, SERVO4_REVERSED=1.0
+        )
         t = np.arange(0, 10, 0.05)
         pulses = {"C1": 1500 + 400 * self.COMMANDS["aileron"], "C2": 1500 + 400 * (pitch + yaw)}
         pulses["C4"] = 1500 - 400 * (pitch - yaw)
-        log.topic("RCOU", t, **{name: ("H", np.full(t.size, pulse)) for name, pulse in pulses.items()})
+        log.topic(
+            "RCOU", t, **{name: ("H", np.full(t.size, pulse)) for name, pulse in pulses.items()}
+        )
         log.topic("ARSP", t, Airspeed=("f", np.full(t.size, 20.0)), H=("B", np.ones(t.size)))
         (tmp_path / "log.bin").write_bytes(bytes(log))
         table = read_flight(tmp_path / "log.bin", servos="full throw", airborne=False)
-        assert {name: round(float(table[name].median()), 6) for name in self.COMMANDS} == self.COMMANDS
+        assert {
+            name: round(float(table[name].median()), 6) for name in self.COMMANDS
+        } == self.COMMANDS
 
     def test_what_cannot_be(self, tmp_path, dataflash, ulog):
-        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic("RCOU", [0.1, 0.2], C1=("H", 1500))
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic(
+            "RCOU", [0.1, 0.2], C1=("H", 1500)
+        )
         (tmp_path / "log.bin").write_bytes(bytes(log))
         with pytest.raises(FlightReadError, match="min 1900, trim 1500, max 1900 of the aileron"):
             read_flight(tmp_path / "log.bin", servos="full throw")
@@ -176,14 +215,20 @@ class TestTemplates:
         with pytest.raises(FlightReadError, match="measure the angle"):
             read_servos(entries)
         table = read_flight(path, servos=self.filled(template, tmp_path))
-        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the flight table.
+        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the
+        # flight table.
         for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
             assert (
-                np.corrcoef(table[name][20:-20], (sign * PULSE[name] * flight[name](table.time))[20:-20])[0, 1] > 0.999
+                np.corrcoef(
+                    table[name][20:-20], (sign * PULSE[name] * flight[name](table.time))[20:-20]
+                )[0, 1]
+                > 0.999
             )
 
     def test_reversed_outputs(self, tmp_path, dataflash):
-        log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0, SERVO2_TRIM=1480.0)
+        log = dataflash(
+            SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0, SERVO2_TRIM=1480.0
+        )
         log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
         (tmp_path / "log.bin").write_bytes(bytes(log))
         entries = tomllib.loads(servo_template(tmp_path / "log.bin"))
@@ -195,7 +240,11 @@ class TestTemplates:
         ("topic", "parameters", "channel"),
         [
             ("actuator_controls_0", {}, "actuator_controls_0.control[1]"),
-            ("actuator_servos", {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3}, "actuator_servos.control[1]"),
+            (
+                "actuator_servos",
+                {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3},
+                "actuator_servos.control[1]",
+            ),
         ],
     )
     def test_of_px4(self, tmp_path, ulog, topic, parameters, channel):
@@ -207,7 +256,10 @@ class TestTemplates:
         """PX4 1.13 and later without a type of any surface: the outputs alone do not say what they move."""
         log = ulog().topic("actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        with pytest.raises(FlightReadError, match=r"\['actuator_servos'\] without parameters that name their surfaces"):
+        with pytest.raises(
+            FlightReadError,
+            match=r"\['actuator_servos'\] without parameters that name their surfaces",
+        ):
             servo_template(tmp_path / "log.ulg")
 
     def test_nothing_to_make_one_of(self, tmp_path, ulog):

@@ -20,14 +20,23 @@ class TestFlightReview:
         log, folder = read_ulog(tmp_path / "log.ulg"), tmp_path / "log"
         folder.mkdir()
         for name, topic in log.topics.items():
-            table = pd.DataFrame({field: topic[field].astype(np.float64) for field in topic.channels()})
+            table = pd.DataFrame(
+                {field: topic[field].astype(np.float64) for field in topic.channels()}
+            )
             table["timestamp"] = topic["timestamp"].astype(np.uint64)
             table.to_parquet(folder / f"{name.replace('#', '_')}.parquet")
-        (folder / "metadata.json").write_text(json.dumps({"sys_name": "PX4", "parameters": log.parameters}))
+        (folder / "metadata.json").write_text(
+            json.dumps({"sys_name": "PX4", "parameters": log.parameters})
+        )
         return folder
 
     def test_it_is_read_as_the_log(self, folder):
-        servos = {"elevator": {"channel": "actuator_outputs.output[1]", "points": [[1000, -0.5], [2000, 0.5]]}}
+        servos = {
+            "elevator": {
+                "channel": "actuator_outputs.output[1]",
+                "points": [[1000, -0.5], [2000, 0.5]],
+            }
+        }
         expected = read_flight(folder.with_suffix(".ulg"), servos=servos)
         table = read_flight(folder, servos=servos)
         pd.testing.assert_frame_equal(table, expected)
@@ -59,13 +68,20 @@ OFFSET = 1.7e9
 def tlog(flight):
     """Telemetry of a plane with ArduPilot: arrival late by up to .2 s, and a ground station that sends too."""
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane, station = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None, srcSystem=255)
+    plane, station = (
+        mavlink.MAVLink(None, srcSystem=1, srcComponent=1),
+        mavlink.MAVLink(None, srcSystem=255),
+    )
     rng, sent = np.random.default_rng(0), []
 
     def send(time, message, by=plane):
         sent.append((time, message.pack(by)))
 
-    for name, value in (("AIRSPEED_MIN", 12.0), ("SERVO2_FUNCTION", 19.0), ("SERVO4_FUNCTION", 21.0)):
+    for name, value in (
+        ("AIRSPEED_MIN", 12.0),
+        ("SERVO2_FUNCTION", 19.0),
+        ("SERVO4_FUNCTION", 21.0),
+    ):
         send(flight.BEGIN, mavlink.MAVLink_param_value_message(name.encode(), value, 9, 3, 0))
     for t in flight.time(1):
         send(t, mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 0, 3))
@@ -75,19 +91,34 @@ def tlog(flight):
         angles, rates = (at["phi"], at["theta"], at["psi"]), (at["p"], at["q"], at["r"])
         send(t, mavlink.MAVLink_attitude_message(ms, *angles, *rates))
         speed = [round(100 * at[name]) for name in ("v_north", "v_east", "v_down")]
-        send(t, mavlink.MAVLink_global_position_int_message(ms, 0, 0, round(1e3 * at["altitude"]), 0, *speed, 0))
+        send(
+            t,
+            mavlink.MAVLink_global_position_int_message(
+                ms, 0, 0, round(1e3 * at["altitude"]), 0, *speed, 0
+            ),
+        )
         force = [round(1e3 * at[name] / 9.80665) for name in ("ax", "ay", "az")]
         gyro = [round(1e3 * rate) for rate in rates]
         send(t, mavlink.MAVLink_raw_imu_message(round(t * 1e6), *force, *gyro, 0, 0, 0))
         equivalent = at["airspeed"] * np.sqrt(at["density"] / 1.225)
-        send(t, mavlink.MAVLink_vfr_hud_message(equivalent, 0, 0, round(100 * at["throttle"]), 0, 0))
+        send(
+            t, mavlink.MAVLink_vfr_hud_message(equivalent, 0, 0, round(100 * at["throttle"]), 0, 0)
+        )
         pressure = 1013.25 * (at["density"] / 1.225) ** (1 / (1 - 1 / 5.25588))
         send(t, mavlink.MAVLink_scaled_pressure_message(ms, pressure, 0, 0))
-        pulses = [1500, round(1500 - 1000 * at["elevator"]), 1100, round(1500 - 1000 * at["rudder"])]
+        pulses = [
+            1500,
+            round(1500 - 1000 * at["elevator"]),
+            1100,
+            round(1500 - 1000 * at["rudder"]),
+        ]
         send(t, mavlink.MAVLink_servo_output_raw_message(round(t * 1e6), 0, *pulses, *[1500] * 4))
     sent.sort(key=lambda each: each[0])
     arrivals = np.maximum.accumulate([OFFSET + time + rng.uniform(0, 0.2) for time, _ in sent])
-    return [struct.pack(">Q", round(1e6 * at)) + message for at, (_, message) in zip(arrivals, sent, strict=True)]
+    return [
+        struct.pack(">Q", round(1e6 * at)) + message
+        for at, (_, message) in zip(arrivals, sent, strict=True)
+    ]
 
 
 class TestTelemetry:
@@ -106,7 +137,9 @@ class TestTelemetry:
         ):
             np.testing.assert_allclose(table[name], flight[name](time), atol=error)
         np.testing.assert_allclose(table["elevator"], flight["elevator"](time) / 0.4, atol=5e-3)
-        np.testing.assert_allclose(table["airspeed"], flight["airspeed"](time), atol=0.3)  # it has no clock but arrival
+        np.testing.assert_allclose(
+            table["airspeed"], flight["airspeed"](time), atol=0.3
+        )  # it has no clock but arrival
         assert abs(np.mean(table["airspeed"] - flight["airspeed"](time))) < 0.05
 
     def test_damage_costs_only_itself(self, tlog, tmp_path):

@@ -56,7 +56,9 @@ def assert_as_pyulog(path):
         assert set(topic.channels()) == set(data.data)
         for name, values in data.data.items():
             np.testing.assert_array_equal(topic[name], values.astype(float))
-    assert ours.parameters == {key: float(value) for key, value in theirs.initial_parameters.items()}
+    assert ours.parameters == {
+        key: float(value) for key, value in theirs.initial_parameters.items()
+    }
 
 
 class TestAsPyulog:
@@ -69,7 +71,10 @@ class TestAsPyulog:
             definition("point:uint64_t timestamp;float[2] at;uint8_t flag;uint8_t[3] _padding0;"),
             definition("pair:uint64_t timestamp;point[2] ends;int16_t n;uint8_t[6] _padding0;"),
             subscription(7, "pair", 2),
-            *(datum(7, "Q" + 2 * "QffB3x" + "h", t, t, 1.5, t, 1, 0, -2.0, 0.5, 0, -t) for t in (1, 2, 3)),
+            *(
+                datum(7, "Q" + 2 * "QffB3x" + "h", t, t, 1.5, t, 1, 0, -2.0, 0.5, 0, -t)
+                for t in (1, 2, 3)
+            ),
         ]
         path = tmp_path / "log.ulg"
         path.write_bytes(HEADER + b"".join(content))
@@ -81,7 +86,9 @@ class TestAsPyulog:
         assert_as_pyulog(path)
 
     @pytest.mark.shared
-    @pytest.mark.parametrize("name", ["fw_system_id_log_altitude_1_HITL.ulg", "pyulog_sample_log_small_vtol_bench.ulg"])
+    @pytest.mark.parametrize(
+        "name", ["fw_system_id_log_altitude_1_HITL.ulg", "pyulog_sample_log_small_vtol_bench.ulg"]
+    )
     def test_shared_logs(self, shared_data, name):
         assert_as_pyulog(shared_data / "logs" / name)
 
@@ -111,7 +118,12 @@ class TestWhatTheLogSaysOfItself:
     )
     def test_vehicle(self, read, field, value, vehicle):
         status = definition(f"vehicle_status:uint64_t timestamp;uint8_t {field};")
-        log = read(status, subscription(0, "vehicle_status"), datum(0, "QB", 1, value), datum(0, "QB", 2, value))
+        log = read(
+            status,
+            subscription(0, "vehicle_status"),
+            datum(0, "QB", 1, value),
+            datum(0, "QB", 2, value),
+        )
         assert log.vehicle == vehicle
 
     def test_unknown_vehicle(self, read):
@@ -170,7 +182,9 @@ class TestDamage:
     def test_data_appended_after_half_a_message(self, read):
         half = ticks(3)[0][:9]
         body = b"".join([*TICK, *ticks(1, 2)]) + half
-        flags = bytes(8) + b"\x01" + bytes(7) + struct.pack("<3Q", HEADER_SIZE + 43 + len(body), 0, 0)
+        flags = (
+            bytes(8) + b"\x01" + bytes(7) + struct.pack("<3Q", HEADER_SIZE + 43 + len(body), 0, 0)
+        )
         assert self.times(read(message("B", flags), body, *ticks(4, 5))) == [1, 2, 4, 5]
 
 

@@ -12,10 +12,20 @@ from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, Standar
 
 import skdgp.kernels
 from skdgp._compute.linalg import RowPairs
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, Trend, _pair
+from skdgp.kernels import (
+    BasisTrend,
+    ConvolvedGaussian,
+    LinearTrend,
+    MultiOutputKernel,
+    Sum,
+    Trend,
+    _pair,
+)
 
 
-def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds):
+def convolved(
+    n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds
+):
     """A kernel whose every amplitude, width, shear and, on request, shift is different."""
     rng = np.random.default_rng(seed)
     M = n_latent + P * private
@@ -39,7 +49,9 @@ def convolved(n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0
 
 def trend(P=3, d=2, seed=1):
     rng = np.random.default_rng(seed)
-    return LinearTrend(rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d))
+    return LinearTrend(
+        rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d)
+    )
 
 
 def basis_trend(transformer, P=3, d=2, seed=1):
@@ -49,7 +61,9 @@ def basis_trend(transformer, P=3, d=2, seed=1):
     K = clone(transformer).fit_transform(X).shape[1]
     scales = rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, K))
     bounds = {"intercept_scale_bounds": (1e-3, 1e3), "slope_scale_bounds": (1e-3, 1e3)}
-    return BasisTrend(transformer, *scales, center=rng.normal(size=K), **bounds).initialize(X, np.zeros((50, P)), 0)
+    return BasisTrend(transformer, *scales, center=rng.normal(size=K), **bounds).initialize(
+        X, np.zeros((50, P)), 0
+    )
 
 
 KERNELS = {
@@ -62,15 +76,23 @@ KERNELS = {
     "one output": convolved(1, P=1),
     "one regressor, full": convolved(1, d=1, covariance_type="full"),
     "of one regressor, named twice": convolved(1, d=3, regressors=[2, 2]),
-    "of few regressors, tied and shifted": convolved(1, covariance_type="tied", shift=True, regressors=[1]),
-    "additive": trend() + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
+    "of few regressors, tied and shifted": convolved(
+        1, covariance_type="tied", shift=True, regressors=[1]
+    ),
+    "additive": trend()
+    + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
     "everything fixed": convolved(amplitude_bounds="fixed", length_scale_bounds="fixed"),
     "bounds for each entry": convolved(
-        length_scale_bounds=np.stack([np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1)
+        length_scale_bounds=np.stack(
+            [np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1
+        )
     ),
     "trend": trend(),
     "trend in splines + dependent": basis_trend(
-        make_pipeline(StandardScaler(), SplineTransformer(3, degree=5, extrapolation="continue", include_bias=False))
+        make_pipeline(
+            StandardScaler(),
+            SplineTransformer(3, degree=5, extrapolation="continue", include_bias=False),
+        )
     )
     + convolved(1, private=False, covariance_type="tied", seed=5),
     "trend in polynomials": basis_trend(PolynomialFeatures(2, include_bias=False)),
@@ -78,7 +100,13 @@ KERNELS = {
 
 
 FEW = (
-    *("tied, shifted", "full, shifted", "without private latents", "one output", "of one regressor, named twice"),
+    *(
+        "tied, shifted",
+        "full, shifted",
+        "without private latents",
+        "one output",
+        "of one regressor, named twice",
+    ),
     *("additive", "bounds for each entry", "everything fixed", "trend in splines + dependent"),
 )  # every class, kind of width and term once
 
@@ -109,7 +137,9 @@ def central_difference(function, x, step=1e-3):
 def gradient_by_differences(name):
     """dK/dtheta at the inputs of a kernel, (N, N, n_theta), by differences of its matrix."""
     kernel = KERNELS[name]
-    return central_difference(lambda theta: kernel.clone_with_theta(theta)(inputs(kernel)), kernel.theta)
+    return central_difference(
+        lambda theta: kernel.clone_with_theta(theta)(inputs(kernel)), kernel.theta
+    )
 
 
 def equal(a, b, **tolerance):
@@ -126,7 +156,9 @@ def assert_gradient(gradient, function, x):
 
 def test_every_public_kernel_is_in_the_list():
     public = {
-        obj for obj in vars(skdgp.kernels).values() if inspect.isclass(obj) and issubclass(obj, MultiOutputKernel)
+        obj
+        for obj in vars(skdgp.kernels).values()
+        if inspect.isclass(obj) and issubclass(obj, MultiOutputKernel)
     }
     public -= {MultiOutputKernel, Trend}  # of which kernels are made
     assert public == {type(kernel) for kernel in KERNELS.values()}
@@ -178,7 +210,9 @@ class TestContract:
         origin = np.zeros(n_features(kernel))
         for i, Xi in enumerate(X):
             for j, Xj in enumerate(X):
-                found = central_difference(lambda x, i=i, j=j, Xi=Xi, Xj=Xj: kernel.block(i, j, Xi + x, Xj), origin)
+                found = central_difference(
+                    lambda x, i=i, j=j, Xi=Xi, Xj=Xj: kernel.block(i, j, Xi + x, Xj), origin
+                )
                 D = kernel.block_derivative(i, j, Xi, Xj)
                 equal(D, np.moveaxis(found, -1, 0), rtol=1e-8, atol=1e-9)
                 w = np.arange(1.0, 1 + len(Xj))
@@ -188,7 +222,9 @@ class TestContract:
         origin = np.zeros(n_features(kernel))
         for i, Xi in enumerate(inputs(kernel)):
             # d^2 k(x, z) / dx dz at z = x
-            found = central_difference(lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin)
+            found = central_difference(
+                lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin
+            )
             equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
 
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
@@ -200,7 +236,12 @@ class TestContract:
         Kfu = Kfu.reshape(-1, features.size)
         joint = np.block([[kernel(X), Kfu], [Kfu.T, Kuu]])
         assert np.linalg.eigvalsh(joint).min() > -1e-10 * np.abs(joint).max()
-        equal(features.rows()(X), np.hstack([features.Kfu(i, X) for i in range(P)]), rtol=1e-9, atol=1e-10)
+        equal(
+            features.rows()(X),
+            np.hstack([features.Kfu(i, X) for i in range(P)]),
+            rtol=1e-9,
+            atol=1e-10,
+        )
 
     def test_gradients_of_features_are_derivatives(self, kernel):
         X, features, n = inputs(kernel)[0], kernel.features(inputs(kernel)[0][:2]), kernel.n_dims
@@ -214,7 +255,11 @@ class TestContract:
         assert_gradient(features.gradient_uu(W), lambda theta: np.sum(W * at(theta).Kuu()), start)
         for i in range(kernel.n_outputs):
             w = rng.normal(size=(len(X), len(features.columns(i))))
-            assert_gradient(features.gradient_fu(i, X, w), lambda t, i=i, w=w: np.sum(w * at(t).Kfu(i, X)), start)
+            assert_gradient(
+                features.gradient_fu(i, X, w),
+                lambda t, i=i, w=w: np.sum(w * at(t).Kfu(i, X)),
+                start,
+            )
 
     def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(self, kernel, name):
         free = [h for h in kernel.hyperparameters if not h.fixed]
@@ -228,7 +273,9 @@ class TestContract:
         rng = np.random.default_rng(8)
         d = n_features(kernel)
         X = [rng.integers(-16, 16, (n, d)) / 8 for n in (4, 3, 5)[: kernel.n_outputs]]
-        away = np.arange(1, d + 1) * 2.0**30  # exact in binary; a northing in millimetres is as large
+        away = (
+            np.arange(1, d + 1) * 2.0**30
+        )  # exact in binary; a northing in millimetres is as large
         moved, there = kernel([x + away for x in X]), kernel(X)
         if kernel.is_stationary():
             rounded = {"rtol": 1e-6, "atol": 1e-6}  # of 2^30 doubles keep a ten-millionth
@@ -236,7 +283,11 @@ class TestContract:
             W, far = np.eye(4) + 0.1, X[0] + away
             expected = kernel.block_gradient(0, 0, X[0], X[0], W)
             equal(kernel.block_gradient(0, 0, far, far, W), expected, **rounded)
-            equal(kernel.block_derivative(0, 0, far, far), kernel.block_derivative(0, 0, X[0], X[0]), **rounded)
+            equal(
+                kernel.block_derivative(0, 0, far, far),
+                kernel.block_derivative(0, 0, X[0], X[0]),
+                **rounded,
+            )
         else:
             assert not np.allclose(moved, there)
 
@@ -256,13 +307,18 @@ class TestUse:
             moved = [np.where(np.isin(np.arange(x.shape[1]), columns), x, x + 1.0) for x in X]
             equal(term(moved, Z), term(X, Z), rtol=1e-9, atol=1e-9)
 
-    def test_matrix_is_output_major_and_its_blocks_are_the_blocks_zero_without_coupling(self, kernel):
+    def test_matrix_is_output_major_and_its_blocks_are_the_blocks_zero_without_coupling(
+        self, kernel
+    ):
         X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
         K = kernel(X, Z)
         rows, columns = np.cumsum([0, *map(len, X)]), np.cumsum([0, *map(len, Z)])
         for i, Xi in enumerate(X):
             for j, Zj in enumerate(Z):
-                equal(K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]], kernel.block(i, j, Xi, Zj))
+                equal(
+                    K[rows[i] : rows[i + 1], columns[j] : columns[j + 1]],
+                    kernel.block(i, j, Xi, Zj),
+                )
                 assert kernel.couples(i, j) == kernel.couples(j, i)
                 assert kernel.couples(i, j) or not kernel.block(i, j, Xi, Zj).any()
 
@@ -282,7 +338,10 @@ class TestUse:
         picked = np.flatnonzero(seen.ravel())
         assert kernel(X).shape == (7 * P, 7 * P)
         equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
-        some = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]  # an output without samples takes no room
+        some = [
+            np.empty((0, n_features(kernel))),
+            *inputs(kernel)[1:],
+        ]  # an output without samples takes no room
         assert kernel(some).shape == (sum(map(len, some)),) * 2
 
     def test_pairs_of_rows_are_the_entries_above_the_diagonal(self, kernel):
@@ -297,7 +356,12 @@ class TestUse:
                 w = np.random.default_rng(3).normal(size=len(values))
                 W = np.zeros((len(Xi),) * 2)
                 W[upper] = w
-                equal(other.pair_gradient(i, pairs, w), other.block_gradient(i, i, Xi, Xi, W), rtol=1e-9, atol=1e-11)
+                equal(
+                    other.pair_gradient(i, pairs, w),
+                    other.block_gradient(i, i, Xi, Xi, W),
+                    rtol=1e-9,
+                    atol=1e-11,
+                )
 
     def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
         for i, Xi in enumerate(inputs(kernel)):
@@ -312,7 +376,10 @@ class TestUse:
         K = kernel(X)
         variance = np.multiply.outer(np.diag(K), np.diag(K))
         assert (np.abs(stacked.mean(axis=0)) < 4.5 * np.sqrt(np.diag(K) / len(paths))).all()
-        assert (np.abs(stacked.T @ stacked / len(paths) - K) < 5 * np.sqrt((variance + K**2) / len(paths))).all()
+        assert (
+            np.abs(stacked.T @ stacked / len(paths) - K)
+            < 5 * np.sqrt((variance + K**2) / len(paths))
+        ).all()
 
     def test_slopes_of_paths_are_their_derivatives(self, kernel):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
@@ -323,18 +390,25 @@ class TestUse:
     def test_paths_of_values_are_their_covariances_times_coefficients(self, kernel):
         X = inputs(kernel)
         rng = np.random.default_rng(15)
-        points, c = rng.normal(size=(3, n_features(kernel))), [rng.normal(size=(2, len(x))) for x in X]
+        points, c = (
+            rng.normal(size=(3, n_features(kernel))),
+            [rng.normal(size=(2, len(x))) for x in X],
+        )
         K = kernel([points] * len(X), X)
         expected = (K @ np.concatenate(c, axis=1).T).reshape(len(X), 3, 2).T
         paths = kernel.paths(X, c)
         equal(paths.each(points[None]), expected, rtol=1e-9, atol=1e-10)
         equal(paths.take(slice(1, 2)).each(points[None]), expected[1:], rtol=1e-9, atol=1e-10)
-        found = central_difference(lambda step: paths.each(points[None] + step), np.zeros(points.shape[-1]))
+        found = central_difference(
+            lambda step: paths.each(points[None] + step), np.zeros(points.shape[-1])
+        )
         equal(paths.gradient(points[None]), found, rtol=1e-7, atol=1e-8)
 
     def test_theta_goes_round(self, kernel):
         K = kernel(inputs(kernel))
-        other = kernel.clone_with_theta(kernel.theta + np.random.default_rng(7).uniform(0.02, 0.1, kernel.n_dims))
+        other = kernel.clone_with_theta(
+            kernel.theta + np.random.default_rng(7).uniform(0.02, 0.1, kernel.n_dims)
+        )
         equal(kernel.clone_with_theta(other.theta).theta, other.theta)
         equal(kernel.clone_with_theta(kernel.theta)(inputs(kernel)), K)
         changed = clone(kernel)
@@ -378,8 +452,14 @@ class TestUse:
                 kernel(np.zeros((5, wrong)))
         with pytest.raises(ValueError, match=r"\(5,\).*expected"):
             kernel(np.zeros(5))
-        with pytest.raises(ValueError):  # of the gradient of what is not square; scikit-learn words it for sums
+        with pytest.raises(
+            ValueError
+        ):  # of the gradient of what is not square; scikit-learn words it for sums
             kernel(X, X, eval_gradient=True)
-        if not isinstance(kernel, Sum):  # scikit-learn's own setter divides theta between the summands
-            with pytest.raises(ValueError, match=rf"theta of shape \({n + 1},\), but expected \({n},\)"):
+        if not isinstance(
+            kernel, Sum
+        ):  # scikit-learn's own setter divides theta between the summands
+            with pytest.raises(
+                ValueError, match=rf"theta of shape \({n + 1},\), but expected \({n},\)"
+            ):
                 clone(kernel).theta = np.zeros(n + 1)

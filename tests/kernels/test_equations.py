@@ -31,7 +31,9 @@ def matrices(kernel):
 def smoothing(kernel, m, i, s):
     """Equation 14's impulse response h_mi at s, (..., d)."""
     away = s - kernel.mu[m, i]
-    return kernel.v[m, i] * np.exp(-0.5 * np.einsum("...k,kl,...l->...", away, matrices(kernel)[m, i], away))
+    return kernel.v[m, i] * np.exp(
+        -0.5 * np.einsum("...k,kl,...l->...", away, matrices(kernel)[m, i], away)
+    )
 
 
 def test_covariance_is_the_integral_of_the_filters_in_one_dimension():
@@ -47,7 +49,9 @@ def test_covariance_is_the_integral_of_the_filters_in_one_dimension():
                     return smoothing(kernel, m, i, u) * smoothing(kernel, m, j, u - delta)
 
                 total += quad(product, -12, 12, epsabs=1e-12, limit=200)[0]
-            assert kernel.block(i, j, [[delta]], [[0.0]])[0, 0] == pytest.approx(total, rel=1e-9, abs=1e-12)
+            assert kernel.block(i, j, [[delta]], [[0.0]])[0, 0] == pytest.approx(
+                total, rel=1e-9, abs=1e-12
+            )
 
 
 @pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
@@ -58,8 +62,13 @@ def test_covariance_is_the_integral_of_the_filters_in_two_dimensions(covariance_
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
     for i in range(2):
         for j in range(2):
-            product = sum(smoothing(kernel, m, i, grid) * smoothing(kernel, m, j, grid - delta) for m in range(4))
-            total = trapezoid(trapezoid(product, axis), axis)  # of spectral order: the Gaussians vanish at the ends
+            product = sum(
+                smoothing(kernel, m, i, grid) * smoothing(kernel, m, j, grid - delta)
+                for m in range(4)
+            )
+            total = trapezoid(
+                trapezoid(product, axis), axis
+            )  # of spectral order: the Gaussians vanish at the ends
             got = kernel.block(i, j, delta[None], np.zeros((1, 2)))[0, 0]
             assert got == pytest.approx(total, rel=1e-9, abs=1e-12)
 
@@ -80,7 +89,12 @@ def test_covariance_is_equation_16(covariance_type, d):
                         both = A[m, i] + A[m, j]
                         S = A[m, i] @ np.linalg.inv(both) @ A[m, j]
                         away = x - z - (mu[m, i] - mu[m, j])
-                        size = (2 * np.pi) ** (d / 2) * v[m, i] * v[m, j] / np.sqrt(np.linalg.det(both))
+                        size = (
+                            (2 * np.pi) ** (d / 2)
+                            * v[m, i]
+                            * v[m, j]
+                            / np.sqrt(np.linalg.det(both))
+                        )
                         expected += size * np.exp(-0.5 * away @ S @ away)
                     assert kernel.block(i, j, X, Z)[a, b] == pytest.approx(expected, rel=1e-10)
 

@@ -26,7 +26,9 @@ def data():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
     Z = (X - X.mean(axis=0)) / X.std(axis=0)
-    Y = np.column_stack([np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2])
+    Y = np.column_stack(
+        [np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2]
+    )
     Y[rng.random(Y.shape) < 0.3] = np.nan
     return X, Y
 
@@ -63,11 +65,18 @@ class TestOpenKernels:
     def test_units_are_followed(self, kernel, data):
         """Other units of regressors and outputs: the same correlations."""
         X, Y = data
-        spherical = getattr(kernel, "covariance_type", None) == "spherical"  # one width: one unit for all
+        spherical = (
+            getattr(kernel, "covariance_type", None) == "spherical"
+        )  # one width: one unit for all
         other_X, other_Y = X * (8.0 if spherical else [8.0, 0.25, 1024.0]), Y * [2.0, 0.5, 64.0]
-        K, other = kernel.initialize(X, Y, 0)(X[:5]), kernel.initialize(other_X, other_Y, 0)(other_X[:5])
+        K, other = (
+            kernel.initialize(X, Y, 0)(X[:5]),
+            kernel.initialize(other_X, other_Y, 0)(other_X[:5]),
+        )
         scale = np.repeat([2.0, 0.5, 64.0], 5)
-        np.testing.assert_allclose(other, K * np.multiply.outer(scale, scale), rtol=1e-9, atol=1e-300)
+        np.testing.assert_allclose(
+            other, K * np.multiply.outer(scale, scale), rtol=1e-9, atol=1e-300
+        )
 
     @pytest.mark.parametrize("what", ["regressor", "output"])
     def test_constant_columns_give_finite_values(self, kernel, data, what):
@@ -96,9 +105,13 @@ class TestGivenValues:
         found = ConvolvedGaussian(1, amplitude=amplitude).initialize(*data, 0)
         np.testing.assert_array_equal(found.amplitude, amplitude)
         lengths = np.full((4, 3, 3), 2.5)
-        found = ConvolvedGaussian(1, length_scale=lengths, length_scale_bounds="fixed").initialize(*data, 0)
+        found = ConvolvedGaussian(1, length_scale=lengths, length_scale_bounds="fixed").initialize(
+            *data, 0
+        )
         np.testing.assert_array_equal(found.length_scale, lengths)
-        found = LinearTrend(slope_scale=np.full((3, 3), 2.0), center=[1.0, 2.0, 3.0]).initialize(*data, 0)
+        found = LinearTrend(slope_scale=np.full((3, 3), 2.0), center=[1.0, 2.0, 3.0]).initialize(
+            *data, 0
+        )
         np.testing.assert_array_equal(found.slope_scale, 2.0)
         np.testing.assert_array_equal(found.center, [1.0, 2.0, 3.0])
 
@@ -109,8 +122,14 @@ class TestGivenValues:
     @pytest.mark.parametrize(
         ("kernel", "message"),
         [
-            (ConvolvedGaussian(1, amplitude=np.ones((3, 2))), r"amplitude of shape \(3, 2\), but expected \(4, 3\)"),
-            (ConvolvedGaussian(1, length_scale=np.ones((4, 3, 2))), r"length_scale of shape \(4, 3, 2\).*\(4, 3, 3\)"),
+            (
+                ConvolvedGaussian(1, amplitude=np.ones((3, 2))),
+                r"amplitude of shape \(3, 2\), but expected \(4, 3\)",
+            ),
+            (
+                ConvolvedGaussian(1, length_scale=np.ones((4, 3, 2))),
+                r"length_scale of shape \(4, 3, 2\).*\(4, 3, 3\)",
+            ),
             (LinearTrend(intercept_scale=np.ones(2)), "2.*3"),
             (LinearTrend(slope_scale=np.ones((3, 2))), r"slope_scale.*\(3, 2\).*\(3, 3\)"),
             (LinearTrend(center=[0.0, 1.0]), r"center.*\(2,\).*\(3,\)"),
@@ -129,7 +148,9 @@ class TestSpacing:
     @staticmethod
     def smallest(X, Y, **parameters):
         """Return the smallest widths (M, P, d), over the deviations of the regressors."""
-        kernel = ConvolvedGaussian(0, length_scale_bounds="spacing", **parameters).initialize(X, Y, 0)
+        kernel = ConvolvedGaussian(0, length_scale_bounds="spacing", **parameters).initialize(
+            X, Y, 0
+        )
         return kernel.length_scale_bounds[..., 0] / np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
 
     @pytest.mark.parametrize("kind", KINDS)
@@ -142,7 +163,9 @@ class TestSpacing:
     def test_only_regressors_with_an_effect_count(self, data):
         X, Y = data
         most = np.isfinite(Y).sum(axis=0).max()
-        np.testing.assert_allclose(self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2))
+        np.testing.assert_allclose(
+            self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2)
+        )
         still = np.column_stack([X, np.full(len(X), 3.0)])
         np.testing.assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
 
@@ -167,18 +190,35 @@ class TestRefused:
             ({"amplitude": [[1.0]], "length_scale": -1.0}, "length_scale that is not positive"),
             ({"amplitude": [[1.0]], "length_scale": np.nan}, "length_scale"),
             ({"amplitude": [[np.nan]], "length_scale": 1.0}, "amplitude"),
-            ({"amplitude": np.ones((3, 2)), "length_scale": np.ones((2, 2, 1))}, r"length_scale of shape \(2, 2, 1\)"),
-            ({"amplitude": np.ones((4, 2)), "length_scale": 1.0}, r"amplitude of shape \(4, 2\).*expected \(3, 2\)"),
-            ({"amplitude": [[1.0]], "length_scale": 1.0, "covariance_type": "fully"}, "fully.*spherical"),
             (
-                {"n_latent": 0, "private_latents": False, "amplitude": [[1.0]], "length_scale": 1.0},
+                {"amplitude": np.ones((3, 2)), "length_scale": np.ones((2, 2, 1))},
+                r"length_scale of shape \(2, 2, 1\)",
+            ),
+            (
+                {"amplitude": np.ones((4, 2)), "length_scale": 1.0},
+                r"amplitude of shape \(4, 2\).*expected \(3, 2\)",
+            ),
+            (
+                {"amplitude": [[1.0]], "length_scale": 1.0, "covariance_type": "fully"},
+                "fully.*spherical",
+            ),
+            (
+                {
+                    "n_latent": 0,
+                    "private_latents": False,
+                    "amplitude": [[1.0]],
+                    "length_scale": 1.0,
+                },
                 "at least one latent",
             ),
         ],
         ids=lambda p: " ".join(p) if isinstance(p, dict) else "",
     )
     def test_impossible_parameters(self, parameters, message):
-        parameters = {"n_latent": 1, "private_latents": np.ndim(parameters.get("amplitude")) == 2} | parameters
+        parameters = {
+            "n_latent": 1,
+            "private_latents": np.ndim(parameters.get("amplitude")) == 2,
+        } | parameters
         if np.shape(parameters.get("amplitude")) == (1, 1):
             parameters["private_latents"] = False
         with pytest.raises(ValueError, match=message):
@@ -189,7 +229,11 @@ class TestRefused:
         """A matrix that a round trip of theta would change is not one to start from."""
         lengths = np.array([[[1.0, 2.0], [3.0, 4.0]]])
         kernel = ConvolvedGaussian(
-            1, private_latents=False, covariance_type=kind, amplitude=[[1.0, 1.0]], length_scale=lengths
+            1,
+            private_latents=False,
+            covariance_type=kind,
+            amplitude=[[1.0, 1.0]],
+            length_scale=lengths,
         )
         with pytest.raises(ValueError, match=f"length scales that differ.*{kind}"):
             kernel(np.zeros((2, 2)))

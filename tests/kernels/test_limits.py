@@ -59,10 +59,16 @@ class TestNothingShared:
 def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
     W, lengths = rng.normal(size=(2, 3)), rng.uniform(0.5, 2, (2, 1, 2))
     kernel = ConvolvedGaussian(
-        2, private_latents=False, covariance_type="tied", amplitude=W, length_scale=np.repeat(lengths, 3, axis=1)
+        2,
+        private_latents=False,
+        covariance_type="tied",
+        amplitude=W,
+        length_scale=np.repeat(lengths, 3, axis=1),
     )
     X = rng.normal(size=(5, 2))
-    expected = sum(np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True))
+    expected = sum(
+        np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True)
+    )
     np.testing.assert_allclose(kernel(X), expected, rtol=1e-12)
 
 
@@ -83,7 +89,11 @@ def test_one_latent_through_equal_filters_correlates_fully(covariance_type, sign
 def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
     shift = np.array([[[0.0, 0.0], [0.7, -0.4]]])
     kernel = ConvolvedGaussian(
-        1, private_latents=False, amplitude=[[1.0, 1.0]], length_scale=np.ones((1, 2, 2)), shift=shift
+        1,
+        private_latents=False,
+        amplitude=[[1.0, 1.0]],
+        length_scale=np.ones((1, 2, 2)),
+        shift=shift,
     )
     # Output 0 at s - shift says what output 1 says at s: its filter answers later.
     assert correlation(kernel, shift[0, 0] - shift[0, 1]) == pytest.approx(1.0)
@@ -96,7 +106,12 @@ def test_narrower_types_are_wider_ones_under_constraints(rng):
 
     def matrix(covariance_type, lengths):
         return ConvolvedGaussian(
-            1, private_latents=False, covariance_type=covariance_type, amplitude=w, length_scale=lengths, shift=shift
+            1,
+            private_latents=False,
+            covariance_type=covariance_type,
+            amplitude=w,
+            length_scale=lengths,
+            shift=shift,
         )(X)
 
     free = rng.uniform(0.5, 2, (1, 2, 3))
@@ -115,7 +130,9 @@ def test_trend_is_a_bayesian_linear_model(rng):
     K = LinearTrend(intercept, slope, center)(X)
     for i in range(2):
         prior = np.diag(np.r_[intercept[i], slope[i]] ** 2)
-        np.testing.assert_allclose(K[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], Phi @ prior @ Phi.T, rtol=1e-12)
+        np.testing.assert_allclose(
+            K[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], Phi @ prior @ Phi.T, rtol=1e-12
+        )
     assert (K[:4, 4:] == 0).all()
 
 
@@ -124,7 +141,10 @@ def test_a_sum_of_processes_of_single_regressors_has_no_interactions(rng):
     square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     signs = np.array([1.0, -1.0, -1.0, 1.0])
     X, Y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
-    one, other, both = (ConvolvedGaussian(0, regressors=columns).initialize(X, Y, 0) for columns in ([0], [1], [0, 1]))
+    one, other, both = (
+        ConvolvedGaussian(0, regressors=columns).initialize(X, Y, 0)
+        for columns in ([0], [1], [0, 1])
+    )
     additive = one + other
     assert signs @ additive.block(0, 0, square, square) @ signs == pytest.approx(0.0, abs=1e-8)
     assert signs @ both.block(0, 0, square, square) @ signs > 1e-3

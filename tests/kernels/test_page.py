@@ -23,7 +23,9 @@ def module(name, path):
 
 def kernels_of_the_page():
     """The classes of its code, as a module, since instances are pickled by the name of their class."""
-    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    blocks = re.findall(
+        r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
     made = sys.modules.setdefault("kernels_of_the_page", ModuleType("kernels_of_the_page"))
     for code in blocks:
         if "\nclass " in code:

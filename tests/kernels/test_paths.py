@@ -69,7 +69,9 @@ def test_inducing_variables_are_drawn_with_the_paths(features):
         (u.T @ u, Kuu, np.multiply.outer(np.diag(Kuu), np.diag(Kuu))),
         (f.T @ u, Kfu, np.multiply.outer(kernel_variance, np.diag(Kuu))),
     ):
-        assert (np.abs(found / n_paths - expected) < 5 * np.sqrt((variance + expected**2) / n_paths)).all()
+        assert (
+            np.abs(found / n_paths - expected) < 5 * np.sqrt((variance + expected**2) / n_paths)
+        ).all()
 
 
 def test_coefficients_make_functions_of_the_features(features):
@@ -77,26 +79,37 @@ def test_coefficients_make_functions_of_the_features(features):
     paths = features.paths(c)
     expected = (cross_covariance(features) @ c.T).reshape(3, len(X), 2).transpose(2, 1, 0)
     np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(paths.take(slice(1, 2)).values(X[None]), expected[1:], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(
+        paths.take(slice(1, 2)).values(X[None]), expected[1:], rtol=1e-10, atol=1e-12
+    )
     slopes = np.zeros((2, len(X), 3, 2))
     for i in range(3):
-        slopes[:, :, i] = (features.Kfu_derivative(i, X) @ c[:, features.columns(i)].T).transpose(2, 1, 0)
+        slopes[:, :, i] = (features.Kfu_derivative(i, X) @ c[:, features.columns(i)].T).transpose(
+            2, 1, 0
+        )
     np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-12)
 
 
 def test_coefficients_make_functions_of_a_kernel():
     kernel, rng = trend() + make_kernel("full"), np.random.default_rng(6)
-    where = [rng.normal(size=(n, 2)) for n in (700, 0, 3)]  # more than one tile; an output without values
+    where = [
+        rng.normal(size=(n, 2)) for n in (700, 0, 3)
+    ]  # more than one tile; an output without values
     c = [rng.normal(size=(2, len(x))) for x in where]
     paths = kernel.paths(where, c)
     expected = (kernel(X, where) @ np.hstack(c).T).reshape(3, len(X), 2).transpose(2, 1, 0)
     np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-10)
-    derivative = [[kernel.block_derivative(i, j, X, x) @ c[j].T for j, x in enumerate(where)] for i in range(3)]
+    derivative = [
+        [kernel.block_derivative(i, j, X, x) @ c[j].T for j, x in enumerate(where)]
+        for i in range(3)
+    ]
     slopes = np.stack([sum(blocks) for blocks in derivative]).transpose(3, 2, 0, 1)
     np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("kernel", [make_kernel(), trend() + make_kernel("full")], ids=["dependent", "trend + full"])
+@pytest.mark.parametrize(
+    "kernel", [make_kernel(), trend() + make_kernel("full")], ids=["dependent", "trend + full"]
+)
 class TestBundle:
     def bundle(self, kernel):
         where = [X, X[:2], X[:0]]
@@ -109,7 +122,9 @@ class TestBundle:
         bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
         for function in (bundle.each, bundle.gradient):
             for k in range(5):
-                np.testing.assert_allclose(function(own)[k], function(own[k][None])[k], rtol=1e-10, atol=1e-11)
+                np.testing.assert_allclose(
+                    function(own)[k], function(own[k][None])[k], rtol=1e-10, atol=1e-11
+                )
 
     def test_chunks_make_no_difference(self, kernel, monkeypatch):
         bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
@@ -121,7 +136,9 @@ class TestBundle:
 
 def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
     """One wave is enough: its amplitude is of Rayleigh, its phase uniform."""
-    kernel = ConvolvedGaussian(2, covariance_type="tied", amplitude=np.ones((4, 2)), length_scale=[[[0.5, 2.0]]])
+    kernel = ConvolvedGaussian(
+        2, covariance_type="tied", amplitude=np.ones((4, 2)), length_scale=[[[0.5, 2.0]]]
+    )
     paths = kernel.prior_paths(5000, 1, np.random.RandomState(0)).values(X[None])
     for values in paths[:, 0].T / np.sqrt(3.0):
         assert kstest(values, "norm").pvalue > 0.01
@@ -130,7 +147,9 @@ def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
 def test_more_waves_make_paths_more_gaussian():
     """Of outputs of different widths; the excess kurtosis falls as one over the number of waves."""
     lengths = 2.0 * np.exp(np.random.default_rng(0).normal(0, 0.5, (1, 4, 6)))
-    kernel = ConvolvedGaussian(1, private_latents=False, amplitude=np.ones((1, 4)), length_scale=lengths)
+    kernel = ConvolvedGaussian(
+        1, private_latents=False, amplitude=np.ones((1, 4)), length_scale=lengths
+    )
     points = np.random.default_rng(1).normal(size=(1, 8, 6))
 
     def kurtosis(n_frequencies):

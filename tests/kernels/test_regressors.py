@@ -18,7 +18,9 @@ def rng():
 def data():
     rng = np.random.default_rng(1)
     X = rng.uniform(-1, 1, (80, 3)) * [1.0, 50.0, 1e-3]
-    Y = np.column_stack([np.sin(3 * X[:, 0]), X[:, 0] ** 2 + X[:, 1] / 50]) + rng.normal(0, 0.05, (80, 2))
+    Y = np.column_stack([np.sin(3 * X[:, 0]), X[:, 0] ** 2 + X[:, 1] / 50]) + rng.normal(
+        0, 0.05, (80, 2)
+    )
     return X, Y
 
 
@@ -58,10 +60,18 @@ def test_initialize_fixes_the_others_in_their_units(given, data):
 def test_every_kind_of_inference_ignores_the_others(inference, data):
     X, Y = data
     kernel = LinearTrend() + ConvolvedGaussian(0, regressors=[0])
-    options = {"trend": None, "inference": inference, "n_inducing": 20, "max_iter": 15, "random_state": 0}
+    options = {
+        "trend": None,
+        "inference": inference,
+        "n_inducing": 20,
+        "max_iter": 15,
+        "random_state": 0,
+    }
     model = DependentGPRegressor(kernel, **options).fit(X, Y)
     assert model.score(X, Y) > 0.95
-    lines = model.predict(X) - model.predict(X * [1, 0, 0])  # what is left is the trend in the others
+    lines = model.predict(X) - model.predict(
+        X * [1, 0, 0]
+    )  # what is left is the trend in the others
     basis = np.column_stack([X[:, 1:], np.ones(len(X))])
     np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, lines)[0], lines, atol=1e-6)
     paths = model.sample_paths(3, 0)

@@ -62,7 +62,10 @@ def reference(metric, y, mean, std):
         spread = sum((a - centre) ** 2 for a, _, _ in seen)
         return math.sqrt(sum((a - b) ** 2 for a, b, _ in seen) / spread)
     if metric is negative_log_predictive_density:
-        return sum(0.5 * math.log(2 * math.pi * c**2) + (a - b) ** 2 / (2 * c**2) for a, b, c in seen) / n
+        return (
+            sum(0.5 * math.log(2 * math.pi * c**2) + (a - b) ** 2 / (2 * c**2) for a, b, c in seen)
+            / n
+        )
     if metric is continuous_ranked_probability_score:
         return sum(ranked_probability(a, b, c) for a, b, c in seen) / n
     return sum(abs(a - b) < 1.959963984540054 * c for a, b, c in seen) / n
@@ -71,7 +74,9 @@ def reference(metric, y, mean, std):
 def ranked_probability(y, mean, std):
     """The integral of (F(x) - 1{x >= y})^2 that defines the score, by the trapezium rule."""
     low, high = np.linspace(mean - 12 * std, y, 4001), np.linspace(y, mean + 12 * std, 4001)
-    return np.trapezoid(norm.cdf(low, mean, std) ** 2, low) + np.trapezoid(norm.sf(high, mean, std) ** 2, high)
+    return np.trapezoid(norm.cdf(low, mean, std) ** 2, low) + np.trapezoid(
+        norm.sf(high, mean, std) ** 2, high
+    )
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -85,9 +90,13 @@ class TestEveryMetric:
             for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
         ]
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
-        rtol = 1e-5 if metric is continuous_ranked_probability_score else 1e-12  # its reference is an integral
+        rtol = (
+            1e-5 if metric is continuous_ranked_probability_score else 1e-12
+        )  # its reference is an integral
         np.testing.assert_allclose(got, expected, rtol=rtol)
-        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), rel=rtol)
+        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(
+            np.mean(expected), rel=rtol
+        )
         weights = [1.0, 0.0, 3.0]
         weighted = metric(*arguments(metric, y, mean, std), multioutput=weights)
         assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=rtol)
@@ -97,7 +106,9 @@ class TestEveryMetric:
         flat = metric(*(a.ravel() for a in arguments(metric, y, mean, std)))
         assert isinstance(flat, float)
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(flat, rel=1e-12)
-        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(flat, rel=1e-12)
+        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(
+            flat, rel=1e-12
+        )
 
     def test_output_never_observed(self, metric):
         y, mean, std = sample()
@@ -141,13 +152,19 @@ class TestMeaning:
 
     def test_log_density_is_least_at_the_true_deviation(self):
         error = np.random.default_rng(0).normal(0, 0.3, 20_000)
-        at = [negative_log_predictive_density(error, 0 * error, 0 * error + s) for s in (0.25, 0.3, 0.36)]
+        at = [
+            negative_log_predictive_density(error, 0 * error, 0 * error + s)
+            for s in (0.25, 0.3, 0.36)
+        ]
         assert at[1] == min(at)
         assert at[1] == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.09), abs=0.02)
 
     def test_ranked_probability_is_proper_and_in_units_of_the_output(self):
         error = np.random.default_rng(0).normal(0, 0.3, 20_000)
-        at = [continuous_ranked_probability_score(error, 0 * error, 0 * error + s) for s in (0.25, 0.3, 0.36)]
+        at = [
+            continuous_ranked_probability_score(error, 0 * error, 0 * error + s)
+            for s in (0.25, 0.3, 0.36)
+        ]
         assert at[1] == min(at)
         assert at[1] == pytest.approx(0.3 / math.sqrt(math.pi), rel=0.01)
         scaled = continuous_ranked_probability_score(1e3 * error, 0 * error, 0 * error + 300)
@@ -172,8 +189,14 @@ class TestCoverageCurve:
     def test_every_cell_is_the_coverage_at_its_level(self):
         y, mean, std = sample(60)
         y[::5, 1] = np.nan
-        curve = coverage_curve(pd.DataFrame(y, columns=["CX", "CZ", "Cm"]), mean, std, levels=[0.9, 0.5])
-        assert (curve.index.name, curve.index.tolist(), list(curve)) == ("level", [0.5, 0.9], ["CX", "CZ", "Cm"])
+        curve = coverage_curve(
+            pd.DataFrame(y, columns=["CX", "CZ", "Cm"]), mean, std, levels=[0.9, 0.5]
+        )
+        assert (curve.index.name, curve.index.tolist(), list(curve)) == (
+            "level",
+            [0.5, 0.9],
+            ["CX", "CZ", "Cm"],
+        )
         for level in (0.5, 0.9):
             expected = interval_coverage(y, mean, std, level=level, multioutput="raw_values")
             np.testing.assert_allclose(curve.loc[level], expected, rtol=1e-9, atol=1e-10)
@@ -208,12 +231,16 @@ class TwoOutputs(NoisyModel):
 class TestScorers:
     def test_noise_is_asked_for_through_pipelines_and_searches(self):
         X, y = np.zeros((50, 1)) + np.arange(50)[:, None], np.full(50, 1.5)
-        covers = make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True, level=0.68)
+        covers = make_predictive_scorer(
+            interval_coverage, greater_is_better=True, needs_std=True, level=0.68
+        )
         model = NoisyModel()
         pipeline = make_pipeline(StandardScaler(), make_pipeline(StandardScaler(), model))
         search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True]}, cv=2, scoring=covers)
         for estimator in (model, pipeline, search):
-            assert covers(clone(estimator).fit(X, y), X, y) == 1.0  # 1.5 lies inside 0.994 * 2, not inside 0.994
+            assert (
+                covers(clone(estimator).fit(X, y), X, y) == 1.0
+            )  # 1.5 lies inside 0.994 * 2, not inside 0.994
 
     def test_all_scorers_with_groups_and_missing_targets(self):
         rng = np.random.default_rng(0)
@@ -221,9 +248,17 @@ class TestScorers:
         y = np.sin(X).ravel() + rng.normal(0, 0.1, 60)
         model = make_pipeline(StandardScaler(), GaussianProcessRegressor(RBF() + WhiteKernel(0.01)))
         scores = cross_validate(
-            model, X, y, scoring=SCORERS, cv=GroupKFold(3), groups=np.repeat([0, 1, 2], 20), error_score="raise"
+            model,
+            X,
+            y,
+            scoring=SCORERS,
+            cv=GroupKFold(3),
+            groups=np.repeat([0, 1, 2], 20),
+            error_score="raise",
         )
-        assert {name for name in scores if name.startswith("test_")} == {f"test_{name}" for name in SCORERS}
+        assert {name for name in scores if name.startswith("test_")} == {
+            f"test_{name}" for name in SCORERS
+        }
         assert (scores["test_neg_normalized_rmse"] > -0.5).all()
         assert (scores["test_log_predictive_density"] > -1).all()
         holes = y.copy()
@@ -236,14 +271,23 @@ class TestScorers:
     def test_scores_of_every_output_by_name(self):
         X = np.random.default_rng(0).normal(size=(40, 2))
         Y = pd.DataFrame(X, columns=["CX", "Cm"])
-        scores = cross_validate(LinearRegression(), X, Y, scoring=score_outputs, cv=3, error_score="raise")
+        scores = cross_validate(
+            LinearRegression(), X, Y, scoring=score_outputs, cv=3, error_score="raise"
+        )
         assert "test_normalized_rmse_Cm" in scores
         scored = score_outputs(NoisyModel().fit(X, X[:, 0]), X, X[:, 0])
         assert set(scored) == {f"{metric.__name__}_0" for metric in METRICS}
-        assert scored["interval_coverage_0"] == interval_coverage(X[:, 0], np.zeros(40), np.full(40, 2.0))
+        assert scored["interval_coverage_0"] == interval_coverage(
+            X[:, 0], np.zeros(40), np.full(40, 2.0)
+        )
 
     def test_scores_of_every_flight(self):
-        X = pd.DataFrame({"x": np.random.default_rng(0).normal(size=60), "flight": ["late"] * 20 + ["early"] * 40})
+        X = pd.DataFrame(
+            {
+                "x": np.random.default_rng(0).normal(size=60),
+                "flight": ["late"] * 20 + ["early"] * 40,
+            }
+        )
         Y = pd.DataFrame({"CX": X["x"], "Cm": 2 * X["x"]})
         Y.loc[X["flight"] == "late", "Cm"] = np.nan
         Y.index = X.index = np.arange(100, 160)
@@ -256,8 +300,12 @@ class TestScorers:
         rows = (X["flight"] == "early").to_numpy()
         zeros = np.zeros((40, 2))
         for metric in METRICS:
-            expected = metric(*arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values")
-            np.testing.assert_allclose(scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10)
+            expected = metric(
+                *arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values"
+            )
+            np.testing.assert_allclose(
+                scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10
+            )
         with pytest.raises(ValueError, match="lacks the columns 'flight'"):
             score_flights(TwoOutputs().fit(X, Y), X[["x"]], Y)
 
@@ -272,7 +320,10 @@ class TestScorers:
                 return super().predict(X, **words)
 
         center = FunctionTransformer(lambda X: X - X.mean())
-        for model in (make_pipeline(center, Watched()), make_pipeline(make_pipeline(center, center), Watched())):
+        for model in (
+            make_pipeline(center, Watched()),
+            make_pipeline(make_pipeline(center, center), Watched()),
+        ):
             for scorer in (*SCORERS.values(), score_outputs):
                 scorer(model.fit(X, X[:, 0]), X, y)
         assert len(asked) == 12
@@ -284,13 +335,17 @@ class TestScorers:
         y = np.where(np.arange(50) % 5 == 1, X[:, 0], np.nan)
         center = FunctionTransformer(lambda X: X - X.mean())  # feels which rows it is given
         inner = make_pipeline(center, LinearRegression())
-        model = make_pipeline(FunctionTransformer(), TransformedTargetRegressor(inner)).fit(X, X[:, 0])
+        model = make_pipeline(FunctionTransformer(), TransformedTargetRegressor(inner)).fit(
+            X, X[:, 0]
+        )
         for estimator in (model, model[-1]):
             assert SCORERS["neg_normalized_rmse"](estimator, X, y) == pytest.approx(0, abs=1e-9)
 
     def test_scores_see_through_a_frozen_estimator(self):
         X = np.arange(10.0)[:, None]
-        frozen = FrozenEstimator(make_pipeline(StandardScaler(), GaussianProcessRegressor(alpha=0.1)).fit(X, X[:, 0]))
+        frozen = FrozenEstimator(
+            make_pipeline(StandardScaler(), GaussianProcessRegressor(alpha=0.1)).fit(X, X[:, 0])
+        )
         assert np.isfinite(SCORERS["log_predictive_density"](frozen, X, X[:, 0]))
 
     def test_std_is_demanded(self):

@@ -7,7 +7,9 @@ import pytest
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft
 
-AIRCRAFT = Aircraft(name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+AIRCRAFT = Aircraft(
+    name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
 
 
 def make_flights(names=("a", "b"), n=300, seed=0):
@@ -21,7 +23,9 @@ def make_flights(names=("a", "b"), n=300, seed=0):
             table[column] = 0.1 * np.sin((0.7 + 0.31 * j) * t + k + j) + 0.002 * rng.normal(size=n)
         tables.append(table)
     table = pd.concat(tables, ignore_index=True)
-    Y = pd.DataFrame({"CZ": -0.1 - 4 * table["alpha"], "Cm": -0.5 * table["alpha"] - 0.6 * table["elevator"]})
+    Y = pd.DataFrame(
+        {"CZ": -0.1 - 4 * table["alpha"], "Cm": -0.5 * table["alpha"] - 0.6 * table["elevator"]}
+    )
     return table, Y + rng.normal(0, [0.01, 0.003], Y.shape)
 
 

@@ -15,7 +15,10 @@ from skdgp.preprocessing import FlightSmoother
 
 def clock(lengths=(200, 90), step=0.1):
     """Flights of some rows, one after the other, none beginning at zero."""
-    tables = [pd.DataFrame({"time": 100.0 * k + step * np.arange(n), "flight": f"f{k}"}) for k, n in enumerate(lengths)]
+    tables = [
+        pd.DataFrame({"time": 100.0 * k + step * np.arange(n), "flight": f"f{k}"})
+        for k, n in enumerate(lengths)
+    ]
     return pd.concat(tables, ignore_index=True)
 
 
@@ -44,10 +47,14 @@ class TestWhatIsHeldOut:
     def test_flights_interleaved_or_named_by_groups_are_cut_the_same(self, n_splits, gap):
         table = clock()
         expected = list(BlockSplit(n_splits, gap=gap).split(table))
-        by_groups = BlockSplit(n_splits, gap=gap).split(table.drop(columns="flight"), groups=table["flight"])
+        by_groups = BlockSplit(n_splits, gap=gap).split(
+            table.drop(columns="flight"), groups=table["flight"]
+        )
         order = np.argsort(table["time"] % 100, kind="stable")
         mixed = BlockSplit(n_splits, gap=gap).split(table.iloc[order])
-        for (train, test), named, (mixed_train, mixed_test) in zip(expected, by_groups, mixed, strict=True):
+        for (train, test), named, (mixed_train, mixed_test) in zip(
+            expected, by_groups, mixed, strict=True
+        ):
             np.testing.assert_array_equal(named[0], train)
             np.testing.assert_array_equal(named[1], test)
             np.testing.assert_array_equal(np.sort(order[mixed_train]), train)
@@ -58,11 +65,17 @@ class TestProtocol:
     @pytest.mark.parametrize("routing", [True, False])
     def test_groups_with_and_without_routing(self, flights, model, routing):
         table, Y = flights()
-        words = {"params" if routing else "groups": {"groups": table["flight"]} if routing else table["flight"]}
+        words = {
+            "params" if routing else "groups": {"groups": table["flight"]}
+            if routing
+            else table["flight"]
+        }
         with sklearn.config_context(enable_metadata_routing=routing):
             model = clone(model).set_params(dependentgpregressor=LinearRegression())
             for more in (words, {}):
-                found = cross_validate(model, table, Y, cv=BlockSplit(3), error_score="raise", **more)
+                found = cross_validate(
+                    model, table, Y, cv=BlockSplit(3), error_score="raise", **more
+                )
                 assert (found["test_score"] > 0.9).all()
 
     @pytest.mark.parametrize(
@@ -127,11 +140,17 @@ class TestHoles:
 
 
 class TestWholePipeline:
-    @pytest.mark.parametrize("cv", [BlockSplit(3, gap=0.5), LeaveOneGroupOut()], ids=["blocks", "flights"])
+    @pytest.mark.parametrize(
+        "cv", [BlockSplit(3, gap=0.5), LeaveOneGroupOut()], ids=["blocks", "flights"]
+    )
     def test_cross_validate_with_thinned_targets(self, flights, model, cv):
         table, Y = flights()
         found = cross_validate(
-            *(model, table, thin_targets(Y, 60)), groups=table["flight"], cv=cv, scoring=SCORERS, error_score="raise"
+            *(model, table, thin_targets(Y, 60)),
+            groups=table["flight"],
+            cv=cv,
+            scoring=SCORERS,
+            error_score="raise",
         )
         n = cv.get_n_splits(table, groups=table["flight"])
         for name in SCORERS:
@@ -146,4 +165,8 @@ class TestWholePipeline:
         for k, (train, test) in enumerate(BlockSplit(2).split(table)):
             fitted = clone(model).fit(table.iloc[train], thin.iloc[train])
             by_hand = score_outputs(fitted, table.iloc[test], thin.iloc[test])
-            assert by_hand == {name.removeprefix("test_"): found[name][k] for name in found if name.startswith("test_")}
+            assert by_hand == {
+                name.removeprefix("test_"): found[name][k]
+                for name in found
+                if name.startswith("test_")
+            }

@@ -17,16 +17,24 @@ COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 @pytest.fixture(scope="module")
 def build():
-    X = pd.DataFrame(np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"])
+    X = pd.DataFrame(
+        np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"]
+    )
     Y = pd.DataFrame({name: np.sin(5 * X["alpha"]) - X["throttle"] for name in COEFFICIENTS})
     Y["Cm"] += 20 * X["alpha"] * X["throttle"]
-    model = DependentGPRegressor(ConvolvedGaussian(1, private_latents=False), optimizer=None).fit(X, Y)
-    aircraft = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    model = DependentGPRegressor(ConvolvedGaussian(1, private_latents=False), optimizer=None).fit(
+        X, Y
+    )
+    aircraft = Aircraft(
+        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
+    )
     return build_up(model, aircraft, max_loss=np.inf)
 
 
 def test_draws_effects_and_maps(build):
-    display = BuildUpDisplay.from_build_up(build, ax=Figure(), level=0.9, n_grid=9, outputs=["CZ", "Cm"])
+    display = BuildUpDisplay.from_build_up(
+        build, ax=Figure(), level=0.9, n_grid=9, outputs=["CZ", "Cm"]
+    )
     assert display.axes_.shape == (2, 3)
     assert [ax.get_ylabel() for ax in display.axes_[:, 0]] == ["$C_Z$", "$C_m$"]
     assert [ax.get_xlabel() for ax in display.axes_[-1, :2]] == ["$\\alpha$\n[deg]", "throttle"]

@@ -12,13 +12,28 @@ from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
 # Linear RGB as dichromats see it: Machado, Oliveira & Fernandes (2009), severity 1.
 VISION = {
     "trichromat": np.eye(3),
-    "protanope": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranope": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-    "tritanope": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    "protanope": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranope": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanope": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
 }
 # IEC 61966-2-1 (sRGB), white D65.
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-LIGHT, DARK = (dict(re.findall(r"--(\w+): (#\w{6})", rules)) for rules in re.findall(r":root \{(.*?)\}", STYLE, re.S))
+LIGHT, DARK = (
+    dict(re.findall(r"--(\w+): (#\w{6})", rules))
+    for rules in re.findall(r":root \{(.*?)\}", STYLE, re.S)
+)
 
 
 def linear(colour):
@@ -40,12 +55,19 @@ def contrast(one, other):
 
 
 def distances(colours, vision):
-    return {pair: np.linalg.norm(lab(pair[0], vision) - lab(pair[1], vision)) for pair in combinations(colours, 2)}
+    return {
+        pair: np.linalg.norm(lab(pair[0], vision) - lab(pair[1], vision))
+        for pair in combinations(colours, 2)
+    }
 
 
 def test_the_measure_knows_black_white_and_what_a_protanope_confuses():
-    assert np.linalg.norm(lab("#ffffff", "trichromat") - lab("#000000", "trichromat")) == pytest.approx(100, abs=0.01)
-    red_and_olive = [np.linalg.norm(lab("#a00000", v) - lab("#4d4d00", v)) for v in ("trichromat", "protanope")]
+    assert np.linalg.norm(
+        lab("#ffffff", "trichromat") - lab("#000000", "trichromat")
+    ) == pytest.approx(100, abs=0.01)
+    red_and_olive = [
+        np.linalg.norm(lab("#a00000", v) - lab("#4d4d00", v)) for v in ("trichromat", "protanope")
+    ]
     assert red_and_olive[1] < 0.5 * red_and_olive[0]
     assert contrast("#000000", "#ffffff") == pytest.approx(21)
 
@@ -56,7 +78,10 @@ def test_measured_estimated_and_truth_are_far_apart(vision):
     lines = [ROLES["measured"], ROLES["mean"], ROLES["truth"]]
     assert min(distances(lines, vision).values()) > 20
     for page in (LIGHT, DARK):
-        assert min(distances([page["measured"], page["blue"], page["vermillion"]], vision).values()) > 20
+        assert (
+            min(distances([page["measured"], page["blue"], page["vermillion"]], vision).values())
+            > 20
+        )
 
 
 @pytest.mark.parametrize("vision", VISION)

@@ -17,7 +17,10 @@ def sampler(n_paths, random_state):
 
 
 def coefficients(X):
-    return np.stack([0.4 * X[..., 0] ** 2, *(0 * X[..., 0],) * 5], axis=-1) - 4.5 * X[..., :1] * np.eye(6)[2]
+    return (
+        np.stack([0.4 * X[..., 0] ** 2, *(0 * X[..., 0],) * 5], axis=-1)
+        - 4.5 * X[..., :1] * np.eye(6)[2]
+    )
 
 
 def slopes(X):
@@ -28,7 +31,9 @@ def slopes(X):
 
 @pytest.fixture
 def sweep():
-    aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
+    aircraft = Aircraft(
+        mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5
+    )
     states = np.zeros((4, 13))
     states[:, 3:6], states[:, 6] = air_velocity(20.0, ALPHAS, 0.0), 1.0
     model = Aerodynamics(coefficients, ["alpha", "elevon_left"], gradient=slopes, sampler=sampler)
@@ -36,7 +41,9 @@ def sweep():
 
 
 def test_lines_and_bands_are_those_of_the_table_in_order(sweep):
-    display = DerivativeDisplay.from_sweep(sweep, over="alpha", derivatives=["CX_alpha"], ax=Figure())
+    display = DerivativeDisplay.from_sweep(
+        sweep, over="alpha", derivatives=["CX_alpha"], ax=Figure()
+    )
     x, y = display.lines_[0].get_data()
     assert x == pytest.approx(np.rad2deg(np.sort(ALPHAS)))
     assert y == pytest.approx(0.8 * np.sort(ALPHAS))
@@ -49,7 +56,9 @@ def test_lines_and_bands_are_those_of_the_table_in_order(sweep):
 def test_draws_the_best_known_by_default_and_any_name(sweep):
     display = DerivativeDisplay.from_sweep(sweep, over="alpha", ax=Figure())
     assert display.names == ("CL_alpha", "CD_alpha", "Cm_alpha")
-    display = DerivativeDisplay.from_sweep(sweep, over="alpha", derivatives=["Cn_elevon_left", "CL"], ax=Figure())
+    display = DerivativeDisplay.from_sweep(
+        sweep, over="alpha", derivatives=["Cn_elevon_left", "CL"], ax=Figure()
+    )
     display.figure_.canvas.draw()
     labels = [ax.get_ylabel() for ax in display.axes_.flat]
     assert labels == [r"$C_{n_{\mathrm{elevon\_left}}}$", "$C_L$"]

@@ -53,7 +53,9 @@ def flight(n=400, seed=0):
 
 def coefficients(n, ax, corrupt=lambda values: values):
     time, measured, mean, std = outputs(n)
-    return CoefficientDisplay.from_predictions(time, corrupt(measured), mean, std, truth=mean, ax=ax)
+    return CoefficientDisplay.from_predictions(
+        time, corrupt(measured), mean, std, truth=mean, ax=ax
+    )
 
 
 def states(n, ax, corrupt=lambda values: values):
@@ -63,7 +65,9 @@ def states(n, ax, corrupt=lambda values: values):
 
 def replayed(time, measured, mean, std=None, window=0, **options):
     """Return the display of states as `replay` and a flight hold them."""
-    table, flight = (pd.DataFrame(values, columns=["v_east", "p", "r"]) for values in (mean, measured))
+    table, flight = (
+        pd.DataFrame(values, columns=["v_east", "p", "r"]) for values in (mean, measured)
+    )
     table = table.assign(time=time, window=window, horizon=10.0)
     if std is not None:
         table[["v_east_std", "p_std", "r_std"]] = std
@@ -137,7 +141,9 @@ def n_points(display):
     display.figure_.canvas.draw()
     artists = [artist for ax in display.figure_.axes for artist in ax.get_children()]
     lines = sum(len(artist.get_xdata()) for artist in artists if isinstance(artist, Line2D))
-    areas = [one for artist in artists if isinstance(artist, Collection) for one in artist.get_paths()]
+    areas = [
+        one for artist in artists if isinstance(artist, Collection) for one in artist.get_paths()
+    ]
     areas += [artist.get_path() for artist in artists if isinstance(artist, PathPatch)]
     return lines + sum(len(area.vertices) for area in areas)
 
@@ -145,7 +151,9 @@ def n_points(display):
 def assert_drawn(display, full):
     """Assert that a display has the panels and labels of another one, and finite limits."""
     display.figure_.draw_without_rendering()
-    panels, others = ([ax for ax in one.figure_.axes if ax.get_visible()] for one in (display, full))
+    panels, others = (
+        [ax for ax in one.figure_.axes if ax.get_visible()] for one in (display, full)
+    )
     assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in panels] == [
         (ax.get_xlabel(), ax.get_ylabel()) for ax in others
     ]
@@ -207,7 +215,9 @@ def test_panels_go_into_given_axes(make):
 class TestCoefficients:
     def test_lines_are_the_data(self):
         time, measured, mean, std = outputs()
-        display = CoefficientDisplay.from_predictions(time, measured, mean, std, truth=2 * mean, ax=Figure())
+        display = CoefficientDisplay.from_predictions(
+            time, measured, mean, std, truth=2 * mean, ax=Figure()
+        )
         for k in range(6):
             np.testing.assert_array_equal(display.measured_[k].get_ydata(), measured[:, k])
             np.testing.assert_array_equal(display.mean_[k].get_ydata(), mean[:, k])
@@ -217,11 +227,15 @@ class TestCoefficients:
 
     def test_the_band_is_the_interval(self):
         time, measured, mean, std = outputs()
-        display = CoefficientDisplay.from_predictions(time, measured, mean, std, level=0.9, ax=Figure())
+        display = CoefficientDisplay.from_predictions(
+            time, measured, mean, std, level=0.9, ax=Figure()
+        )
         corners = display.bands_[1].get_path().vertices
         upper = mean[:, 1] + norm.ppf(0.95) * std[:, 1]
         np.testing.assert_allclose(corners[: len(time), 1], upper)
-        np.testing.assert_allclose(corners[len(time) : 2 * len(time), 1][::-1], 2 * mean[:, 1] - upper)
+        np.testing.assert_allclose(
+            corners[len(time) : 2 * len(time), 1][::-1], 2 * mean[:, 1] - upper
+        )
 
     def test_residuals(self):
         time, measured, mean, std = outputs()
@@ -270,7 +284,10 @@ class TestCoefficients:
             CoefficientDisplay.from_estimator(
                 model, None, measured, time=time, include_noise=include_noise, ax=Figure()
             )
-        assert asked == [{"return_std": True}, {"return_std": True, "include_noise": True, "include_input_noise": True}]
+        assert asked == [
+            {"return_std": True},
+            {"return_std": True, "include_noise": True, "include_input_noise": True},
+        ]
 
     @pytest.mark.parametrize(
         ("change", "message"),
@@ -288,7 +305,14 @@ class TestCoefficients:
     )
     def test_says_what_is_wrong(self, change, message):
         time, measured, mean, std = outputs()
-        given = {"time": time, "measured": measured, "mean": mean, "std": std, "ax": Figure(), **change}
+        given = {
+            "time": time,
+            "measured": measured,
+            "mean": mean,
+            "std": std,
+            "ax": Figure(),
+            **change,
+        }
         with pytest.raises(ValueError, match=message):
             CoefficientDisplay.from_predictions(**given)
 
@@ -312,7 +336,13 @@ class TestStates:
 
     def trajectory(self, time, horizon):
         window = (time // horizon).astype(int)
-        columns = {"time": time, "horizon": horizon, "window": window, "p": np.cos(time), "p_std": 0.1}
+        columns = {
+            "time": time,
+            "horizon": horizon,
+            "window": window,
+            "p": np.cos(time),
+            "p_std": 0.1,
+        }
         return pd.DataFrame(columns)
 
     def test_from_replay_takes_the_longest_horizon_or_the_one_asked_for(self):
@@ -334,7 +364,9 @@ class TestCalibration:
     def test_coverage_against_the_definition(self):
         _, measured, mean, std = outputs(300)
         measured[::7, 2] = np.nan
-        display = CalibrationDisplay.from_predictions(measured, mean, std, levels=[0.5, 0.95], ax=Figure())
+        display = CalibrationDisplay.from_predictions(
+            measured, mean, std, levels=[0.5, 0.95], ax=Figure()
+        )
         for row, level in enumerate([0.5, 0.95]):
             half = norm.ppf((1 + level) / 2) * std
             for k in range(6):
@@ -350,7 +382,9 @@ class TestCalibration:
             asked.append(words)
             return mean, std
 
-        CalibrationDisplay.from_estimator(SimpleNamespace(predict=predict), None, measured, ax=Figure())
+        CalibrationDisplay.from_estimator(
+            SimpleNamespace(predict=predict), None, measured, ax=Figure()
+        )
         assert asked == [{"return_std": True, "include_noise": True, "include_input_noise": True}]
 
     def test_transform_against_the_definition(self):
@@ -375,7 +409,9 @@ class TestCoupling:
     MATRIX = np.array([[1.0, -0.456], [-0.456, 1.0]])
 
     def test_cells_are_coloured_and_written(self):
-        display = CouplingDisplay.from_correlation(self.MATRIX, output_names=["CZ", "Cm"], ax=Figure())
+        display = CouplingDisplay.from_correlation(
+            self.MATRIX, output_names=["CZ", "Cm"], ax=Figure()
+        )
         np.testing.assert_array_equal(display.image_.get_array().reshape(2, 2), self.MATRIX)
         assert display.image_.get_clim() == (-1, 1)
         assert display.text_[0, 1].get_text() == "−0.46"
@@ -396,7 +432,8 @@ class TestCoupling:
             assert display.output_names == ("a", "b")
 
     @pytest.mark.parametrize(
-        ("matrix", "message"), [(np.ones((2, 3)), r"expected \(P, P\)"), (2 * np.eye(2), "at most 1")]
+        ("matrix", "message"),
+        [(np.ones((2, 3)), r"expected \(P, P\)"), (2 * np.eye(2), "at most 1")],
     )
     def test_says_what_is_wrong(self, matrix, message):
         with pytest.raises(ValueError, match=message):
@@ -405,7 +442,9 @@ class TestCoupling:
 
 class TestFlight:
     def test_one_column_per_flight_and_one_row_per_input(self):
-        display = FlightDisplay.from_flights({"train": flight(), "test": flight(200, seed=1)}, ax=Figure())
+        display = FlightDisplay.from_flights(
+            {"train": flight(), "test": flight(200, seed=1)}, ax=Figure()
+        )
         assert [ax.get_title(loc="left") for ax in display.axes_[0]] == ["train", "test"]
         labels = [ax.get_ylabel() for ax in display.axes_[:, 0]]
         assert labels == ["throttle", "elevator [deg]", "aileron [deg]", "rudder [deg]"]
@@ -423,22 +462,30 @@ class TestFlight:
     def test_velocities_are_integrated_to_a_circle(self):
         n = 4000
         t = np.linspace(0, 10 * np.pi, n)
-        table = pd.DataFrame({"time": t, "v_north": 40 * np.cos(t / 5), "v_east": 40 * np.sin(t / 5)})
-        display = FlightDisplay.from_flights({"a": table}, kind="path", color_by="flight", ax=Figure())
+        table = pd.DataFrame(
+            {"time": t, "v_north": 40 * np.cos(t / 5), "v_east": 40 * np.sin(t / 5)}
+        )
+        display = FlightDisplay.from_flights(
+            {"a": table}, kind="path", color_by="flight", ax=Figure()
+        )
         east, north = display.lines_[0].get_data()
         np.testing.assert_allclose(np.hypot(north, east - 200), 200, rtol=1e-4)
         assert len(east) <= 600
 
     def test_recorded_positions_are_taken(self):
         table = flight().assign(north=np.arange(400.0) + 7, east=np.arange(400.0) * 2)
-        display = FlightDisplay.from_flights({"a": table}, kind="path", color_by="flight", ax=Figure())
+        display = FlightDisplay.from_flights(
+            {"a": table}, kind="path", color_by="flight", ax=Figure()
+        )
         assert display.lines_[0].get_ydata()[0] == 7
         assert display.lines_[0].get_xdata()[-1] == 798
 
     def test_any_name_may_be_drawn(self):
         names = ["$x^", "_hidden", "a & <b>"]
         for kind in ("inputs", "path"):
-            display = FlightDisplay.from_flights({name: flight(50) for name in names}, kind=kind, ax=Figure())
+            display = FlightDisplay.from_flights(
+                {name: flight(50) for name in names}, kind=kind, ax=Figure()
+            )
             display.figure_.canvas.draw()
         assert len(display.axes_[0, 0].get_legend().texts) == 3
 
@@ -450,8 +497,16 @@ class TestFlight:
             ({"a": flight()[["time"]]}, {}, "without any of"),
             ({"a": flight()[["time"]]}, {"kind": "path"}, "lacks the columns 'v_north'"),
             ({"a": flight()}, {"kind": "speed"}, "expected 'inputs' or 'path'"),
-            ({"a": flight()}, {"kind": "path", "color_by": "speed"}, "expected 'flight', 'altitude' or 'time'"),
-            ({"a": flight().drop(columns="altitude")}, {"kind": "path", "color_by": "altitude"}, "without that column"),
+            (
+                {"a": flight()},
+                {"kind": "path", "color_by": "speed"},
+                "expected 'flight', 'altitude' or 'time'",
+            ),
+            (
+                {"a": flight().drop(columns="altitude")},
+                {"kind": "path", "color_by": "altitude"},
+                "without that column",
+            ),
         ],
     )
     def test_says_what_is_wrong(self, flights, options, message):

@@ -14,7 +14,9 @@ from skdgp.plotting import EffectsDisplay
 
 @pytest.fixture(scope="module")
 def model():
-    X = pd.DataFrame(np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"])
+    X = pd.DataFrame(
+        np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"]
+    )
     Y = pd.DataFrame({"CZ": -4 * X["alpha"], "Cm": np.sin(5 * X["alpha"]) - X["throttle"]})
     return DependentGPRegressor(structure="additive", n_latent=0, optimizer=None).fit(X, Y)
 
@@ -30,7 +32,9 @@ def test_draws_a_row_for_each_output_and_a_column_for_each_regressor(model):
     upper = display.bands_[3].get_paths()[0].vertices[:, 1].max()
     assert upper == pytest.approx((y + norm.ppf(0.95) * found.curves["alpha"].std[:, 1]).max())
     (bar,) = display.bars_[2]
-    assert bar.get_height() == pytest.approx(2 * norm.ppf(0.95) * found.importance.loc["joint", "CZ"])
+    assert bar.get_height() == pytest.approx(
+        2 * norm.ppf(0.95) * found.importance.loc["joint", "CZ"]
+    )
     for row in display.axes_:
         assert len({ax.get_ylim() for ax in row}) == 1
 

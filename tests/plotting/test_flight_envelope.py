@@ -23,7 +23,9 @@ def flown(n=80, seed=0, spread=0.05):
 def targets(table):
     """Two outputs with noise: without it their deviations are small differences of large variances."""
     noise = 0.01 * np.random.default_rng(9).normal(size=(len(table), 2))
-    return noise + np.column_stack([np.sin(10 * table["alpha"]), np.cos(10 * table["beta"]) + table["elevator"]])
+    return noise + np.column_stack(
+        [np.sin(10 * table["alpha"]), np.cos(10 * table["beta"]) + table["elevator"]]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,9 @@ def model():
 
 @pytest.fixture(scope="module")
 def display(model):
-    return EnvelopeDisplay.from_estimator(model, flown(), flight=flown(4000, 1, 0.08), n_grid=5, ax=Figure((9, 6)))
+    return EnvelopeDisplay.from_estimator(
+        model, flown(), flight=flown(4000, 1, 0.08), n_grid=5, ax=Figure((9, 6))
+    )
 
 
 def test_against_the_definition(model, display):
@@ -57,15 +61,20 @@ def test_against_the_definition(model, display):
 def test_the_usual_pairs_and_units_of_flight(display):
     assert display.pairs == [("alpha", "beta"), ("alpha", "elevator"), ("alpha", "q_hat")]
     labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in display.axes_.flat]
-    assert labels == [(r"$\alpha$ [deg]", y) for y in (r"$\beta$ [deg]", "elevator [deg]", r"$\hat{q}$")]
+    assert labels == [
+        (r"$\alpha$ [deg]", y) for y in (r"$\beta$ [deg]", "elevator [deg]", r"$\hat{q}$")
+    ]
     for ax, points in zip(display.axes_.flat, display.points, strict=True):
         np.testing.assert_allclose(ax.get_xlim(), np.rad2deg(points[0][[0, -1]]))
 
 
 def test_grey_areas_hold_their_shares_of_the_samples(model):
     table = flown(20_000, 2)
-    display = EnvelopeDisplay.from_estimator(model, table, pairs=[("alpha", "beta")], n_grid=4, ax=Figure((4, 4)))
-    # The light area is drawn around the dark one; a point within the latter is within the outline of the former.
+    display = EnvelopeDisplay.from_estimator(
+        model, table, pairs=[("alpha", "beta")], n_grid=4, ax=Figure((4, 4))
+    )
+    # The light area is drawn around the dark one; a point within the latter is within the outline
+    # of the former.
     points = np.rad2deg(table[["alpha", "beta"]])
     inside = [area.contains_points(points).mean() for area in display.density_[0].get_paths()]
     assert inside == pytest.approx([0.95, 0.5], abs=0.03)

@@ -50,7 +50,8 @@ def test_a_band_covers_every_interval():
     covered_low = np.interp(time, t, low)
     covered_high = np.interp(time, t, high)
     assert len(t) <= 2 * 81
-    # Inside a slice the band is the union of its samples' intervals; between slices it is interpolated.
+    # Inside a slice the band is the union of its samples' intervals; between slices it is
+    # interpolated.
     inside = np.isin(np.arange(5000), edge)
     assert (covered_low[inside] <= (centre - half)[inside] + 1e-12).all()
     assert (covered_high[inside] >= (centre + half)[inside] - 1e-12).all()
@@ -60,7 +61,13 @@ def test_a_band_covers_every_interval():
 
 @pytest.mark.parametrize(
     ("values", "alone"),
-    [([1.0, np.nan, 2, 3], [0]), ([np.nan, 1, np.nan], [1]), ([1.0], [0]), ([1.0, 2], []), ([np.nan], [])],
+    [
+        ([1.0, np.nan, 2, 3], [0]),
+        ([np.nan, 1, np.nan], [1]),
+        ([1.0], [0]),
+        ([1.0, 2], []),
+        ([np.nan], []),
+    ],
 )
 def test_isolated_values(values, alone):
     np.testing.assert_array_equal(isolated(np.array(values)), alone)

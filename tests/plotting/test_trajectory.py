@@ -23,7 +23,9 @@ def ensemble(n_paths=20):
 
 def test_the_band_holds_its_share_of_the_paths_and_headings_do_not_tear():
     paths = ensemble()
-    display = TrajectoryDisplay.from_trajectories(paths, columns=["airspeed", "psi"], level=0.9, ax=Figure())
+    display = TrajectoryDisplay.from_trajectories(
+        paths, columns=["airspeed", "psi"], level=0.9, ax=Figure()
+    )
     low, high = (
         display.bands_[0].get_paths()[0].vertices[:, 1].min(),
         display.bands_[0].get_paths()[0].vertices[:, 1].max(),
@@ -39,11 +41,16 @@ def test_the_line_is_the_trajectory_of_the_mean():
     """On the turn of the paths; without it the line is called what it is, the median of the paths."""
     paths, turned = ensemble(), 3.0 + 0.28 * TIME
     mean = pd.DataFrame({"time": TIME + 7, "airspeed": 31.0, "psi": np.angle(np.exp(1j * turned))})
-    display = TrajectoryDisplay.from_trajectories(paths, mean=mean, columns=["psi", "airspeed"], ax=Figure())
+    display = TrajectoryDisplay.from_trajectories(
+        paths, mean=mean, columns=["psi", "airspeed"], ax=Figure()
+    )
     np.testing.assert_allclose(display.lines_[0].get_ydata(), np.rad2deg(turned), atol=1e-9)
     assert (display.lines_[1].get_ydata() == 31.0).all()
     of_paths = TrajectoryDisplay.from_trajectories(paths, columns=["psi"], ax=Figure())
-    assert [one.lines_[0].get_label() for one in (display, of_paths)] == ["simulated", "median of the paths"]
+    assert [one.lines_[0].get_label() for one in (display, of_paths)] == [
+        "simulated",
+        "median of the paths",
+    ]
     low, high = (np.ptp(one.bands_[0].get_paths()[0].vertices[:, 1]) for one in (display, of_paths))
     assert low == pytest.approx(high)
     with pytest.raises(ValueError, match="a mean of 3 rows, but expected the 200 of each path"):
@@ -51,9 +58,13 @@ def test_the_line_is_the_trajectory_of_the_mean():
 
 
 def test_truth_is_drawn_on_the_turn_of_the_simulation():
-    truth = pd.DataFrame({"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi), "airspeed": 30.0})
+    truth = pd.DataFrame(
+        {"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi), "airspeed": 30.0}
+    )
     display = TrajectoryDisplay.from_trajectories(ensemble(), truth, columns=["psi"], ax=Figure())
-    np.testing.assert_allclose(display.truth_[0].get_ydata(), np.rad2deg(3.0 + 0.3 * TIME), atol=1e-9)
+    np.testing.assert_allclose(
+        display.truth_[0].get_ydata(), np.rad2deg(3.0 + 0.3 * TIME), atol=1e-9
+    )
     assert np.abs(display.truth_[0].get_ydata() - display.lines_[0].get_ydata()).max() < 20
 
 
@@ -62,7 +73,9 @@ def test_one_trajectory_has_the_band_of_its_deviations():
     display = TrajectoryDisplay.from_trajectories(flown, columns=["phi"], ax=Figure())
     top = display.bands_[0].get_paths()[0].vertices[:, 1].max()
     assert top == pytest.approx(np.rad2deg(0.1 + 1.959964 * 0.01 * TIME[-1]), rel=1e-6)
-    bare = TrajectoryDisplay.from_trajectories(flown.drop(columns="phi_std"), columns=["phi"], ax=Figure())
+    bare = TrajectoryDisplay.from_trajectories(
+        flown.drop(columns="phi_std"), columns=["phi"], ax=Figure()
+    )
     assert bare.bands_ == [None]
 
 

@@ -13,7 +13,13 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._flights import usable_flights
 from skdgp.io import FlightReadError, read_flight
-from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother, RegressorSelector, inspect_flight
+from skdgp.preprocessing import (
+    FlightCheck,
+    FlightDataWarning,
+    FlightSmoother,
+    RegressorSelector,
+    inspect_flight,
+)
 
 STEP = 0.025
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
@@ -68,12 +74,16 @@ class TestCleanLogs:
 
     def test_a_channel_without_noise_is_not_stuck_at_its_extremes(self):
         table = log()
-        assert faults(table.assign(airspeed=(30 + np.sin(0.1 * table.time)).astype(np.float32))) == []
+        assert (
+            faults(table.assign(airspeed=(30 + np.sin(0.1 * table.time)).astype(np.float32))) == []
+        )
 
     def test_a_filtered_heading_on_a_grid_is_not_stuck_where_it_turns_back(self):
         table = log()
         turns = np.abs(np.cos(0.4 * table.time)) < 0.2
-        noise = np.convolve(np.random.default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same")
+        noise = np.convolve(
+            np.random.default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same"
+        )
         heading = 0.3 + 0.02 * np.sin(0.4 * table.time) + 0.002 * noise * ~turns
         assert faults(table.assign(psi=1e-4 * (heading / 1e-4).round())) == []
 
@@ -85,7 +95,12 @@ class TestCleanLogs:
         assert faults(flights.train) == faults(flights.test) == []
 
     def test_the_shared_flights_have_none(self, shared_data):
-        paths = sorted([*(shared_data / "flights").glob("*.parquet"), *(shared_data / "ampyx_ap2").glob("*.parquet")])
+        paths = sorted(
+            [
+                *(shared_data / "flights").glob("*.parquet"),
+                *(shared_data / "ampyx_ap2").glob("*.parquet"),
+            ]
+        )
         assert len(paths) == 6
         for path in paths:
             assert faults(pd.read_parquet(path)) == [], path.name
@@ -111,18 +126,24 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("channel", "kind", "spoil", "rows"), FAULTS, ids=[f"{c}-{k}" for c, k, *_ in FAULTS])
+@pytest.mark.parametrize(
+    ("channel", "kind", "spoil", "rows"), FAULTS, ids=[f"{c}-{k}" for c, k, *_ in FAULTS]
+)
 class TestFaults:
     def test_is_found_with_its_seconds_and_nothing_else(self, channel, kind, spoil, rows):
         found = inspect_flight(spoil(log()))
         assert found[["flight", "channel", "kind", "n_samples"]].values.tolist() == [
             ["sortie", channel, kind, len(rows)]
         ]
-        np.testing.assert_allclose(found[["start", "end"]].to_numpy()[0], [STEP * rows[0], STEP * rows[-1]])
+        np.testing.assert_allclose(
+            found[["start", "end"]].to_numpy()[0], [STEP * rows[0], STEP * rows[-1]]
+        )
 
     def test_is_taken_out_and_told_once(self, channel, kind, spoil, rows):
         clean, table = log(), spoil(log())
-        with pytest.warns(FlightDataWarning, match=f"flight sortie: {channel} .* to .* s, {len(rows)} samples") as said:
+        with pytest.warns(
+            FlightDataWarning, match=f"flight sortie: {channel} .* to .* s, {len(rows)} samples"
+        ) as said:
             out = FlightCheck(bridge=0).fit_transform(table)
         assert len(said) == 1
         gone = np.zeros(len(table), bool)
@@ -148,7 +169,9 @@ def test_a_surface_at_its_stop_is_told_and_kept():
     table = log().assign(aileron=np.minimum(wave / wave.std(), 1.0) * 0.2)
     assert faults(table) == [("aileron", "saturated")]
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # what was measured is right, so a fit has nothing to warn of
+        warnings.simplefilter(
+            "error"
+        )  # what was measured is right, so a fit has nothing to warn of
         pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
 
 
@@ -156,7 +179,9 @@ def squares(levels, rate, unit, ramp, lead):
     """Return a command in steps of so many units [s] each, its edges ramps of so many samples."""
     parts = [(0.0, lead), *((level, units * unit) for level, units in levels), (0.0, lead)]
     command = np.concatenate([np.full(round(seconds * rate), level) for level, seconds in parts])
-    smooth = np.convolve(np.pad(command, ramp, mode="edge"), np.full(ramp + 1, 1 / (ramp + 1)), mode="same")
+    smooth = np.convolve(
+        np.pad(command, ramp, mode="edge"), np.full(ramp + 1, 1 / (ramp + 1)), mode="same"
+    )
     return 0.3 * smooth[ramp : len(smooth) - ramp]
 
 
@@ -178,7 +203,12 @@ def test_doublets_and_3211_are_at_no_stop(levels, ramp, rate):
 def test_commands_of_few_values_are_at_no_stop():
     """A stick that is let go for most of a record, and moved by hand, logged in a dozen values."""
     stick = np.r_[
-        np.zeros(134), -0.1, -0.11, np.repeat([-0.09, -0.08, -0.1], 5), np.linspace(-0.1, -0.02, 8), -np.ones(40)
+        np.zeros(134),
+        -0.1,
+        -0.11,
+        np.repeat([-0.09, -0.08, -0.1], 5),
+        np.linspace(-0.1, -0.02, 8),
+        -np.ones(40),
     ]
     assert saturated_rows(stick, 0.01) == []
 
@@ -223,9 +253,15 @@ class TestClock:
 
     def test_a_restart_makes_flights_of_their_own(self, restarted):
         assert faults(restarted) == [("time", "restart")] * 2
-        with pytest.warns(FlightDataWarning, match="a restart: from there on the flight is named 'sortie#2'"):
+        with pytest.warns(
+            FlightDataWarning, match="a restart: from there on the flight is named 'sortie#2'"
+        ):
             out = FlightCheck().fit_transform(restarted)
-        assert out.groupby("flight", sort=False).size().to_dict() == {"sortie": 1000, "sortie#2": 800, "sortie#3": 600}
+        assert out.groupby("flight", sort=False).size().to_dict() == {
+            "sortie": 1000,
+            "sortie#2": 800,
+            "sortie#3": 600,
+        }
         pd.testing.assert_frame_equal(out.drop(columns="flight"), restarted.drop(columns="flight"))
 
     def test_names_that_are_taken_are_not_given_again(self, restarted):
@@ -250,7 +286,9 @@ class TestClock:
 
 
 class TestDownstream:
-    steps = make_pipeline(FlightCheck(), FlightSmoother(cutoff=4.0), RegressorSelector(["alpha", "q", "elevator"]))
+    steps = make_pipeline(
+        FlightCheck(), FlightSmoother(cutoff=4.0), RegressorSelector(["alpha", "q", "elevator"])
+    )
 
     def test_what_is_bridged_is_regressed_on(self):
         table = spoilt("alpha", [700, 701], -999.0)(log())
@@ -261,7 +299,9 @@ class TestDownstream:
         table = held(log(), "alpha", 700, 800)
         with (
             pytest.warns(FlightDataWarning),
-            pytest.raises(ValueError, match=r"100 of 2400 rows .*'alpha': 100.*as FlightCheck gives it"),
+            pytest.raises(
+                ValueError, match=r"100 of 2400 rows .*'alpha': 100.*as FlightCheck gives it"
+            ),
         ):
             self.steps.fit_transform(table)
         with pytest.warns(FlightDataWarning):
@@ -271,7 +311,9 @@ class TestDownstream:
     def test_targets_are_not_observed_where_sensors_were_faulty(self):
         table = log()
         expected = aerodynamic_coefficients(table, GLIDER, thrust=None)
-        with pytest.warns(FlightDataWarning, match=r"q is stuck .* coefficients are not known there"):
+        with pytest.warns(
+            FlightDataWarning, match=r"q is stuck .* coefficients are not known there"
+        ):
             Y = aerodynamic_coefficients(held(table, "q", 700, 800), GLIDER, thrust=None)
         assert Y.index[Y.isna().any(axis=1)].tolist() == list(range(701, 801))
         far = np.abs(np.arange(len(table)) - 750) > 400
@@ -287,15 +329,21 @@ class TestDownstream:
             pytest.warns(FlightDataWarning, match="alpha is stuck"),
             pytest.warns(UserWarning, match="12 of 2400 rows are left out"),
         ):
-            flights = usable_flights({"sortie": held(log(), "alpha", 700, 712)}, ["alpha"], ["alpha"])
+            flights = usable_flights(
+                {"sortie": held(log(), "alpha", 700, 712)}, ["alpha"], ["alpha"]
+            )
         assert len(flights["sortie"]) == 2388
 
 
 class TestWhatCannotBeLearned:
     def test_regressors_that_never_moved_are_named(self):
         table = log().assign(rudder=0.01)
-        targets = np.where(table.time < 0.9, 1.0, np.nan)  # the elevator is still where there are targets
-        with pytest.warns(FlightDataWarning, match=r"\['elevator', 'rudder'\] never change.*cannot learn"):
+        targets = np.where(
+            table.time < 0.9, 1.0, np.nan
+        )  # the elevator is still where there are targets
+        with pytest.warns(
+            FlightDataWarning, match=r"\['elevator', 'rudder'\] never change.*cannot learn"
+        ):
             RegressorSelector(["alpha", "elevator", "rudder"]).fit(table, targets)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

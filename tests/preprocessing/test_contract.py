@@ -45,12 +45,19 @@ def flight_table(n=200, flights=("one", "two"), seed=3):
         t = 0.02 * np.arange(n)
         waves = {
             name: np.sin((1 + 0.1 * k) * t + k) + rng.normal(0, 0.02, n)
-            for k, name in enumerate(["alpha", "beta", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az"])
+            for k, name in enumerate(
+                ["alpha", "beta", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az"]
+            )
         }
         left, right = 0.1 * np.sin(3 * t), 0.1 * np.cos(2 * t)
         parts.append(
             pd.DataFrame({"time": t, "flight": flight, "airspeed": 30 + np.sin(t), **waves})
-            .assign(elevon_left=left, elevon_right=right, elevator=(left + right) / 2, aileron=(left - right) / 2)
+            .assign(
+                elevon_left=left,
+                elevon_right=right,
+                elevator=(left + right) / 2,
+                aileron=(left - right) / 2,
+            )
             .assign(
                 phi=0.01 * np.cos(t),
                 theta=0.1 + 0.01 * np.sin(t),
@@ -59,7 +66,9 @@ def flight_table(n=200, flights=("one", "two"), seed=3):
                 v_east=1.0,
                 v_down=0.0,
             )
-            .assign(rudder=0.05 * np.sin(t), throttle=0.5, alpha_true=0.0, remark="a word", my_sensor=1)
+            .assign(
+                rudder=0.05 * np.sin(t), throttle=0.5, alpha_true=0.0, remark="a word", my_sensor=1
+            )
         )
     return pd.concat(parts, ignore_index=True)
 
@@ -81,12 +90,16 @@ def test_every_public_transformer_is_checked():
 
 
 ONE_OF_EACH = [
-    transformer for k, transformer in enumerate(TRANSFORMERS) if type(transformer) not in {*map(type, TRANSFORMERS[:k])}
+    transformer
+    for k, transformer in enumerate(TRANSFORMERS)
+    if type(transformer) not in {*map(type, TRANSFORMERS[:k])}
 ]
 
 
 @pytest.mark.filterwarnings("ignore:.*without column names that it knows:UserWarning")
-@parametrize_with_checks(ONE_OF_EACH)  # what they do beyond their defaults, they do to columns with names
+@parametrize_with_checks(
+    ONE_OF_EACH
+)  # what they do beyond their defaults, they do to columns with names
 def test_scikit_learn_contract(estimator, check):
     check(estimator)
 

@@ -17,7 +17,9 @@ def test_parity_by_hand():
 
 
 def test_mirror_image_changes_the_sign_of_the_odd_control_only():
-    mirrored = ELEVONS.rename(columns={"elevon_left": "elevon_right", "elevon_right": "elevon_left"})
+    mirrored = ELEVONS.rename(
+        columns={"elevon_left": "elevon_right", "elevon_right": "elevon_left"}
+    )
     out, image = ElevonSplitter().fit_transform(ELEVONS), ElevonSplitter().fit_transform(mirrored)
     np.testing.assert_allclose(image.elevator, out.elevator)
     np.testing.assert_allclose(image.aileron, -out.aileron)
@@ -26,23 +28,33 @@ def test_mirror_image_changes_the_sign_of_the_odd_control_only():
 def test_inverse_gives_the_surfaces_back():
     splitter = ElevonSplitter().fit(ELEVONS)
     controls = splitter.transform(ELEVONS)[["elevator", "aileron"]]
-    np.testing.assert_allclose(splitter.inverse_transform(controls)[ELEVONS.columns], ELEVONS, atol=1e-15)
+    np.testing.assert_allclose(
+        splitter.inverse_transform(controls)[ELEVONS.columns], ELEVONS, atol=1e-15
+    )
 
 
 def test_more_surfaces_than_controls():
     surfaces = ("a_left", "a_right", "tail_left", "tail_right")
     mixing = [[0.5, -0.5, 0, 0], [0, 0, 0.5, 0.5], [0, 0, 0.5, -0.5]]
-    splitter = ElevonSplitter(surfaces=surfaces, controls=("aileron", "elevator", "rudder"), mixing=mixing)
+    splitter = ElevonSplitter(
+        surfaces=surfaces, controls=("aileron", "elevator", "rudder"), mixing=mixing
+    )
     table = pd.DataFrame(RNG.normal(size=(8, 4)), columns=surfaces).assign(airspeed=30.0)
     out = splitter.fit_transform(table)
     np.testing.assert_allclose(
-        out[["aileron", "elevator", "rudder"]], table[list(surfaces)].to_numpy() @ np.transpose(mixing)
+        out[["aileron", "elevator", "rudder"]],
+        table[list(surfaces)].to_numpy() @ np.transpose(mixing),
     )
     # Of all surfaces with these controls, the inverse gives the least deflected ones.
     back = splitter.inverse_transform(out)
     again = splitter.transform(back)
-    np.testing.assert_allclose(again[["aileron", "elevator", "rudder"]], out[["aileron", "elevator", "rudder"]])
-    assert (np.linalg.norm(back[list(surfaces)], axis=1) <= np.linalg.norm(table[list(surfaces)], axis=1)).all()
+    np.testing.assert_allclose(
+        again[["aileron", "elevator", "rudder"]], out[["aileron", "elevator", "rudder"]]
+    )
+    assert (
+        np.linalg.norm(back[list(surfaces)], axis=1)
+        <= np.linalg.norm(table[list(surfaces)], axis=1)
+    ).all()
 
 
 def test_conventional_aircraft_passes_through():

@@ -38,9 +38,16 @@ def flight():
         "v_north": SPEED * np.cos(psi), "v_east": SPEED * np.sin(psi), "v_down": down,
         "airspeed": np.hypot(SPEED, down - gust), "elevator": np.roll(theta, 7) - 0.05,
     }  # fmt: skip
-    noise = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05} | {"airspeed": 0.3}
-    noise |= dict.fromkeys(("phi", "theta", "psi"), 0.005) | dict.fromkeys(("v_north", "v_east", "v_down"), 0.1)
-    seen = {name: values + noise.get(name, 0.0) * rng.standard_normal(n) for name, values in columns.items()}
+    noise = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05} | {
+        "airspeed": 0.3
+    }
+    noise |= dict.fromkeys(("phi", "theta", "psi"), 0.005) | dict.fromkeys(
+        ("v_north", "v_east", "v_down"), 0.1
+    )
+    seen = {
+        name: values + noise.get(name, 0.0) * rng.standard_normal(n)
+        for name, values in columns.items()
+    }
     return pd.DataFrame({"time": time, "density": DENSITY, "alpha_true": alpha, **seen})
 
 
@@ -70,7 +77,9 @@ def test_the_slope_lies_within_its_deviation(by_forces):
 
 def test_a_force_that_tells_nothing_is_no_vane(flight, by_forces):
     assert "beta" not in by_forces.vanes_
-    still = flight.assign(az=-GRAVITY + 0.05 * np.random.default_rng(1).standard_normal(len(flight)))
+    still = flight.assign(
+        az=-GRAVITY + 0.05 * np.random.default_rng(1).standard_normal(len(flight))
+    )
     assert FlightPathReconstruction(vanes="forces").fit(still[:400]).vanes_ == {}
 
 

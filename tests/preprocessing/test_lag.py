@@ -38,10 +38,22 @@ def linear_aircraft(seed, air=0.0, surfaces=0.0, seconds=60.0):
         return values / values.std()
 
     p, q, r, alpha, beta, elevator, aileron, rudder = (wave() for _ in range(8))
-    acceleration = np.column_stack([2 * elevator - q - alpha, 3 * aileron - p + beta, rudder - r + beta])
-    turning = dict(zip("qpr", cumulative_trapezoid(acceleration, time, axis=0, initial=0).T, strict=True))
-    table = {"ax": 0.1 * alpha**2, "ay": -4 * beta + rudder, "az": -9.8 - 9 * alpha - elevator} | turning
-    sensed = {"alpha": (0.1 * alpha, air), "beta": (0.1 * beta, air), "elevator": (elevator, surfaces)}
+    acceleration = np.column_stack(
+        [2 * elevator - q - alpha, 3 * aileron - p + beta, rudder - r + beta]
+    )
+    turning = dict(
+        zip("qpr", cumulative_trapezoid(acceleration, time, axis=0, initial=0).T, strict=True)
+    )
+    table = {
+        "ax": 0.1 * alpha**2,
+        "ay": -4 * beta + rudder,
+        "az": -9.8 - 9 * alpha - elevator,
+    } | turning
+    sensed = {
+        "alpha": (0.1 * alpha, air),
+        "beta": (0.1 * beta, air),
+        "elevator": (elevator, surfaces),
+    }
     sensed |= {"aileron": (aileron, surfaces), "rudder": (rudder, surfaces)}
     table |= {name: CubicSpline(time, values)(time - lag) for name, (values, lag) in sensed.items()}
     for name in ("alpha", "beta"):
@@ -85,7 +97,11 @@ class TestEstimate:
         table = linear_aircraft(0)
         rng = np.random.default_rng(9)
         names = ["alpha", "beta", "elevator", "aileron", "rudder"]
-        lags = LagCorrector().fit(table.assign(**{name: rng.normal(size=len(table)) for name in names})).lags_
+        lags = (
+            LagCorrector()
+            .fit(table.assign(**{name: rng.normal(size=len(table)) for name in names}))
+            .lags_
+        )
         assert (lags.applied == 0).all()
         assert lags.remark.str.startswith("not shown").all()
 
@@ -110,7 +126,9 @@ class TestTransform:
         back = LagCorrector({"air": 0.08, "psi": 0.03}).fit_transform(there)
         inner = slice(20, -20)
         for name in ("alpha", "psi"):  # noise, and turns of 2 pi, as they were
-            np.testing.assert_allclose(back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std())
+            np.testing.assert_allclose(
+                back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std()
+            )
         changed = [name for name in latlon if not latlon[name].equals(there[name])]
         assert sorted(changed) == ["airspeed", "alpha", "beta", "psi"]
 
@@ -121,7 +139,9 @@ class TestTransform:
 
     def test_never_across_a_gap_or_into_another_flight(self):
         time = np.r_[0:50, 100:150, 0:50] * STEP
-        table = pd.DataFrame({"time": time, "flight": ["a"] * 100 + ["b"] * 50, "alpha": np.repeat([1.0, 2, 3], 50)})
+        table = pd.DataFrame(
+            {"time": time, "flight": ["a"] * 100 + ["b"] * 50, "alpha": np.repeat([1.0, 2, 3], 50)}
+        )
         for lag in (0.3, -0.3):
             out = LagCorrector({"alpha": lag}).fit_transform(table)
             np.testing.assert_allclose(out.alpha, table.alpha)
@@ -137,7 +157,8 @@ class TestTransform:
         np.testing.assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
 
     @pytest.mark.parametrize(
-        ("lags", "words"), [({"vane": 0.1}, r"lags of \['vane'\], but"), ({"air": np.nan}, "expected finite numbers")]
+        ("lags", "words"),
+        [({"vane": 0.1}, r"lags of \['vane'\], but"), ({"air": np.nan}, "expected finite numbers")],
     )
     def test_lags_that_cannot_be(self, lags, words):
         with pytest.raises(ValueError, match=words):

@@ -57,7 +57,9 @@ def test_geometrically_similar_aircraft_share_the_numbers():
 @pytest.mark.parametrize("speed", [0.0, -1.0])
 def test_standing_still(speed):
     flight = FLIGHT.assign(airspeed=[40.0, speed])
-    with pytest.raises(ValueError, match=r"at row 1 \(1 rows at or below zero\), but expected positive airspeed"):
+    with pytest.raises(
+        ValueError, match=r"at row 1 \(1 rows at or below zero\), but expected positive airspeed"
+    ):
         RateNondimensionalizer(span=B, chord=C).fit(flight)
     fitted = RateNondimensionalizer(span=B, chord=C).fit(FLIGHT)
     with pytest.raises(ValueError, match="positive airspeed"):
@@ -66,7 +68,9 @@ def test_standing_still(speed):
 
 def test_misspelt_airspeed_and_no_rates():
     with pytest.raises(ValueError, match=r"'airspeed' \(nearest: 'air_speed'\)"):
-        RateNondimensionalizer(span=B, chord=C).fit(FLIGHT.rename(columns={"airspeed": "air_speed"}))
+        RateNondimensionalizer(span=B, chord=C).fit(
+            FLIGHT.rename(columns={"airspeed": "air_speed"})
+        )
     with pytest.raises(ValueError, match="lacks the columns 'p'"):
         RateNondimensionalizer(span=B, chord=C).fit(FLIGHT[["airspeed", "time"]])
 

@@ -11,7 +11,12 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import air_data
-from skdgp.preprocessing import FlightDataWarning, FlightPathReconstruction, FlightSmoother, _flight_path
+from skdgp.preprocessing import (
+    FlightDataWarning,
+    FlightPathReconstruction,
+    FlightSmoother,
+    _flight_path,
+)
 from skdgp.preprocessing._path import (
     CONSTANTS,
     NEEDED,
@@ -42,15 +47,22 @@ AIR = ["airspeed", "alpha", "beta"]
 def flown(seconds=60.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, loop=0.0, lags=None):
     """A flight whose attitude and motion are given functions of time: all else follows, without the package.
 
-    Heading turns at ``turn`` (0: straight at constant speed), or the nose is carried through the vertical at ``loop``
-    [rad/s]; gusts are a random walk [m/s in one second]; ``lags`` holds how long ago [s] sensors saw what they report.
+    Heading turns at ``turn`` (0: straight at constant speed), or the nose is carried through the
+    vertical at ``loop`` [rad/s]; gusts are a random walk [m/s in one second]; ``lags`` holds how
+    long ago [s] sensors saw what they report.
     """
     rng = np.random.default_rng(seed)
     step = 0.0025
     t = np.arange(-1.0, seconds + 1.0, step)
     moving, rolling = turn != 0.0, loop == 0.0
-    wave = [turn * t + 0.1 * moving * np.sin(0.9 * t), 0.15 * np.sin(0.7 * t), 0.4 * rolling * np.sin(0.5 * t)]
-    attitude = Rotation.from_euler("ZYX", np.transpose(wave)) * Rotation.from_euler("Y", (loop * t)[:, None])
+    wave = [
+        turn * t + 0.1 * moving * np.sin(0.9 * t),
+        0.15 * np.sin(0.7 * t),
+        0.4 * rolling * np.sin(0.5 * t),
+    ]
+    attitude = Rotation.from_euler("ZYX", np.transpose(wave)) * Rotation.from_euler(
+        "Y", (loop * t)[:, None]
+    )
     beside = Rotation.from_rotvec(
         np.transpose([0.02 * np.sin(t), 0.05 * np.sin(0.8 * t), -0.08 - 0.04 * np.sin(2 * t)])
     )
@@ -65,7 +77,21 @@ def flown(seconds=60.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, lo
     euler = attitude.as_euler("ZYX")[:, ::-1]
     force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
     truth = np.column_stack([force, turning, np.unwrap(euler, axis=0), air, velocity, wind])
-    names = ["ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", *AIR, "v_north", "v_east", "v_down"]
+    names = [
+        "ax",
+        "ay",
+        "az",
+        "p",
+        "q",
+        "r",
+        "phi",
+        "theta",
+        "psi",
+        *AIR,
+        "v_north",
+        "v_east",
+        "v_down",
+    ]
     names += ["wind_north", "wind_east", "wind_down"]
     clock = np.arange(0, seconds, 1 / rate)
     table = pd.DataFrame({"time": clock, "flight": "one"})
@@ -94,7 +120,9 @@ def checked():
 def error(table, out, name):
     """Root mean square."""
     gap = out[name] - table[f"{name}_true"]
-    return float(np.sqrt(np.mean(np.angle(np.exp(1j * gap)) ** 2 if name in ("phi", "psi") else gap**2)))
+    return float(
+        np.sqrt(np.mean(np.angle(np.exp(1j * gap)) ** 2 if name in ("phi", "psi") else gap**2))
+    )
 
 
 def guess(table, **constants):
@@ -109,21 +137,40 @@ def guess(table, **constants):
 
 class TestEquations:
     @pytest.mark.parametrize(
-        "rows", [measurement_equations, lambda path, log: process_equations(path, log, np.full(len(log.time) - 1, 0.9))]
+        "rows",
+        [
+            measurement_equations,
+            lambda path, log: process_equations(path, log, np.full(len(log.time) - 1, 0.9)),
+        ],
     )
     def test_slopes_are_those_of_the_residuals(self, rows):
-        log, path = guess(flown(0.5), alpha_scale=0.1, airspeed_scale=-0.05, beta_bias=0.02, p_bias=0.01, wind_east=4.0)
+        log, path = guess(
+            flown(0.5),
+            alpha_scale=0.1,
+            airspeed_scale=-0.05,
+            beta_bias=0.02,
+            p_bias=0.01,
+            wind_east=4.0,
+        )
         base, eps = rows(path, log), 1e-6
         states, constants = np.zeros((len(log.time), 9)), np.zeros(len(CONSTANTS))
         for place in range(9):
-            for first in (0, 1):  # every other sample moves, so that each equation feels one of its two
+            for first in (
+                0,
+                1,
+            ):  # every other sample moves, so that each equation feels one of its two
                 moved = states.copy()
                 moved[first::2, place] = eps
                 slope = (rows(path.moved(moved, constants), log).residual - base.residual) / eps
-                np.testing.assert_allclose(slope[first::2], base.d_state[first::2, :, place], atol=2e-3, rtol=2e-3)
+                np.testing.assert_allclose(
+                    slope[first::2], base.d_state[first::2, :, place], atol=2e-3, rtol=2e-3
+                )
                 if base.d_next is not None:
                     np.testing.assert_allclose(
-                        slope[1 - first :: 2], base.d_next[1 - first :: 2, :, place], atol=2e-3, rtol=2e-3
+                        slope[1 - first :: 2],
+                        base.d_next[1 - first :: 2, :, place],
+                        atol=2e-3,
+                        rtol=2e-3,
                     )
         for name, place in PLACE.items():
             if name.endswith("_lag"):
@@ -139,16 +186,25 @@ class TestEquations:
         constants = np.zeros(len(CONSTANTS))
         constants[[PLACE["wind_north"], PLACE["wind_east"]]] = 3.0, -2.0
         rates = air_data_rates(first_guess(log, constants), log)
-        np.testing.assert_allclose(rates, CubicSpline(table.time, table[AIR])(table.time, 1), atol=2e-3)
+        np.testing.assert_allclose(
+            rates, CubicSpline(table.time, table[AIR])(table.time, 1), atol=2e-3
+        )
 
     def test_the_bordered_solution_is_that_of_the_dense_problem(self):
         rng = np.random.default_rng(0)
         n, s, c, k = 6, 3, 2, 40_000
         process = Equations(
-            *(rng.normal(size=shape) for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)])
+            *(
+                rng.normal(size=shape)
+                for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)]
+            )
         )
-        measured = Equations(rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c)))
-        prior = Prior(np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c))
+        measured = Equations(
+            rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c))
+        )
+        prior = Prior(
+            np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c)
+        )
         J, r = [], []
         for i in range(n):
             for rows in (process, measured) if i < n - 1 else (measured,):
@@ -165,21 +221,37 @@ class TestEquations:
         covariance = np.linalg.inv(J.T @ J)
         solution = -covariance @ J.T @ r
         found = solve([(0, process, measured)], prior, rng.standard_normal((n * s + c, k)))
-        np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
+        np.testing.assert_allclose(
+            np.r_[found.states.ravel(), found.constants], solution, atol=1e-10
+        )
         np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
         draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
         std = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03)
+        np.testing.assert_allclose(
+            np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03
+        )
 
 
 class TestRecovery:
     def test_in_calm_air_the_vanes_noise_all_but_vanishes(self):
         table, reconstruction, out = reconstructed()
-        for name, share in {"airspeed": 0.1, "alpha": 0.15, "beta": 0.15, "phi": 0.2, "theta": 0.2, "psi": 0.2}.items():
+        for name, share in {
+            "airspeed": 0.1,
+            "alpha": 0.15,
+            "beta": 0.15,
+            "phi": 0.2,
+            "theta": 0.2,
+            "psi": 0.2,
+        }.items():
             assert error(table, out, name) < share * SHEET[name], name
         for name in ("wind_north", "wind_east", "wind_down"):
             assert error(table, out, name) < 0.05
-        for name, sheet in {"airspeed": "airspeed", "alpha": "alpha", "v_down": "v_down", "tilt": "theta"}.items():
+        for name, sheet in {
+            "airspeed": "airspeed",
+            "alpha": "alpha",
+            "v_down": "v_down",
+            "tilt": "theta",
+        }.items():
             assert reconstruction.noise_std_[name] == pytest.approx(SHEET[sheet], rel=0.06)
 
     @pytest.mark.parametrize("gusts", [0.1, 0.5])
@@ -191,7 +263,14 @@ class TestRecovery:
             assert left < 0.65 * SHEET[name]
 
     def test_injected_errors_are_found_and_removed(self):
-        put = {"ax_bias": 0.15, "ay_bias": -0.1, "az_bias": 0.2, "p_bias": 0.01, "q_bias": -0.008, "r_bias": 0.012}
+        put = {
+            "ax_bias": 0.15,
+            "ay_bias": -0.1,
+            "az_bias": 0.2,
+            "p_bias": 0.01,
+            "q_bias": -0.008,
+            "r_bias": 0.012,
+        }
         put |= {"airspeed_scale": 0.06, "alpha_bias": 0.03, "alpha_scale": 0.15, "beta_bias": -0.02}
         put |= {"beta_scale": -0.1}
         table = flown()
@@ -205,11 +284,22 @@ class TestRecovery:
             assert abs(found.estimate[name] - put.get(name, 0.0)) < 4 * found["std"][name], name
         assert reconstruction.sensors_["airspeed_scale"] == pytest.approx(0.06, abs=0.002)
         out = reconstruction.transform(table)
-        for name, limit in {"airspeed": 0.06, "alpha": 0.002, "beta": 0.001, "ax": 0.06, "r": 0.0022}.items():
+        for name, limit in {
+            "airspeed": 0.06,
+            "alpha": 0.002,
+            "beta": 0.001,
+            "ax": 0.06,
+            "r": 0.0022,
+        }.items():
             assert error(table, out, name) < limit, name
 
     def test_lags_are_found(self):
-        lags = {"alpha": 0.06, "beta": 0.06, "airspeed": 0.0, **dict.fromkeys(["v_north", "v_east", "v_down"], 0.11)}
+        lags = {
+            "alpha": 0.06,
+            "beta": 0.06,
+            "airspeed": 0.0,
+            **dict.fromkeys(["v_north", "v_east", "v_down"], 0.11),
+        }
         names = ["vane_lag", "velocity_lag", "attitude_lag"]
         found = FlightPathReconstruction(calibrate=names).fit(flown(lags=lags)).sensors_
         assert found["vane_lag"] == pytest.approx(0.06, abs=0.006)
@@ -273,11 +363,24 @@ class TestHonesty:
         pd.testing.assert_frame_equal(both, apart)
 
     def test_what_a_straight_flight_does_not_show_is_said(self):
-        straight, turning = (flown(40.0, turn=turn, gusts=0.05).drop(columns=["alpha", "beta"]) for turn in (0.0, 0.3))
+        straight, turning = (
+            flown(40.0, turn=turn, gusts=0.05).drop(columns=["alpha", "beta"])
+            for turn in (0.0, 0.3)
+        )
         with pytest.warns(UserWarning, match="hardly show airspeed_scale"):
-            hidden = FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0).fit(straight).calibration_
-        shown = FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0).fit(turning).calibration_
-        hidden, shown = (part.set_index("constant").loc["airspeed_scale"] for part in (hidden, shown))
+            hidden = (
+                FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0)
+                .fit(straight)
+                .calibration_
+            )
+        shown = (
+            FlightPathReconstruction(calibrate=["airspeed_scale"], gust_time=60.0)
+            .fit(turning)
+            .calibration_
+        )
+        hidden, shown = (
+            part.set_index("constant").loc["airspeed_scale"] for part in (hidden, shown)
+        )
         assert not hidden.observable
         assert shown.observable
         assert hidden.confounded_with == "wind_north"
@@ -290,10 +393,14 @@ class TestHonesty:
         found = reconstruction.calibration(other).set_index("constant")
         assert found.estimate["q_bias"] == pytest.approx(0.01, abs=0.001)
         assert found.estimate["wind_north"] == pytest.approx(3.0, abs=0.2)
-        assert reconstruction.calibration_.set_index("constant").estimate["q_bias"] == pytest.approx(0, abs=0.001)
+        assert reconstruction.calibration_.set_index("constant").estimate[
+            "q_bias"
+        ] == pytest.approx(0, abs=0.001)
 
     def test_errors_of_sensors_are_shared_by_the_flights_of_fit(self):
-        table = pd.concat([flown(30.0, seed=k).assign(flight=k) for k in range(2)], ignore_index=True)
+        table = pd.concat(
+            [flown(30.0, seed=k).assign(flight=k) for k in range(2)], ignore_index=True
+        )
         table["beta"] += 0.03
         reconstruction = FlightPathReconstruction(calibrate=["beta_bias"]).fit(table)
         each = reconstruction.calibration_.query("constant == 'beta_bias'")
@@ -318,7 +425,9 @@ class TestIncomplete:
         reconstruction = FlightPathReconstruction(incomplete="pass").fit(flight)
         assert reconstruction.missing_ == ["phi"]
         pd.testing.assert_frame_equal(reconstruction.transform(flight), flight)
-        with pytest.raises(ValueError, match=r"The flights of fit lack \['phi'\], so their sensors were not"):
+        with pytest.raises(
+            ValueError, match=r"The flights of fit lack \['phi'\], so their sensors were not"
+        ):
             reconstruction.calibration(flight)
 
     def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
@@ -330,7 +439,9 @@ class TestIncomplete:
         flight = flown(40)
         reconstruction = FlightPathReconstruction(incomplete="pass").fit(flight)
         assert reconstruction.missing_ == []
-        with pytest.warns(FlightDataWarning, match=r"Got flights without \['phi'\], which those of the fit had"):
+        with pytest.warns(
+            FlightDataWarning, match=r"Got flights without \['phi'\], which those of the fit had"
+        ):
             out = reconstruction.transform(flight.drop(columns="phi"))
         assert error(flight, out, "alpha") < 0.7 * error(flight, flight, "alpha")
         assert "alpha_dot" in out
@@ -338,16 +449,23 @@ class TestIncomplete:
 
 
 def late(table, names, seconds):
-    return table.assign(**{name: np.interp(table.time - seconds, table.time, table[name]) for name in names})
+    return table.assign(
+        **{name: np.interp(table.time - seconds, table.time, table[name]) for name in names}
+    )
 
 
 def wandering(table, names, std, seconds=5.0):
     """The table with errors of exponential correlation."""
     rng, memory = np.random.default_rng(5), np.exp(-np.median(np.diff(table.time)) / seconds)
     errors = lfilter(
-        [std * np.sqrt(1 - memory**2)], [1, -memory], rng.standard_normal((len(table), len(names))), axis=0
+        [std * np.sqrt(1 - memory**2)],
+        [1, -memory],
+        rng.standard_normal((len(table), len(names))),
+        axis=0,
     )
-    return table.assign(**{name: table[name] + error for name, error in zip(names, errors.T, strict=True)})
+    return table.assign(
+        **{name: table[name] + error for name, error in zip(names, errors.T, strict=True)}
+    )
 
 
 class TestInconsistent:
@@ -363,7 +481,9 @@ class TestInconsistent:
         pd.testing.assert_frame_equal(checked().transform(table), out)
         assert list(checked().get_feature_names_out()) == list(unchecked.get_feature_names_out())
 
-    @pytest.mark.parametrize("damage", [None, lambda table: wandering(table, ("phi", "theta", "psi"), 0.03)])
+    @pytest.mark.parametrize(
+        "damage", [None, lambda table: wandering(table, ("phi", "theta", "psi"), 0.03)]
+    )
     def test_expected_errors_are_those_against_the_truth(self, damage):
         table, _, out = reconstructed(gusts=0.3)
         errors = checked().errors_
@@ -374,12 +494,18 @@ class TestInconsistent:
         smooth = FlightSmoother().fit_transform(table)
         for name in AIR:
             assert errors.noise[name] == pytest.approx(SHEET[name], rel=0.06)
-            assert errors.reconstruction[name] == pytest.approx(error(table, out, name), rel=0.3), name
-            assert errors.smoothing[name] == pytest.approx(error(table, smooth, name), rel=0.3), name
+            assert errors.reconstruction[name] == pytest.approx(error(table, out, name), rel=0.3), (
+                name
+            )
+            assert errors.smoothing[name] == pytest.approx(error(table, smooth, name), rel=0.3), (
+                name
+            )
 
     def test_lags_of_attitude_and_velocity_are_removed(self):
         table, _, best = reconstructed(gusts=0.3)
-        delayed = late(late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3)
+        delayed = late(
+            late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3
+        )
         reconstruction = FlightPathReconstruction(**self.DECIDES).fit(delayed)
         assert reconstruction.used_
         assert reconstruction.sensors_["attitude_lag"] == pytest.approx(0.2, abs=0.01)
@@ -392,7 +518,10 @@ class TestInconsistent:
     @pytest.mark.parametrize(
         ("damage", "reason"),
         [
-            (lambda table: wandering(table, ("phi", "theta", "psi"), 0.05), "the attitude does not follow the gyros"),
+            (
+                lambda table: wandering(table, ("phi", "theta", "psi"), 0.05),
+                "the attitude does not follow the gyros",
+            ),
             (
                 lambda table: wandering(table, ("v_north", "v_east", "v_down"), 2.0),
                 "does not follow the accelerometers",
@@ -411,19 +540,27 @@ class TestInconsistent:
         assert reason in reconstruction.reason_
         pd.testing.assert_frame_equal(reconstruction.transform(table), table)
         assert "gust" not in reconstruction.get_feature_names_out()
-        out, smooth = (one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother()))
+        out, smooth = (
+            one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother())
+        )
         assert error(table, out, "alpha") > error(table, smooth, "alpha")
 
     def test_flights_that_pass_without_a_contradiction_tell_their_gusts(self, monkeypatch):
         table, _, out = reconstructed(gusts=0.3)
-        monkeypatch.setattr(_flight_path, "decision", lambda errors: (False, True, "smoothing is better"))
+        monkeypatch.setattr(
+            _flight_path, "decision", lambda errors: (False, True, "smoothing is better")
+        )
         passing = FlightPathReconstruction(**self.DECIDES).fit(table)
-        pd.testing.assert_frame_equal(passing.transform(table), table.assign(gust=out["gust"]), rtol=1e-6)
+        pd.testing.assert_frame_equal(
+            passing.transform(table), table.assign(gust=out["gust"]), rtol=1e-6
+        )
         assert list(passing.get_feature_names_out()) == [*table.columns, "gust"]
         lacking = table.drop(columns="v_down")
         with pytest.raises(ValueError, match="v_down"):
             passing.transform(lacking)
-        pd.testing.assert_frame_equal(passing.set_params(incomplete="pass").transform(lacking), lacking)
+        pd.testing.assert_frame_equal(
+            passing.set_params(incomplete="pass").transform(lacking), lacking
+        )
 
     def test_without_a_vane_there_is_no_choice(self):
         table = wandering(flown(20.0), self.ANGLES, 0.05).drop(columns="beta")
@@ -436,7 +573,9 @@ class TestInconsistent:
 def test_gusts_are_told():
     reconstruction = FlightPathReconstruction().fit(flown(40, gusts=0.4))
     assert reconstruction.gust_std_ == pytest.approx(0.4, rel=0.3)
-    assert reconstruction.transform(flown(40, gusts=0.8, seed=1))["gust"].iloc[0] == pytest.approx(0.8, rel=0.3)
+    assert reconstruction.transform(flown(40, gusts=0.8, seed=1))["gust"].iloc[0] == pytest.approx(
+        0.8, rel=0.3
+    )
     assert reconstruction.transform(flown(40, gusts=0.0, seed=1))["gust"].iloc[0] < 0.1
 
 
@@ -474,7 +613,12 @@ def test_shared_calm_flight_after_a_gusty_one(shared_data):
     chain = make_pipeline(FlightPathReconstruction(), FlightSmoother())
     chain.fit(train)
     noise = chain[0].noise_std_  # the sensors' data sheet
-    for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "v_down": 0.1, "tilt": np.deg2rad(0.3)}.items():
+    for name, sheet in {
+        "airspeed": 0.3,
+        "alpha": np.deg2rad(0.3),
+        "v_down": 0.1,
+        "tilt": np.deg2rad(0.3),
+    }.items():
         assert noise[name] == pytest.approx(sheet, rel=0.05)
     for table, limits in (train, (0.0019, 0.0019)), (test, (0.0006, 0.0006)):
         out = chain.transform(table)
@@ -486,4 +630,6 @@ def test_a_piece_of_a_second_has_the_gusts_of_the_fit():
     reconstruction = FlightPathReconstruction().fit(flown(40, gusts=0.4))
     piece = flown(40, gusts=0.4, seed=1)
     piece = piece[piece["time"] < piece["time"].iloc[0] + 0.5]
-    assert reconstruction.transform(piece)["gust"].iloc[0] == pytest.approx(reconstruction.gust_std_, rel=0.2)
+    assert reconstruction.transform(piece)["gust"].iloc[0] == pytest.approx(
+        reconstruction.gust_std_, rel=0.2
+    )

@@ -6,21 +6,38 @@ import pytest
 
 from skdgp.preprocessing import FlightSmoother, RateNondimensionalizer, RegressorSelector
 
-CLASSICAL = ["alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot", "elevator", "aileron", "rudder", "throttle"]
+CLASSICAL = [
+    "alpha",
+    "beta",
+    "p",
+    "q",
+    "r",
+    "alpha_dot",
+    "beta_dot",
+    "elevator",
+    "aileron",
+    "rudder",
+    "throttle",
+]
 PAPER = [
     *["ax", "ay", "az", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot"],
     *["throttle", "elevator", "aileron", "rudder"],
 ]
 QUASI_STEADY = [name for name in CLASSICAL if name not in ("alpha_dot", "beta_dot")]
 NUMBERS = [*dict.fromkeys(CLASSICAL + PAPER), "alpha_true"]
-EVERY = pd.DataFrame(np.random.default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS).assign(
-    airspeed=30.0, flight="one"
-)
+EVERY = pd.DataFrame(
+    np.random.default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS
+).assign(airspeed=30.0, flight="one")
 
 
 @pytest.mark.parametrize(
     ("name", "columns"),
-    [((), QUASI_STEADY), (["quasi-steady"], QUASI_STEADY), (["classical"], CLASSICAL), (["paper"], PAPER)],
+    [
+        ((), QUASI_STEADY),
+        (["quasi-steady"], QUASI_STEADY),
+        (["classical"], CLASSICAL),
+        (["paper"], PAPER),
+    ],
 )
 def test_named_sets(name, columns):
     selector = RegressorSelector(*name).fit(EVERY)
@@ -71,11 +88,15 @@ def test_an_aircraft_without_any_surface():
 
 def test_missing_state_is_an_error_with_the_nearest_name():
     with pytest.raises(ValueError, match=r"'alpha' \(nearest: 'alphas'\)"):
-        RegressorSelector("classical").fit(EVERY.drop(columns="alpha_true").rename(columns={"alpha": "alphas"}))
+        RegressorSelector("classical").fit(
+            EVERY.drop(columns="alpha_true").rename(columns={"alpha": "alphas"})
+        )
 
 
 def test_missing_rate_of_change_points_to_its_maker():
-    with pytest.raises(ValueError, match=r"\['alpha_dot', 'beta_dot'\].*put FlightSmoother\(\) before"):
+    with pytest.raises(
+        ValueError, match=r"\['alpha_dot', 'beta_dot'\].*put FlightSmoother\(\) before"
+    ):
         RegressorSelector("classical").fit(EVERY.drop(columns=["alpha_dot", "beta_dot"]))
     with pytest.raises(ValueError, match=r"\['p_dot'\].*derivatives="):
         RegressorSelector("paper").fit(EVERY.drop(columns=["p_dot"]))
@@ -88,11 +109,15 @@ def test_unsplit_elevons_point_to_the_splitter():
 
 
 def test_truth_only_by_name_and_with_a_warning():
-    assert not any(name.endswith("_true") for name in RegressorSelector("classical").fit(EVERY).regressors_)
+    assert not any(
+        name.endswith("_true") for name in RegressorSelector("classical").fit(EVERY).regressors_
+    )
     with pytest.warns(UserWarning, match=r"\['alpha_true'\] are noise-free truth"):
         RegressorSelector(["alpha_true", "q"]).fit(EVERY)
     with pytest.raises(ValueError, match="lacks the columns 'alpha'"):
-        RegressorSelector("classical").fit(EVERY.drop(columns="alpha"))  # alpha_true does not stand in
+        RegressorSelector("classical").fit(
+            EVERY.drop(columns="alpha")
+        )  # alpha_true does not stand in
 
 
 def test_holes_are_refused_by_the_names_of_what_was_measured():
@@ -101,19 +126,25 @@ def test_holes_are_refused_by_the_names_of_what_was_measured():
     table.loc[3, "beta"] = np.inf
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(table)
     selector = RegressorSelector("classical").fit(table)
-    with pytest.raises(ValueError, match=r"3 of 6 rows .*by rows: \{'beta': 1, 'q': 2\}.*drop these rows") as error:
+    with pytest.raises(
+        ValueError, match=r"3 of 6 rows .*by rows: \{'beta': 1, 'q': 2\}.*drop these rows"
+    ) as error:
         selector.transform(table)
     remedy = str(error.value).split("identify does: ")[1].split(". Interpolate")[0]
     space = {"flight": table, "Y": table[["az"]], "np": np}
     exec(remedy, space)
-    assert selector.transform(space["flight"]).index.tolist() == space["Y"].index.tolist() == [0, 4, 5]
+    assert (
+        selector.transform(space["flight"]).index.tolist() == space["Y"].index.tolist() == [0, 4, 5]
+    )
 
 
 def test_a_rate_of_change_without_neighbours():
     flight = pd.concat([EVERY] * 5, ignore_index=True).drop(columns=["alpha_dot", "beta_dot"])
     flight["time"] = np.r_[0:20, 90, 180:189]
     with pytest.warns(UserWarning, match="NaN"):
-        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
+        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(
+            flight
+        )
     with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*isolated rows"):
         RegressorSelector("classical").fit_transform(made)
 

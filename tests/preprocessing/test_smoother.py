@@ -6,7 +6,12 @@ import pytest
 from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp.preprocessing import ElevonSplitter, FlightSmoother, RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import (
+    ElevonSplitter,
+    FlightSmoother,
+    RateNondimensionalizer,
+    RegressorSelector,
+)
 
 
 def flights(n=1200, names=("one", "two")):
@@ -14,7 +19,12 @@ def flights(n=1200, names=("one", "two")):
     parts = []
     for k, name in enumerate(names):
         t = 0.025 * np.arange(n)
-        truth = {"alpha": 0.1 * np.sin(t + k), "beta": 0.05 * np.cos(1.3 * t), "q": 0.2 * np.cos(t), "p": 0 * t}
+        truth = {
+            "alpha": 0.1 * np.sin(t + k),
+            "beta": 0.05 * np.cos(1.3 * t),
+            "q": 0.2 * np.cos(t),
+            "p": 0 * t,
+        }
         table = {key: value + rng.normal(0, 0.005, n) for key, value in truth.items()}
         psi = np.angle(np.exp(1j * (3.0 + 0.3 * t))) + rng.normal(0, 0.01, n)
         rest = {
@@ -42,7 +52,9 @@ def test_automatic_columns_are_the_measured_ones():
     assert smoother.derivatives_ == ["alpha", "beta"]
 
 
-@pytest.mark.parametrize(("joint", "company"), [("rates", "airspeed p q r"), ("inertial", "airspeed p q r ax ay az")])
+@pytest.mark.parametrize(
+    ("joint", "company"), [("rates", "airspeed p q r"), ("inertial", "airspeed p q r ax ay az")]
+)
 def test_vanes_are_smoothed_in_company(joint, company):
     table = flights()
     table[["ax", "ay", "az"]] = np.random.default_rng(0).normal(size=(len(table), 3))
@@ -51,15 +63,21 @@ def test_vanes_are_smoothed_in_company(joint, company):
     out = FlightSmoother(joint=joint, derivatives=["alpha", "beta", "p"]).fit_transform(table)
     vanes = smooth(channels, **clock, joint=True)[:, :2]
     np.testing.assert_allclose(out[["alpha", "beta"]], vanes, atol=1e-15)
-    np.testing.assert_allclose(out.beta_dot, differentiate(channels, **clock, joint=True)[:, 1], atol=1e-12)
-    np.testing.assert_allclose(out[["q", "airspeed"]], smooth(table[["q", "airspeed"]], **clock), atol=1e-12)
+    np.testing.assert_allclose(
+        out.beta_dot, differentiate(channels, **clock, joint=True)[:, 1], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        out[["q", "airspeed"]], smooth(table[["q", "airspeed"]], **clock), atol=1e-12
+    )
     np.testing.assert_allclose(out.p_dot, differentiate(table.p, **clock), atol=1e-12)
 
 
 def test_a_cutoff_of_its_own_leaves_the_company():
     table = flights()
     out = FlightSmoother(cutoff={"alpha": 2.0}).fit_transform(table)
-    np.testing.assert_allclose(out.alpha, smooth(table.alpha, table.time, flight=table.flight, cutoff=2.0))
+    np.testing.assert_allclose(
+        out.alpha, smooth(table.alpha, table.time, flight=table.flight, cutoff=2.0)
+    )
 
 
 def test_cutoff_for_each_column():
@@ -102,7 +120,10 @@ def test_misspelt_columns():
 def test_shared_flight(shared_data):
     table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
     steps = make_pipeline(
-        FlightSmoother(), ElevonSplitter(), RateNondimensionalizer(span=2.8, chord=1.2), RegressorSelector("classical")
+        FlightSmoother(),
+        ElevonSplitter(),
+        RateNondimensionalizer(span=2.8, chord=1.2),
+        RegressorSelector("classical"),
     )
     out = steps.fit_transform(table)
     assert out.shape == (14_400, 11)
@@ -111,7 +132,12 @@ def test_shared_flight(shared_data):
         left = np.std(steps[0].transform(table)[name] - table[f"{name}_true"])
         assert steps[0].error_std_[name] == pytest.approx(left, rel=0.15)
     noise = steps[0].noise_std_  # the sensors' data sheet
-    for name, sheet in {"airspeed": 0.3, "alpha": np.deg2rad(0.3), "beta": np.deg2rad(0.3), "r": 0.002}.items():
+    for name, sheet in {
+        "airspeed": 0.3,
+        "alpha": np.deg2rad(0.3),
+        "beta": np.deg2rad(0.3),
+        "r": 0.002,
+    }.items():
         assert noise[name] == pytest.approx(sheet, rel=0.1)
 
 
@@ -131,7 +157,9 @@ def test_a_missing_column_is_named_once_with_its_flight():
     table = flights(names=("one", "two"))
     smoother = FlightSmoother().fit(table)
     second = table[table.flight == "two"].drop(columns="beta")
-    with pytest.raises(ValueError, match=r"The flight 'two' lacks the columns 'beta'\. Rename") as error:
+    with pytest.raises(
+        ValueError, match=r"The flight 'two' lacks the columns 'beta'\. Rename"
+    ) as error:
         smoother.transform(second)
     assert str(error.value).count("'beta'") == 1
     assert "alpha" not in str(error.value)

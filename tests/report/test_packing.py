@@ -63,7 +63,9 @@ def one_panel(time, every=1, **series):
 
 
 def spec_of(html):
-    return json.loads(html.removeprefix('<script type="application/json">').removesuffix("</script>"))
+    return json.loads(
+        html.removeprefix('<script type="application/json">').removesuffix("</script>")
+    )
 
 
 @pytest.mark.parametrize("every", [1, 4])

@@ -49,7 +49,9 @@ def test_coordinates_keep_their_shape():
     longest = max(paths(svg), key=len)
     points = np.array(longest.replace("M", "").split(), dtype=float).reshape(-1, 2)
     left, right, low, high = 0.2 * 216, 0.9 * 216, 0.8 * 216, 0.1 * 216
-    drawn = np.interp(points[:, 0], left + (right - left) * x, low + (np.sin(20 * x) + 1) / 2 * (high - low))
+    drawn = np.interp(
+        points[:, 0], left + (right - left) * x, low + (np.sin(20 * x) + 1) / 2 * (high - low)
+    )
     assert np.abs(points[:, 1] - drawn).max() < 1.5
 
 
@@ -61,7 +63,9 @@ def test_strips_of_a_column_have_axes_of_one_size():
     heights = []
     for bottom in (False, True):
         svg = strip(plot, label="", bottom=bottom)
-        clip = re.search(r'<rect[^>]*width="([\d.]+)"[^>]*height="([\d.]+)"', svg) or re.search(r"<rect[^>]*>", svg)
+        clip = re.search(r'<rect[^>]*width="([\d.]+)"[^>]*height="([\d.]+)"', svg) or re.search(
+            r"<rect[^>]*>", svg
+        )
         heights.append(re.search(r'height="([\d.]+)"', clip[0])[1])
         assert ("time [s]" in svg) is bottom
     assert abs(float(heights[0]) - float(heights[1])) < 0.01

@@ -47,7 +47,9 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
-        self.loads += [value for name, value in attributes if name in ("src", "href", "data", "action")]
+        self.loads += [
+            value for name, value in attributes if name in ("src", "href", "data", "action")
+        ]
         self.ids += [value for name, value in attributes if name == "id"]
         if tag not in VOID:
             self.open.append(tag)
@@ -94,7 +96,11 @@ def replay(flight):
         columns = {name: 1.01 * flight[name] for name in ("v_east", "p", "r")}
         bands = {f"{name}_std": 0.1 for name in columns}
         elapsed = flight["time"] - horizon * window
-        tables.append(flight[["time"]].assign(horizon=horizon, window=window, elapsed=elapsed, **columns, **bands))
+        tables.append(
+            flight[["time"]].assign(
+                horizon=horizon, window=window, elapsed=elapsed, **columns, **bands
+            )
+        )
     return pd.concat(tables)
 
 
@@ -114,7 +120,13 @@ def result(n=2400, name="test", truth=True, seed=0, **changes):
         "table": flight,
         "replay": replay(flight),
         "replay_errors": pd.DataFrame(
-            {"state": ["v_east", "p"], "horizon": 2.0, "median": [0.47, 0.0155], "at_end": [1.0, 0.02], "coverage": 0.9}
+            {
+                "state": ["v_east", "p"],
+                "horizon": 2.0,
+                "median": [0.47, 0.0155],
+                "at_end": [1.0, 0.02],
+                "coverage": 0.9,
+            }
         ),
     }
     return FlightResult(**{**given, **changes})
@@ -123,7 +135,9 @@ def result(n=2400, name="test", truth=True, seed=0, **changes):
 def envelope():
     """Return the envelope of a model that knows the middle, with a path that leaves it."""
     axis = np.linspace(-0.3, 0.3, 5)
-    flown = pd.DataFrame(0.05 * np.random.default_rng(0).normal(size=(200, 2)), columns=["alpha", "beta"])
+    flown = pd.DataFrame(
+        0.05 * np.random.default_rng(0).normal(size=(200, 2)), columns=["alpha", "beta"]
+    )
     return EnvelopeDisplay(
         flown=flown,
         pairs=[("alpha", "beta")],
@@ -155,7 +169,10 @@ def verdict(**changes):
         "least_squares_error": 0.191,
         "better": ("CX", "CY"),
         "worse": ("Cn",),
-        "uses": (Use("predict coefficients", "yes", "errors are small"), Use("simulate", "partly", "for 5 s")),
+        "uses": (
+            Use("predict coefficients", "yes", "errors are small"),
+            Use("simulate", "partly", "for 5 s"),
+        ),
         "warnings": ("one!", "two!", "three!", "four!"),
         "flights": pd.DataFrame(),
     }
@@ -217,7 +234,10 @@ class TestPage:
         assert "font-face" not in html
 
     def test_every_colour_variable_is_defined_for_light_and_dark(self, html):
-        light, dark = (set(re.findall(r"--([a-z]+):", rules)) for rules in re.findall(r":root \{(.*?)\}", html, re.S))
+        light, dark = (
+            set(re.findall(r"--([a-z]+):", rules))
+            for rules in re.findall(r":root \{(.*?)\}", html, re.S)
+        )
         used = set(re.findall(r"var\(--([a-z]+)\)", html)) - {"rows", "press"}
         used |= set(re.findall(r'"color": "([a-z]+)"', html))
         assert used <= light
@@ -276,7 +296,12 @@ class TestWords:
         ):
             assert piece in first
         # Three warnings come first, in their order; the fourth stands below.
-        assert first.index("one!") < first.index("two!") < first.index("three!") < first.index("Further warnings")
+        assert (
+            first.index("one!")
+            < first.index("two!")
+            < first.index("three!")
+            < first.index("Further warnings")
+        )
         assert first.index("Further warnings") < first.index("four!")
 
     def test_many_flights_are_a_table_and_only_the_worst_is_open(self, numbers_only):
@@ -295,11 +320,16 @@ class TestWords:
 
     def test_derivatives_whose_sign_is_open_are_marked(self, numbers_only):
         table_ = pd.DataFrame(
-            {"value": [0.0, -0.2, -1.0, 0.3], "std": [0.1, 0.05, 0.7, 0.1], "coefficient": ["Cm", "Cm", "Cm", "Cl"]},
+            {
+                "value": [0.0, -0.2, -1.0, 0.3],
+                "std": [0.1, 0.05, 0.7, 0.1],
+                "coefficient": ["Cm", "Cm", "Cm", "Cl"],
+            },
             index=["Cm", "Cm_alpha", "Cm_q", "Cl_aileron"],
         ).assign(regressor=["", "alpha", "q", "aileron"])
         table_ = table_.assign(
-            lower=table_["value"] - 1.96 * table_["std"], upper=table_["value"] + 1.96 * table_["std"]
+            lower=table_["value"] - 1.96 * table_["std"],
+            upper=table_["value"] + 1.96 * table_["std"],
         )
         linear = pd.DataFrame({"value": [0.0, -0.25, -1.5, 0.25], "std": 0.01}, index=table_.index)
         found = FlightMechanics(derivatives=table_, least_squares=linear)
@@ -315,7 +345,8 @@ class TestWords:
             time_constant_lower=[0.2, 50.0], time_constant_upper=[0.3, np.inf], eigenvalue=1j
         )
         simulation = pd.DataFrame(
-            {"spread": 0.1, "limit": 0.05, "error": 0.08, "lasts": [3.2, 9.8], "horizon": 9.8}, index=["theta", "p"]
+            {"spread": 0.1, "limit": 0.05, "error": 0.08, "lasts": [3.2, 9.8], "horizon": 9.8},
+            index=["theta", "p"],
         )
         found = FlightMechanics(modes=modes, simulation=simulation)
         words = Page(render_report(content(verdict=verdict(), mechanics=found))).words
@@ -332,22 +363,33 @@ class TestWords:
                 assert f"{100 * error:.1f}" in words
             for error in normalized_rmse(values, flight.mean, multioutput="raw_values"):
                 assert f"{error:.3f}" in words
-        for share in interval_coverage(flight.measured, flight.mean, flight.measured_std, multioutput="raw_values"):
+        for share in interval_coverage(
+            flight.measured, flight.mean, flight.measured_std, multioutput="raw_values"
+        ):
             assert f"{100 * share:.1f}" in words
 
     def test_bands_are_judged_against_measured_values_alone(self, numbers_only):
-        # The standard deviations of the function do not know of gusts: none of these bands holds the truth.
+        # The standard deviations of the function do not know of gusts: none of these bands holds
+        # the truth.
         flight = result(std=np.full((2400, 6), 1e-9), measured_std=np.full((2400, 6), 0.02))
         words = Page(render_report(content(test=[flight]))).words
         assert "▼" not in words.replace("▼ covers", "").replace("▼ where", "")
         assert "no band promises" in words
-        assert "no band promises" not in Page(render_report(content(test=[result(truth=False)]))).words
+        assert (
+            "no band promises" not in Page(render_report(content(test=[result(truth=False)]))).words
+        )
 
     @pytest.mark.parametrize(
         ("n_iter", "converged", "shown"),
-        [(60, True, "60 (limit reached)"), (60, False, "60 (not converged: raise max_iter)"), (59, True, "59 Time")],
+        [
+            (60, True, "60 (limit reached)"),
+            (60, False, "60 (not converged: raise max_iter)"),
+            (59, True, "59 Time"),
+        ],
     )
-    def test_says_when_the_limit_of_iterations_was_reached(self, n_iter, converged, shown, numbers_only):
+    def test_says_when_the_limit_of_iterations_was_reached(
+        self, n_iter, converged, shown, numbers_only
+    ):
         model = ModelSummary(n_iter=n_iter, max_iter=60, converged=converged, fit_seconds=1.0)
         words = Page(render_report(content(model=model))).words
         assert f"Iterations {shown}" in words
@@ -371,16 +413,22 @@ class TestWords:
         assert "by β" not in Page(render_report(ReportContent(title="none"))).words
 
     def test_one_line_is_one_more_column(self, numbers_only, monkeypatch):
-        score = Score(lambda y_true, y_pred, multioutput: np.full(6, 0.777), "mean error", "{:.4f}".format)
+        score = Score(
+            lambda y_true, y_pred, multioutput: np.full(6, 0.777), "mean error", "{:.4f}".format
+        )
         monkeypatch.setitem(SCORES, "mean_error", score)
         words = Page(render_report(content())).words
-        assert words.count("mean error") == 3  # of flights, against measured values and against truth
+        assert (
+            words.count("mean error") == 3
+        )  # of flights, against measured values and against truth
         assert words.count("0.7770") == 1 + 2 * (6 + 2)  # coefficients and means of their groups
 
     def test_marks_dishonest_bands(self, numbers_only):
         flight = result()
         too_sure = Page(render_report(content(test=[result(measured_std=0.1 * flight.std)])))
-        too_wide = Page(render_report(content(test=[result(measured_std=100 * flight.std, truth=False)])))
+        too_wide = Page(
+            render_report(content(test=[result(measured_std=100 * flight.std, truth=False)]))
+        )
         assert "▼" in too_sure.words
         assert "▲ 100.0" in too_wide.words
 
@@ -394,7 +442,9 @@ class TestWords:
                 aircraft={evil: evil, "Aircraft": evil},
                 messages=[evil],
                 command=evil,
-                model=ModelSummary(regressors=[evil], versions={evil: evil}, extra={evil: evil}, kernel=evil),
+                model=ModelSummary(
+                    regressors=[evil], versions={evil: evil}, extra={evil: evil}, kernel=evil
+                ),
             )
         )
         assert "<script>alert" not in page
@@ -403,7 +453,9 @@ class TestWords:
         assert Page(page).tags.count("script") == page.count('<script type="application/json">') + 1
 
     def test_dollars_are_no_templates_and_no_mathematics(self):
-        page = render_report(content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{", replay=None)]))
+        page = render_report(
+            content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{", replay=None)])
+        )
         assert "$title $$ ${body} $x^" in Page(page).words
 
     def test_says_when_nothing_went_wrong_and_when_nothing_was_tested(self):
@@ -425,7 +477,9 @@ class TestPoorContent:
         measured = flight.measured.copy()
         measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
-            html = render_report(content(test=[result(measured=measured, truth=None, replay=None)], envelope=None))
+            html = render_report(
+                content(test=[result(measured=measured, truth=None, replay=None)], envelope=None)
+            )
         assert "–" in Page(html).words
 
     def test_no_table_no_replay(self):
@@ -442,18 +496,27 @@ class TestPoorContent:
 
     def test_two_flights_of_one_name_are_both_shown(self):
         twins = [result(100), result(100, seed=1)]
-        assert list(flown_tables(content(test=twins))) == ["train (train)", "test (test)", "test (test) no. 2"]
+        assert list(flown_tables(content(test=twins))) == [
+            "train (train)",
+            "test (test)",
+            "test (test) no. 2",
+        ]
 
     def test_without_matplotlib_the_numbers_remain(self, numbers_only):
         page = Page(render_report(content()))
         assert "svg" not in page.tags
         assert 'pip install "skdgp[plot]"' in page.words
-        assert page.tags.count("table") == 4  # of flights, errors against measured values and truth, replays
+        assert (
+            page.tags.count("table") == 4
+        )  # of flights, errors against measured values and truth, replays
 
     @pytest.mark.parametrize(
         ("change", "message"),
         [
-            ({"mean": np.zeros((3, 6))}, r"Got mean of shape \(3, 6\) for flight 'test', but expected \(2400, 6\)"),
+            (
+                {"mean": np.zeros((3, 6))},
+                r"Got mean of shape \(3, 6\) for flight 'test', but expected \(2400, 6\)",
+            ),
             ({"std": np.zeros(2400)}, "Got std of shape"),
             ({"table": None}, "without its table"),
             ({"time": np.full(2400, np.inf)}, "not finite"),

@@ -47,9 +47,14 @@ AIRCRAFT = Aircraft(
 def make_flight(n=28, seed=0, noise=0.01):
     """Return a flight of random states, and coefficients that are smooth functions of them plus noise."""
     rng = np.random.default_rng(seed)
-    flight = pd.DataFrame(rng.normal(0.0, 0.1, (n, 5)), columns=["alpha", "beta", "q", "elevon_left", "elevon_right"])
+    flight = pd.DataFrame(
+        rng.normal(0.0, 0.1, (n, 5)), columns=["alpha", "beta", "q", "elevon_left", "elevon_right"]
+    )
     flight["airspeed"], flight["time"] = rng.uniform(15.0, 25.0, n), 0.1 * np.arange(n)
-    elevator, aileron = flight.elevon_left + flight.elevon_right, flight.elevon_left - flight.elevon_right
+    elevator, aileron = (
+        flight.elevon_left + flight.elevon_right,
+        flight.elevon_left - flight.elevon_right,
+    )
     truth = [
         flight.alpha**2 - 0.05, flight.beta, -4 * flight.alpha + np.sin(20 * flight.alpha) / 20, 0.1 * aileron,
         -0.5 * flight.alpha - 0.6 * elevator - 0.05 * flight.q, 0.1 * flight.beta + 0.2 * flight.beta * flight.alpha,
@@ -66,7 +71,11 @@ def fitted(kind):
     if kind == "calibrated":
         regressor = CalibratedRegressor(regressor, method="variance", level=0.5, cv=2)
     model = make_identification_pipeline(
-        AIRCRAFT, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, regressor=regressor
+        AIRCRAFT,
+        regressors=REGRESSORS,
+        reconstruction="passthrough",
+        cutoff=None,
+        regressor=regressor,
     )
     model.set_params(flightcheck="passthrough", flightsmoother="passthrough").fit(flight, Y)
     if kind.startswith("compact"):
@@ -74,7 +83,12 @@ def fitted(kind):
     if kind == "updated":
         more, targets = make_flight(12, seed=1)
         model[-1].partial_fit(model[:-1].transform(more), targets)
-    return Bunch(pipeline=model, aircraft=AIRCRAFT, created="2026-01-01T00:00:00+00:00", versions={"skdgp": "1"})
+    return Bunch(
+        pipeline=model,
+        aircraft=AIRCRAFT,
+        created="2026-01-01T00:00:00+00:00",
+        versions={"skdgp": "1"},
+    )
 
 
 @cache

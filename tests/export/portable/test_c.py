@@ -23,7 +23,9 @@ def compiler():
 
 
 def compiled(folder, *words):
-    done = subprocess.run([*STRICT, *words], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*STRICT, *words], cwd=folder, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return folder / words[words.index("-o") + 1]
 
@@ -32,12 +34,17 @@ class Library:
     """The functions of aero.c, called from Python."""
 
     def __init__(self, folder, model, kind):
-        self.library = ctypes.CDLL(str(compiled(folder, "-O0", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm")))
+        self.library = ctypes.CDLL(
+            str(compiled(folder, "-O0", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm"))
+        )
         self.library.aero_beyond.restype = ctypes.c_ulong
         self.kind, self.shape = kind, (len(model.outputs), len(model.regressors))
 
     def __call__(self, name, values, shape):
-        given, out = np.ascontiguousarray(values, dtype=self.kind), [np.empty(s, dtype=self.kind) for s in shape]
+        given, out = (
+            np.ascontiguousarray(values, dtype=self.kind),
+            [np.empty(s, dtype=self.kind) for s in shape],
+        )
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (given, *out)]
         found = getattr(self.library, name)(*pointers)
         return [array.astype(float) for array in out] or found
@@ -73,7 +80,9 @@ def test_says_what_the_model_says(portable_of, kind, precision, tolerance, fligh
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     found = np.array([library.predict(x) for x in X])
     for ours, theirs, error in ((mean, found[:, 0], 0.0), (std, found[:, 1], model.rounding(X))):
-        assert (np.abs(theirs - ours) <= np.maximum(tolerance * np.abs(ours).max(axis=0), error)).all()
+        assert (
+            np.abs(theirs - ours) <= np.maximum(tolerance * np.abs(ours).max(axis=0), error)
+        ).all()
     slopes = model.predict_gradient(X) * model.scale
     slopes_found = np.array([library.gradient(x) for x in X]) * model.scale
     np.testing.assert_allclose(slopes_found, slopes, atol=tolerance * np.abs(slopes).max())
@@ -96,7 +105,9 @@ def test_make_test_passes(portable_of, tmp_path):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     write_c(tmp_path, portable_of("trend"))
-    done = subprocess.run(["make", "test"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", "test"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "time of a row" in done.stdout
 
@@ -109,8 +120,12 @@ def test_a_size_is_kept(portable_of, precision, tmp_path):
     facts = export_model(tmp_path, model, "c", precision=precision, max_kb=most)
     assert facts["loss"] == loss_of(small) != {}
     compiled(tmp_path, "-Os", "-c", "aero.c", "-o", "aero.o")
-    size = subprocess.run(["size", "aero.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert sum(map(int, size.splitlines()[1].split()[:3])) < c_bytes(small, precision) <= 1024 * most
+    size = subprocess.run(
+        ["size", "aero.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    assert (
+        sum(map(int, size.splitlines()[1].split()[:3])) < c_bytes(small, precision) <= 1024 * most
+    )
     assert export_model(tmp_path, model, "c", precision=precision, max_kb=1e4)["loss"] == {}
 
 

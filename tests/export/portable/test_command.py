@@ -26,7 +26,10 @@ def run(tmp_path, capsys):
     """Run a command; return the numbers that it printed."""
 
     def run(model, *words, output="out"):
-        assert main(["export", str(model), *map(str, words), "-o", str(tmp_path / output), "--json"]) == 0
+        assert (
+            main(["export", str(model), *map(str, words), "-o", str(tmp_path / output), "--json"])
+            == 0
+        )
         return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
 
     return run
@@ -57,9 +60,26 @@ def test_a_smaller_file_says_its_loss(run, path, tmp_path):
 def test_c_of_a_portable_model(run, path, tmp_path, capsys):
     run(path, "--to", "portable")
     run(tmp_path / "out" / "model.npz", "--to", "c", "--precision", "float", output="code")
-    assert names(tmp_path / "code") == {"aero.h", "aero.c", "test_aero.c", "Makefile", "config.toml"}
+    assert names(tmp_path / "code") == {
+        "aero.h",
+        "aero.c",
+        "test_aero.c",
+        "Makefile",
+        "config.toml",
+    }
     assert "typedef float aero_real" in (tmp_path / "code" / "aero.h").read_text()
-    assert main(["export", "--config", str(tmp_path / "code" / "config.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert (
+        main(
+            [
+                "export",
+                "--config",
+                str(tmp_path / "code" / "config.toml"),
+                "-o",
+                str(tmp_path / "again"),
+            ]
+        )
+        == 0
+    )
     assert "test_aero.c" in capsys.readouterr().out
     for name in ("aero.h", "aero.c"):
         assert (tmp_path / "again" / name).read_text() == (tmp_path / "code" / name).read_text()
@@ -68,7 +88,10 @@ def test_c_of_a_portable_model(run, path, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "file"),
     [
-        (["jsbsim", "--form", "tables", "--draws", 2], "{0}/{0}.xml {0}_001/{0}_001.xml {0}_002/{0}_002.xml"),
+        (
+            ["jsbsim", "--form", "tables", "--draws", 2],
+            "{0}/{0}.xml {0}_001/{0}_001.xml {0}_002/{0}_002.xml",
+        ),
         (["build-up"], "build_up.json build_up.png"),
         (["ardupilot"], "plane.json"),
         (["gazebo"], "model.sdf"),
@@ -78,10 +101,14 @@ def test_c_of_a_portable_model(run, path, tmp_path, capsys):
 def test_of_samples(run, fitted_of, words, file, tmp_path, capsys, monkeypatch):
     """Formats that are made from the samples say their loss, and refuse a portable model."""
     path = save_model(tmp_path / "model.joblib", **fitted_of("trend"))
-    monkeypatch.setattr(BuildUpDisplay, "from_build_up", partial(BuildUpDisplay.from_build_up, outputs="CX"))  # quick
+    monkeypatch.setattr(
+        BuildUpDisplay, "from_build_up", partial(BuildUpDisplay.from_build_up, outputs="CX")
+    )  # quick
     said = run(path, "--to", *words)
     name = load_model(path).aircraft.name
-    assert {Path(written).name for written in said["files"]} == {Path(each).name for each in file.format(name).split()}
+    assert {Path(written).name for written in said["files"]} == {
+        Path(each).name for each in file.format(name).split()
+    }
     assert all((tmp_path / "out" / written).stat().st_size for written in said["files"])
     assert words[0] == "jsbsim" or set(said["loss"]) == set(COEFFICIENTS)
     portable = str(Path(__file__).with_name("stored.npz"))
@@ -92,14 +119,19 @@ def test_of_samples(run, fitted_of, words, file, tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--to", "portable", "--precision", "float"], r"options \['precision'\] for the format portable"),
+        (
+            ["--to", "portable", "--precision", "float"],
+            r"options \['precision'\] for the format portable",
+        ),
         (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
         (["--to", "c", "--aircraft", "no.json"], "no.json"),
     ],
 )
 def test_what_cannot_be_exported(path, words, message, tmp_path, capsys):
     assert main(["export", path, *words, "-o", str(tmp_path / "new" / "out")]) == 1
-    (error,) = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+    (error,) = [
+        line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")
+    ]
     assert re.search(f"error: .*{message}", error)
     assert not (tmp_path / "new").exists()
 
@@ -129,10 +161,16 @@ def test_code_of_the_page_runs(fitted_of, flight, tmp_path, monkeypatch):
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted_of("sparse"))
     names = {"flight": flight}
-    section = page.read_text(encoding="utf-8").partition("\n## The portable model\n")[2].partition("\n## ")[0]
+    section = (
+        page.read_text(encoding="utf-8")
+        .partition("\n## The portable model\n")[2]
+        .partition("\n## ")[0]
+    )
     for block in re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE):
         exec(compile(block, "export.md", "exec"), names)
     assert names["slopes"].shape == (30, 6, 5)
     X = names["model"].regressor_values(flight)
     np.testing.assert_allclose(names["aerodynamics"](X), names["mean"], rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(names["aerodynamics"].gradient(X), names["slopes"], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(
+        names["aerodynamics"].gradient(X), names["slopes"], rtol=1e-9, atol=1e-10
+    )

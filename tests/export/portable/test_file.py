@@ -60,7 +60,11 @@ def rewritten(path, *, head=None, arrays=None, drop=(), compress=False, twice=Fa
         for name in old.namelist():
             content = old.read(name)
             if name == "model.json" and head is not None:
-                content = head if isinstance(head, bytes) else json.dumps(json.loads(content) | head).encode()
+                content = (
+                    head
+                    if isinstance(head, bytes)
+                    else json.dumps(json.loads(content) | head).encode()
+                )
             if arrays is not None and name.removesuffix(".npy") in arrays:
                 content = arrays[name.removesuffix(".npy")]
                 if isinstance(content, np.ndarray):
@@ -68,20 +72,28 @@ def rewritten(path, *, head=None, arrays=None, drop=(), compress=False, twice=Fa
                     np.save(held, content, allow_pickle=True)
                     content = held.getvalue()
             if name not in drop:
-                new.writestr(name, content, zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED)
+                new.writestr(
+                    name, content, zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+                )
         new.comment = b"0" * 64
     return sealed(data.getvalue())
 
 
 def test_predicts_the_same(portable, flight, tmp_path):
     found = load_portable(save_portable(tmp_path / "model.npz", portable))
-    for ours, theirs in zip(portable.predict(flight, True), found.predict(flight, True), strict=True):
+    for ours, theirs in zip(
+        portable.predict(flight, True), found.predict(flight, True), strict=True
+    ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(portable.predict_gradient(flight), found.predict_gradient(flight), rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(
+        portable.predict_gradient(flight), found.predict_gradient(flight), rtol=1e-9, atol=1e-10
+    )
     assert found.content_hash == portable.content_hash
     assert found.aircraft == portable.aircraft
     assert found.provenance == portable.provenance
-    assert [block.regressors for block in found.blocks] == [block.regressors for block in portable.blocks]
+    assert [block.regressors for block in found.blocks] == [
+        block.regressors for block in portable.blocks
+    ]
 
 
 def test_the_reader_of_the_examples(portable, flight, tmp_path):
@@ -92,7 +104,10 @@ def test_the_reader_of_the_examples(portable, flight, tmp_path):
     np.testing.assert_allclose(mean, ours, rtol=1e-12, atol=1e-12 * np.abs(ours).max())
     assert (np.abs(deviation - std) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
     exact = portable.predict(flight, True, False)[1]
-    assert (np.abs(model.predict(X, 0)[1] - exact) <= np.maximum(1e-9 * exact, portable.rounding(flight))).all()
+    assert (
+        np.abs(model.predict(X, 0)[1] - exact)
+        <= np.maximum(1e-9 * exact, portable.rounding(flight))
+    ).all()
 
 
 def test_loads_where_no_pickle_is_read(path, exact, flight, tmp_path):
@@ -102,12 +117,18 @@ def test_loads_where_no_pickle_is_read(path, exact, flight, tmp_path):
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     expected = np.stack(exact.predict(X, return_std=True))
-    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # BLAS on other threads
+    np.testing.assert_allclose(
+        np.load(tmp_path / "out.npy"), expected, rtol=1e-11
+    )  # BLAS on other threads
 
 
 def test_the_reader_imports_numpy_alone():
     text = (ROOT / "examples" / "read_portable.py").read_text()
-    assert set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)) == {"argparse", "json", "numpy"}
+    assert set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)) == {
+        "argparse",
+        "json",
+        "numpy",
+    }
 
 
 def test_a_stored_model_predicts_what_it_did():
@@ -129,7 +150,9 @@ def agrees(value, schema):
         and value == schema.get("const", value)
         and value in schema.get("enum", [value])
         and all(name in value for name in schema.get("required", ()))
-        and all(agrees(value[k], sub) for k, sub in schema.get("properties", {}).items() if k in value)
+        and all(
+            agrees(value[k], sub) for k, sub in schema.get("properties", {}).items() if k in value
+        )
         and all(agrees(item, schema["items"]) for item in (value if "items" in schema else ()))
     )
 
@@ -165,9 +188,10 @@ def test_any_changed_byte_and_any_missing_end_is_noticed(path):
             load_portable(path)
 
 
-ABSURD = (b"\x93NUMPY\x01\x00\x76\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000,), }").ljust(
-    127
-) + b"\n"
+ABSURD = (
+    b"\x93NUMPY\x01\x00\x76\x00"
+    + b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000,), }"
+).ljust(127) + b"\n"
 HOSTILE = {
     "no JSON": {"head": b"{"},
     "a list": {"head": b"[]"},
@@ -205,7 +229,9 @@ def test_hostile_files_are_refused_in_little_memory(path, change):
     path.write_bytes(rewritten(path, **change))
     tracemalloc.start()
     try:
-        with pytest.raises(PortableFileError, match="is not a portable model of this version") as error:
+        with pytest.raises(
+            PortableFileError, match="is not a portable model of this version"
+        ) as error:
             load_portable(path)
         assert tracemalloc.get_traced_memory()[1] < 30e6
     finally:

@@ -22,7 +22,9 @@ def close_deviations(ours, model, X):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_casadi(portable_of, flight, kind, tmp_path):
-    casadi = pytest.importorskip("casadi", reason='evaluates the function: pip install "skdgp[export]"')
+    casadi = pytest.importorskip(
+        "casadi", reason='evaluates the function: pip install "skdgp[export]"'
+    )
     model = portable_of(kind)
     export_model(tmp_path, model, "casadi")
     function = casadi.Function.load(str(tmp_path / "aero.casadi"))
@@ -36,7 +38,9 @@ def test_casadi(portable_of, flight, kind, tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_onnx(portable_of, flight, kind, tmp_path):
     pytest.importorskip("onnx", reason='writes the graph: pip install "skdgp[export]"')
-    runtime = pytest.importorskip("onnxruntime", reason="evaluates the graph: pip install onnxruntime")
+    runtime = pytest.importorskip(
+        "onnxruntime", reason="evaluates the graph: pip install onnxruntime"
+    )
     model = portable_of(kind)
     export_model(tmp_path, model, "onnx")
     session = runtime.InferenceSession(tmp_path / "aero.onnx")

@@ -17,7 +17,11 @@ def test_the_loss_is_small_and_true(kind, portable):
     most = round(0.7 * functions(portable))
     small = reduced(portable, functions, most)
     assert functions(small) <= most
-    X = portable.envelope.samples if len(portable.envelope.samples) else portable.shift + 0.3 * portable.scale
+    X = (
+        portable.envelope.samples
+        if len(portable.envelope.samples)
+        else portable.shift + 0.3 * portable.scale
+    )
     X = np.atleast_2d(X)
     (mean, std), (other, deviation) = (
         model.predict(X, return_std=True, include_input_noise=False) for model in (portable, small)
@@ -30,7 +34,8 @@ def test_the_loss_is_small_and_true(kind, portable):
 
 def test_more_functions_lose_less(exact):
     losses = [
-        max(max(loss.values()) for loss in loss_of(reduced(exact, functions, most)).values()) for most in (60, 150, 300)
+        max(max(loss.values()) for loss in loss_of(reduced(exact, functions, most)).values())
+        for most in (60, 150, 300)
     ]
     assert losses[0] > losses[1] > losses[2]
     assert losses[2] < 0.05

@@ -110,8 +110,7 @@ def simulate(
         Time step [s].
     duration : float, optional
         [s]; by default as long as the tables.
-    air : Air, DataFrame, list of DataFrame, array-like (3,), callable, Turbulence or "calm",
-    optional
+    air : Air, table, list of tables, array-like (3,), callable, Turbulence or "calm", optional
         A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with
         density and gravity. By default paths meet the gusts of a wind that is a table or a
         function, else those of the training flights. "calm" is without gusts.

@@ -113,10 +113,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         mu, in the units of the regressors. Only differences between outputs matter, so the first
         output has zero.
     amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array or None
-        Bounds on the values, (..., 2) for an array, or "fixed". None: from the data, widths of .05 to 1000 standard deviations of the
-        regressor. ``length_scale_bounds="spacing"``: widths of at least n^(-1/d) standard
-        deviations, for n samples, at most 400, in d regressors. In many regressors, a process of
-        smaller width is noise to the samples.
+        Bounds on the values, (..., 2) for an array, or "fixed". None: from the data, widths of .05
+        to 1000 standard deviations of the regressor. ``length_scale_bounds="spacing"``: widths of
+        at least n^(-1/d) standard deviations, for n samples, at most 400, in d regressors. In many
+        regressors, a process of smaller width is noise to the samples.
 
     Examples
     --------

@@ -95,8 +95,7 @@ def simulate(
     model : Pipeline, estimator or Aerodynamics
         Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
-    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like of shape (13,) or (n_starts,
-    13)
+    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like, (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
         ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
         what is not given is zero.

@@ -33,7 +33,6 @@ from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._output_error import OutputError, fit_output_error
 from skdgp.dynamics._replay import replay, replay_errors
 from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
@@ -46,7 +45,6 @@ __all__ = [
     "Atmosphere",
     "FlightComputer",
     "LinearModel",
-    "OutputError",
     "Propeller",
     "ScaleFactor",
     "SimulationWarning",
@@ -64,7 +62,6 @@ __all__ = [
     "euler_to_matrix",
     "euler_to_quaternion",
     "external_loads",
-    "fit_output_error",
     "gravity_in_body_axes",
     "linearize",
     "ned_to_body",

@@ -12,10 +12,6 @@ random numbers; bands are those of an ensemble of posterior functions, and their
 v_north ... r. With the mean wind, the velocity over the ground of the start is known, not its air
 data, which hold the gust.
 
-Output error: each model corrected by 16 segments of 3 s of its training flight, wind and states as
-its pipeline reconstructs them; errors of the means over those without a correction, a geometric
-mean over the states.
-
 Replay: coefficients of the first model at the measured regressors, integrated from the measured
 state every 2 s and 10 s.
 
@@ -34,7 +30,7 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import make_identification_pipeline
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, EARTH_VELOCITY, EULER, WIND
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Air,
@@ -42,10 +38,6 @@ from skdgp.dynamics import (
     SimulationWarning,
     Turbulence,
     aerodynamic_coefficients,
-    air_velocity,
-    body_to_ned,
-    euler_to_quaternion,
-    fit_output_error,
     replay,
     replay_errors,
     simulate,
@@ -66,9 +58,6 @@ SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 HORIZONS = (2.0, 10.0)
 STARTS, MARGIN, STEP, LEVEL = 20, 5.0, 0.025, 0.95
-SEGMENTS, SEGMENT = 16, 3.0
-NOISE = dict.fromkeys(EARTH_VELOCITY, 0.1) | dict.fromkeys([*EULER, "p", "q", "r"], 0.004)
-"""Of reconstructed states, for output error."""
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -191,54 +180,6 @@ def airs(aircraft, flight):
     }
 
 
-def segments(model, log):
-    """Return stretches of the flights of a log, with states and wind as the first steps of the pipeline make them."""
-    for _, step in model.steps[:3]:
-        log = step.transform(log)
-    air = air_velocity(*log[[*AIR_DATA]].to_numpy().T)
-    air = body_to_ned(euler_to_quaternion(*log[[*EULER]].to_numpy().T), air)
-    log = log.assign(**dict(zip(WIND, (log[[*EARTH_VELOCITY]].to_numpy() - air).T, strict=True)))
-    flights = [part for _, part in log.groupby("flight", sort=False)] if "flight" in log else [log]
-    found = []
-    for flight in flights:
-        first, last = flight["time"].iloc[[0, -1]] + [MARGIN, -MARGIN - SEGMENT]
-        for start in np.linspace(first, last, SEGMENTS // len(flights)):
-            part = flight[flight["time"].between(start, start + SEGMENT + 2 * STEP)].reset_index(
-                drop=True
-            )
-            found.append(part.drop(columns=["airspeed", "u", "v", "w"], errors="ignore"))
-    return found
-
-
-def corrected(name, models, aircraft, log, flight):
-    """Return the rows of output error of one test flight, one for each model."""
-    first = {"flight": name}
-    return [
-        first | {"seed": seed} | _corrected(model, aircraft, log, flight)
-        for seed, model in enumerate(models)
-    ]
-
-
-def _corrected(model, aircraft, log, flight):
-    parts = segments(model, log)
-    gravity = float(flight["gravity_true"].mean())
-    wind = [part[["time", *WIND]] for part in parts]
-    found = fit_output_error(
-        model, aircraft, parts, NOISE, dt=2 * STEP, air=Air(wind, gravity=gravity)
-    )
-    stretches = windows(truth_of(flight))
-    before, after = (
-        pd.DataFrame(errors_of(_parts(flown_free(each, aircraft, stretches)), stretches)).set_index(
-            "horizon"
-        )
-        for each in (model, found.model)
-    )
-    ratio = np.exp(np.log(after / before).mean(axis=1))
-    return {"factor of the prior": found.prior_scale} | {
-        f"{h:g} s": float(ratio[h]) for h in HORIZONS
-    }
-
-
 def replayed(name, model, aircraft, flight):
     """Return the paper's test: medians of v_E, p, r over restarts, against measurement and truth."""
     mean, std = predict_flight(model, flight)
@@ -329,7 +270,7 @@ def main(words=None):
         )
         for name, train, test in PAIRS
     }
-    errors, air, replays, refined = [], [], [], []
+    errors, air, replays = [], [], []
     for name, (short, aircraft, log, flight) in cases.items():
         default = learned(options, f"{short}_default", log, aircraft)
         line = make_identification_pipeline(aircraft, regressor=LinearRegression())
@@ -340,7 +281,6 @@ def main(words=None):
         found = free(name, models, aircraft, flight, options.paths)
         errors, air = errors + found[0], air + found[1]
         replays += replayed(name, default[0], aircraft, flight)
-        refined += corrected(name, default, aircraft, log, flight)
         if short == "example":
             times = timed(default[0], aircraft, options.paths)
     finish(
@@ -348,7 +288,6 @@ def main(words=None):
         "freeflight",
         errors=errors,
         bands=air,
-        output_error=refined,
         replay=replays,
         times=times,
     )

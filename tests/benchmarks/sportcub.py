@@ -43,7 +43,6 @@ from skdgp.dynamics import (
     SimulationWarning,
     aerodynamic_coefficients,
     euler_to_quaternion,
-    fit_output_error,
     quaternion_to_euler,
     simulate,
     trajectory_bands,
@@ -61,12 +60,6 @@ GROUPS = {
 STATES = [name for group in GROUPS.values() for name in group]
 QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
 STEP, DENSITY = 0.01, 1.225
-NOISE = {
-    name: std
-    for group, std in zip(GROUPS, (0.005, 0.05, 0.01, 0.1), strict=True)
-    for name in GROUPS[group]
-}
-"""Of the states that motion capture gives, for output error."""
 
 
 class Method(NamedTuple):
@@ -75,7 +68,6 @@ class Method(NamedTuple):
     name: str
     regressor: object = None
     bands: bool = False
-    output_error: bool = False
 
 
 TREND = DependentGPRegressor(structure="trend", random_state=0)
@@ -84,9 +76,6 @@ METHODS = {
     "least_squares": Method("least squares", LinearRegression()),
     "trend": Method('skdgp, structure="trend"', TREND, bands=True),
     "pipeline": Method("**skdgp pipeline**", bands=True),
-    "output_error": Method(
-        'skdgp, structure="trend", then output error', TREND, bands=True, output_error=True
-    ),
 }
 
 
@@ -191,11 +180,7 @@ def learned(method, aircraft, records):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         pipeline.set_params(**seeds).fit(X, Y)
-        if not method.output_error:
-            return pipeline
-        return fit_output_error(
-            pipeline, aircraft, records.tables, NOISE, thrust=None, air=Air(density=DENSITY)
-        ).model
+        return pipeline
 
 
 def flown(model, aircraft, records, drift=True, **options):
@@ -277,7 +262,7 @@ def run(task, method, n_paths):
     model = learned(method, task.aircraft, task.train)
     result = {"cpu_seconds": time.process_time() - start}
     result["test"] = scores(predicted(model, task.aircraft, task.test), task.test.tables).tolist()
-    if model is not None and not method.output_error:
+    if model is not None:
         asked, mean = (
             np.vstack(task.test.coefficients),
             np.vstack([model.predict(t) for t in task.test.tables]),
@@ -299,7 +284,7 @@ def run(task, method, n_paths):
                 "left out": coverage(tables),
                 "test": coverage([test]),
             }
-    if method.bands and not method.output_error:
+    if method.bands:
         shares = [
             getattr(each[-1], "weights_", {}).get("trend", 0.0)
             for each in (model, *models.values())

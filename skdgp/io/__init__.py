@@ -6,7 +6,6 @@
 from skdgp.io._autopilot import AUTOPILOTS, is_log
 from skdgp.io._inspect import LogSummary, inspect_log, names_servos, servo_template
 from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
-from skdgp.io._poses import flight_from_poses
 from skdgp.io._read import read_flight, read_flights
 from skdgp.io._servos import FULL_THROW, Throw, read_servos, reversed_of, servo_outputs
 from skdgp.io._tables import FlightReadError
@@ -23,7 +22,6 @@ __all__ = [
     "ServoChannel",
     "Throw",
     "Topic",
-    "flight_from_poses",
     "inspect_log",
     "is_log",
     "names_servos",

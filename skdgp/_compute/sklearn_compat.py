@@ -20,42 +20,17 @@ from sklearn.utils._param_validation import HasMethods, Interval, StrOptions, va
 # check_feature_names_in: names for `get_feature_names_out`; since 1.0.
 from sklearn.utils.validation import _check_feature_names_in as check_feature_names_in
 
-# CallbackSupportMixin: callbacks of estimators; public, since 1.9.
-try:
-    from sklearn.callback import CallbackSupportMixin
-except ImportError:
-    HAS_CALLBACKS = False
-
-    class CallbackSupportMixin:  # type: ignore[no-redef]
-        """Stand-in for versions before 1.9, which have no callbacks."""
-else:
-    HAS_CALLBACKS = True
-
 __all__ = [
-    "HAS_CALLBACKS",
-    "CallbackSupportMixin",
     "HasMethods",
     "Interval",
     "StrOptions",
-    "callback_context",
     "check_feature_names_in",
     "fit_context",
-    "has_callbacks",
     "output_container",
     "safe_indexing",
     "set_output_container",
     "validate_params",
 ]
-
-
-def callback_context(estimator: Any) -> Any:
-    """Return the task that scikit-learn's callbacks see of a fit; since 1.9."""
-    return estimator._init_callback_context(max_subtasks=None)
-
-
-def has_callbacks(estimator: Any) -> bool:
-    """Return whether ``set_callbacks`` gave the estimator any callback; since 1.9."""
-    return bool(vars(estimator).get("_skl_callbacks"))
 
 
 def output_container(estimator: Any, default: str) -> str:

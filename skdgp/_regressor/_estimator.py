@@ -13,8 +13,6 @@ from sklearn.utils import Bunch, check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, eigen_root
-from skdgp._compute.parallel import check_n_jobs
-from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
@@ -62,7 +60,7 @@ UPDATE_REMEDY = (
 PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs no joint covariance."
 
 
-class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixin, BaseEstimator):
+class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     r"""Gaussian-process regression of several dependent outputs.
 
     Output i is the sum of a trend, of latent white-noise processes x_m with a Gaussian filter h_mi
@@ -288,8 +286,8 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         ------
         ValueError
             If X is not finite, an output has fewer than two observed values, there are fewer than
-            two samples, values are too large or too small for double precision, ``n_jobs`` or
-            ``copies`` is invalid, or the posterior does not fit into memory.
+            two samples, values are too large or too small for double precision, ``copies`` is invalid,
+            or the posterior does not fit into memory.
 
         Warns
         -----
@@ -303,8 +301,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             If the search for hyperparameters was interrupted (the best ones so far are kept) or
             stopped at ``max_iter_`` before it converged.
         """
-        check_n_jobs(self.n_jobs)
-        task, index = FitTask(self, X, y), getattr(X, "index", None)
+        index = getattr(X, "index", None)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         _checks.warn_of_indices(index, y)
         Y, self.output_names_, self._single = _checks.check_targets(y, len(X), type(self).__name__)
@@ -333,7 +330,7 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
         self.max_iter_ = most_iterations(self.max_iter, Z, clock is not None)
-        found = task.run(fit_structure, self, X, Z, clock is not None)
+        found = fit_structure(self, X, Z, clock is not None)
         posterior, learned = found.posterior, found.learned
         self.weights_ = weights_of(posterior)
         _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
@@ -365,7 +362,6 @@ class DependentGPRegressor(CallbackSupportMixin, MultiOutputMixin, RegressorMixi
         self.log_marginal_likelihood_value_ = found.posterior.log_marginal_likelihood
         self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
         self.converged_, self.interrupted_ = learned.converged, learned.interrupted
-        task.end()
         return self
 
     # -- updates of a fitted model

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 from sklearn.utils import check_random_state
+from sklearn.utils.parallel import Parallel, delayed
 
-from skdgp._compute.parallel import fit_map
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import Fit, average, fit_exact, fit_sparse, joined, n_searched
@@ -66,13 +66,15 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
     if not averaged:
         return search(random_state=int(seeds[0]))
     n_jobs = model.n_jobs if len(seeds) == 1 else None
-    return joined(
-        fit_map(
-            partial(_averaged, search, X, Z, n_jobs),
-            [{"seed": int(s)} for s in seeds],
-            model.n_jobs,
-        )
+    found = Parallel(n_jobs=model.n_jobs, return_as="generator")(
+        delayed(_averaged)(search, X, Z, n_jobs, int(seed)) for seed in seeds
     )
+    fits: list[Fit] = []
+    for fit in found:
+        fits.append(fit)
+        if fit.interrupted:  # the next search would go on for as long
+            break
+    return joined(fits)
 
 
 def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
+from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._compute.linalg import (
     check_memory,
@@ -15,7 +16,6 @@ from skdgp._compute.linalg import (
     covariance_root,
     output_scale,
 )
-from skdgp._compute.parallel import fit_map
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
@@ -263,7 +263,8 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
         root = fit.learned.root
         loading = None if root is None else input_noise_loading(fit.posterior, X, root)
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
-        fits = [fit, *fit_map(of_part, [{"part": part} for part in parts[1:]], n_jobs)]
+        others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
+        fits = [fit, *others]
         members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
         weights = (
             None

@@ -34,7 +34,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
     unexplained_variance,
 )
-from skdgp._compute.parallel import few_threads, share_map, thread_map, threads_for
+from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data
@@ -214,10 +214,10 @@ class SparsePosterior(Single):
             _unwhitened(Lu, 2 * identity - self.B_inverse - self.B)
             - np.outer(self.weights, self.weights)
         )
-        state = self.kernel, self.features, self.noise, self.weights, reduction
-        total, diagonal, d_noise = map(
-            sum, zip(*share_map(_share_slope, state, self.shares), strict=True)
+        slope = partial(
+            _share_slope, self.kernel, self.features, self.noise, self.weights, reduction
         )
+        total, diagonal, d_noise = map(sum, zip(*thread_map(slope, self.shares), strict=True))
         total = total + self.features.gradient_uu(Wuu)
         n = self.kernel.n_dims
         return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
@@ -497,9 +497,8 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
     """Return the sums over all values, and their parts by output if the noise is independent, else None."""
     if shares and not _independent(shares):
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
-        for share, part in zip(
-            shares, share_map(_share_sums, (kernel, features, noise, Lu), shares), strict=True
-        ):
+        sums = partial(_share_sums, kernel, features, noise, Lu)
+        for share, part in zip(shares, thread_map(sums, shares), strict=True):
             columns = (
                 features.columns(share.outputs[0])
                 if len(share.outputs) == 1
@@ -511,7 +510,9 @@ def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[
         return SampleSums(outer, inner, rest), None
     sizes = [len(features.columns(i)) for i in range(kernel.n_outputs)]
     statistics = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0) for c in sizes]
-    parts = share_map(_share_sums, (kernel, features, np.ones(kernel.n_outputs), Lu), shares)
+    parts = thread_map(
+        partial(_share_sums, kernel, features, np.ones(kernel.n_outputs), Lu), shares
+    )
     for share, part in zip(shares, parts, strict=True):
         (i,), (outer, inner, square, variance, _) = share.outputs, part
         statistics[i] = statistics[i].plus(Statistics(outer, inner, square, variance, len(share.X)))

@@ -12,7 +12,6 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.progress import CallbackSupportMixin, FitTask
 from skdgp._compute.sklearn_compat import (
     check_feature_names_in,
     fit_context,
@@ -25,7 +24,7 @@ from skdgp._flight.checks import check_table, numeric
 
 
 class TableTransformer(  # type: ignore[call-arg]
-    CallbackSupportMixin, TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None
+    TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None
 ):
     """Base of transformers that read named columns of a flight table and add or choose others.
 
@@ -39,7 +38,7 @@ class TableTransformer(  # type: ignore[call-arg]
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the columns of the flight table X, and learn from them; y is ignored."""
-        task, self._passes = FitTask(self, X, y), not self._has_known_column(X)
+        self._passes = not self._has_known_column(X)
         if self._passes:
             self._check_other_input(X, reset=True)
             warnings.warn(
@@ -53,7 +52,6 @@ class TableTransformer(  # type: ignore[call-arg]
             check_table(X)
             validate_data(self, X, skip_check_array=True)
             self._fit_table(X)
-        task.end()
         return self
 
     def transform(self, X: Any) -> Any:

@@ -68,7 +68,7 @@ their names.
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),
-    *("casadi", "onnx", "gymnasium"),
+    *("casadi", "onnx"),
 }
 
 

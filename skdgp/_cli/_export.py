@@ -20,14 +20,10 @@ def export(run: Run) -> None:
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
-    fmu       aircraft.fmu: the whole aircraft for co-simulation, or aero.fmu with --form coefficients; C inside
     build-up  build_up.json: derivatives and tables with standard deviations; build_up.png: their picture
     jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
-    ardupilot plane.json: constant derivatives for the plane of SITL
-    gazebo    model.sdf: constant derivatives for AdvancedLiftDrag
-    dave-ml   aero.dml: functions with standard deviations and check cases, or tables with --form tables
 
-    MODEL is the model.joblib that identify wrote; for the first five also a model.npz. With
+    MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With
     --max-kb the form gets fewer basis functions; the loss is printed in standard deviations of the
     posterior. Derivatives and tables are fitted to the model at the samples; the loss is printed
     beside the posterior deviation, that of jsbsim stands in its file. All files are written into
@@ -49,7 +45,7 @@ def export(run: Run) -> None:
     else:
         model = load_portable(options.model)
     run.console.stage(f"exporting to {options.to}")
-    names = ("max_kb", "precision", "form", "fmi", "draws")
+    names = ("max_kb", "precision", "form", "draws")
     given = {name: value for name in names if (value := getattr(options, name)) is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
         facts = export_model(temporary, model, options.to, **given)
@@ -102,12 +98,8 @@ EXPORT = opt.Command(
             ),
             opt.option(
                 "--form",
-                "of jsbsim and dave-ml: functions (default) or tables; of fmu: aircraft (default) "
-                "or coefficients",
+                "of jsbsim: functions (default) or tables",
                 choices=CHOICES["form"],
-            ),
-            opt.option(
-                "--fmi", "version of the standard, of fmu (default: 2.0)", choices=CHOICES["fmi"]
             ),
             opt.option(
                 "--draws K",

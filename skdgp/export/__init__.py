@@ -1,13 +1,9 @@
-"""Models that leave Python: the portable model, its file, and the formats of other programs; an environment."""
+"""Models that leave Python: the portable model, its file, and the formats of other programs."""
 
-from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import BuildUp, Table, build_up, write_build_up
 from skdgp.export._c import write_c
-from skdgp.export._dave_ml import write_dave_ml
-from skdgp.export._fmu import write_fmu
 from skdgp.export._formats import CHOICES, FORMATS, export_model
 from skdgp.export._graphs import casadi_function, onnx_model
-from skdgp.export._gymnasium import gymnasium_env
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import (
     Block,
@@ -35,16 +31,11 @@ __all__ = [
     "build_up",
     "casadi_function",
     "export_model",
-    "gymnasium_env",
     "load_portable",
     "onnx_model",
     "portable_model",
     "save_portable",
-    "write_ardupilot",
     "write_build_up",
     "write_c",
-    "write_dave_ml",
-    "write_fmu",
-    "write_gazebo",
     "write_jsbsim",
 ]

@@ -14,11 +14,8 @@ from typing import Any, TypeAlias
 from sklearn.utils import Bunch
 
 from skdgp.dynamics import Aircraft
-from skdgp.export._ardupilot import write_ardupilot, write_gazebo
 from skdgp.export._build_up import build_up, write_build_up
 from skdgp.export._c import C_FILES, TOLERANCE, c_bytes, write_c
-from skdgp.export._dave_ml import write_dave_ml
-from skdgp.export._fmu import FMU_FILES, ROOTS, write_fmu
 from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel, save_portable
@@ -45,7 +42,7 @@ def export_model(
     to : str
         Name of the format.
     **options
-        Of the format: ``max_kb``, ``precision``, ``form``, ``fmi``, ``draws``.
+        Of the format: ``max_kb``, ``precision``, ``form``, ``draws``.
 
     Returns
     -------
@@ -93,22 +90,6 @@ def _c(
     return {"files": [folder / name for name in C_FILES], "loss": loss_of(model)}
 
 
-def _fmu(
-    folder: Path,
-    model: PortableModel,
-    *,
-    form: str = "aircraft",
-    fmi: str = "2.0",
-    max_kb: float | None = None,
-) -> Facts:
-    model, path = reduced_to_kb(model, c_bytes, max_kb), folder / FMU_FILES.get(form, "")
-    return {
-        "binary": write_fmu(path, model, form=form, fmi=fmi),
-        "files": [path],
-        "loss": loss_of(model),
-    }
-
-
 def _file_bytes(model: PortableModel) -> int:
     """Return the size of the file of a model."""
     arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
@@ -141,32 +122,19 @@ def _jsbsim(
     return {"files": write_jsbsim(folder, model, aircraft, form=form, n_draws=draws)}
 
 
-def _with_loss(name: str, write: Callable, folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    loss = write(folder / name, model, aircraft)
-    return {"files": [folder / name], "loss": loss.to_dict("index")}
-
-
-def _dave_ml(folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions") -> Facts:
-    return _with_loss("aero.dml", partial(write_dave_ml, form=form), folder, model, aircraft)
-
-
 ARRAY_FORMATS: dict[str, Callable[..., Facts]] = {
     "portable": partial(_one_file, "model.npz", save_portable),
     "c": _c,
     "casadi": partial(_one_file, "aero.casadi", write_casadi),
     "onnx": partial(_one_file, "aero.onnx", write_onnx),
-    "fmu": _fmu,
 }
 """Formats of a portable model."""
 SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
     "build-up": _tables,
     "jsbsim": _jsbsim,
-    "ardupilot": partial(_with_loss, "plane.json", write_ardupilot),
-    "gazebo": partial(_with_loss, "model.sdf", write_gazebo),
-    "dave-ml": _dave_ml,
 }
 """Formats of a pipeline and its samples."""
-CHOICES = {"precision": [*TOLERANCE], "form": ["functions", "tables", *FMU_FILES], "fmi": [*ROOTS]}
+CHOICES = {"precision": [*TOLERANCE], "form": ["functions", "tables"]}
 """The values of options that are words, of one format or another."""
 FORMATS = ARRAY_FORMATS | SAMPLE_FORMATS
 """The function of each format: it writes a model into a folder, takes the options of the format,

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import unicodedata
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import count
 from typing import Any, TypeAlias
@@ -42,16 +41,6 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
             )
             taken.add(found[name])
     return found
-
-
-def check_distinct(names: Iterable[str], what: str) -> None:
-    """Raise ValueError if a column of the model has the name of another variable of a file."""
-    twice = sorted(name for name, number in Counter(names).items() if number > 1)
-    if twice:
-        raise ValueError(
-            f"Got a model of {twice}, but {what} has other variables of these names: learn from "
-            f"columns of other names."
-        )
 
 
 def changes_text(names: Mapping[str, str]) -> str:
@@ -96,9 +85,9 @@ def element(tag: str, *content: Content, **attributes: str) -> Element:
     return found
 
 
-def write_xml(path: str | os.PathLike[str], root: Element, doctype: str = "") -> None:
+def write_xml(path: str | os.PathLike[str], root: Element) -> None:
     """Write a document, its elements as they are indented."""
-    head = '<?xml version="1.0"?>\n' + doctype
+    head = '<?xml version="1.0"?>\n'
     write_atomically(path, text_writer(f"{head}{ElementTree.tostring(root, encoding='unicode')}\n"))
 
 

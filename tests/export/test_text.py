@@ -4,9 +4,6 @@ import json
 import re
 import shutil
 import subprocess
-import xml.etree.ElementTree as ET
-from dataclasses import replace
-from zipfile import ZipFile
 
 import numpy as np
 import pandas as pd
@@ -22,12 +19,9 @@ from skdgp.export import (
     save_portable,
     write_build_up,
     write_c,
-    write_dave_ml,
-    write_fmu,
-    write_gazebo,
     write_jsbsim,
 )  # fmt: skip
-from skdgp.export._text import changes_text, file_name, identifiers
+from skdgp.export._text import changes_text, identifiers
 from skdgp.identification import make_identification_pipeline
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -110,19 +104,6 @@ def test_c_compiles_and_names_the_columns(learned, tmp_path):
     assert '"flap left" is flap_left_2' in (tmp_path / "aero.h").read_text()
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_fmu_is_well_formed(learned, fmi, tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", "")  # source alone
-    monkeypatch.delenv("CC", raising=False)
-    with pytest.warns(UserWarning, match="no binary"):
-        write_fmu(tmp_path / "a.fmu", portable_model(*learned[:2]), fmi=fmi)
-    with ZipFile(tmp_path / "a.fmu") as archive:
-        root = ET.fromstring(archive.read("modelDescription.xml"))
-    assert root.get("modelName") == NAME
-    assert "flap_left_2" in {variable.get("name") for variable in root.find("ModelVariables")}
-    assert '"flap left" is flap_left_2' in root.get("description")
-
-
 def test_onnx_names_the_columns(learned):
     pytest.importorskip("onnx", reason='writes the graph: pip install "skdgp[export]"')
     properties = {
@@ -155,18 +136,9 @@ def test_jsbsim_flies_the_columns(learned, form, tmp_path):
     np.testing.assert_allclose(found, pipeline.predict(pd.DataFrame([row]))[0], atol=1e-6)
 
 
-def test_other_xml_and_json(learned, tmp_path):
+def test_json_keeps_the_names(learned, tmp_path):
     pipeline, aircraft, _ = learned
-    build = build_up(pipeline, aircraft, pairs="none", max_loss=np.inf)
-    write_gazebo(tmp_path / "a.sdf", pipeline, aircraft)
-    assert ET.parse(tmp_path / "a.sdf").getroot()[0].get("name") == file_name(NAME)
-    for k, model in enumerate([pipeline, build]):
-        write_dave_ml(tmp_path / f"{k}.dml", model, aircraft)
-        root = ET.parse(tmp_path / f"{k}.dml").getroot()
-        tags = [element for element in root if element.tag.endswith("variableDef")]
-        assert "flap_left_2" in {element.get("varID") for element in tags}
-        assert '"flap left" is flap_left_2' in "".join(root[0].itertext())
-    write_build_up(tmp_path / "a.json", build)
+    write_build_up(tmp_path / "a.json", build_up(pipeline, aircraft, pairs="none", max_loss=np.inf))
     assert list(json.loads((tmp_path / "a.json").read_text())["regressors"]) == [
         "alpha",
         "q_hat",
@@ -174,12 +146,3 @@ def test_other_xml_and_json(learned, tmp_path):
     ]
     save_portable(tmp_path / "a.npz", portable_model(pipeline, aircraft))
     assert load_portable(tmp_path / "a.npz").regressor_names == ("alpha", "q_hat", *HOSTILE)
-
-
-def test_a_name_of_the_file_is_refused(learned, uav, regressors, fitted, tmp_path):
-    model = build_up(fitted("trend"), uav, pairs="none", max_loss=np.inf)
-    renamed = replace(model, regressors=(*model.regressors[:-1], "CX_0"))
-    with pytest.raises(
-        ValueError, match=r"a model of \['CX_0'\], but the file has other variables"
-    ):
-        write_dave_ml(tmp_path / "a.dml", renamed, uav)

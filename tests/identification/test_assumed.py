@@ -10,7 +10,7 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp._mechanics.estimate import relative_errors
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
-from skdgp.export import portable_model, write_c, write_dave_ml
+from skdgp.export import portable_model, write_c
 from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (
     THRUST_IN_COEFFICIENTS,
@@ -198,9 +198,7 @@ class TestALogAMassAndASpan:
         units = {each.name: each.unit for each in portable.regressors}
         assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
         write_c(tmp_path, portable)
-        write_dave_ml(tmp_path / "model.dml", model.pipeline, model.aircraft)
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
-        assert 'varID="aileron" units="full throw"' in (tmp_path / "model.dml").read_text()
 
     @pytest.mark.filterwarnings("ignore")
     def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, monkeypatch):

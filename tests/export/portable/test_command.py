@@ -93,9 +93,6 @@ def test_c_of_a_portable_model(run, path, tmp_path, capsys):
             "{0}/{0}.xml {0}_001/{0}_001.xml {0}_002/{0}_002.xml",
         ),
         (["build-up"], "build_up.json build_up.png"),
-        (["ardupilot"], "plane.json"),
-        (["gazebo"], "model.sdf"),
-        (["dave-ml"], "aero.dml"),
     ],
 )
 def test_of_samples(run, fitted_of, words, file, tmp_path, capsys, monkeypatch):

@@ -100,7 +100,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
         result.
     X : array or DataFrame (n, ...), optional
         Input of the model: samples over which effects are centred and compared. Default: the
-        training samples. A compact model does not hold them and needs X.
+        training samples.
     n_grid : int, default=30
         Points of each curve.
 
@@ -186,12 +186,6 @@ def samples_of(regressor, before, X):
     """Return samples X or, without them, those of the fit, (n, d), as the regressor sees them."""
     if X is not None:
         return regressor._check_regressors(X if before is None else before.transform(X))
-    if regressor.inference_ == "compact":
-        raise ValueError(
-            "Got a compact model, which holds no samples. Give X, samples of the flown envelope, "
-            "or the model before "
-            "compact()."
-        )
     return training_inputs(regressor.posterior_)
 
 

@@ -115,20 +115,15 @@ def test_nonsense_is_refused(wrong):
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_survives_pickling_compaction_and_further_samples(inference):
+def test_survives_pickling(inference):
     model = fitted(0.1, inference, max_iter=15)
-    X, Y, *_ = waves(seed=2)
+    X, *_ = waves(seed=2)
     words = {"return_std": True, "include_input_noise": True}
     before = model.predict(X, **words)
     for mine, theirs in zip(
         pickle.loads(pickle.dumps(model)).predict(X, **words), before, strict=True
     ):
         np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
-    small = model.compact(30)
-    np.testing.assert_allclose(small.predict(X), before[0], atol=0.1)
-    for one in (model, small):
-        grown = one.partial_fit(X, Y).predict(X, return_std=True, include_input_noise=False)[1]
-        assert (grown < before[1] + 1e-9).mean() > 0.95
 
 
 @pytest.mark.usefixtures("short_fits")

@@ -408,3 +408,54 @@ class TestFewRows:
         with warnings.catch_warnings():
             warnings.simplefilter("error", FewRowsWarning)
             model.fit(X, Y)
+
+
+PLAIN = np.random.default_rng(3).normal(size=(7, 2)) * 1.5
+
+
+@pytest.fixture(scope="module")
+def small():
+    X = np.random.default_rng(0).normal(size=(40, 2))
+    options = {"structure": "joint", "max_iter": 15, "random_state": 0}
+    return DependentGPRegressor(**options).fit(X, np.sin(X))
+
+
+class TestPlainRows:
+    """What passes the door without scikit-learn's full check is what would pass it unchanged."""
+
+    def test_other_forms_give_the_same(self, small):
+        expected = small.predict(PLAIN)
+        for form in (
+            PLAIN.tolist(),
+            np.asfortranarray(PLAIN),
+            PLAIN.astype(">f8"),
+            np.repeat(PLAIN, 2, axis=1)[:, ::2],
+        ):
+            np.testing.assert_allclose(small.predict(form), expected, rtol=1e-12)
+        np.testing.assert_allclose(small.predict(PLAIN.astype(np.float32)), expected, rtol=1e-4)
+        np.testing.assert_allclose(small.predict(pd.DataFrame(PLAIN)), expected, rtol=1e-12)
+
+    @pytest.mark.parametrize(
+        ("X", "says"),
+        [
+            (np.ones((1, 3)), "3 features.*expecting 2"),
+            (np.ones((0, 2)), "0 sample"),
+            (np.ones(2), "Expected 2D array"),
+            (np.ones((1, 2, 1)), "dim 3"),
+            (np.array([[1.0, np.nan]]), "NaN"),
+            (np.array([[1.0, -np.inf]]), "infinity"),
+            (np.array([[1.0, 1j]]), "Complex"),
+            (np.array([["a", "b"]]), "could not convert"),
+        ],
+    )
+    def test_what_is_no_sample_is_refused(self, small, X, says):
+        with pytest.raises(ValueError, match=says):
+            small.predict(X)
+
+    def test_callers_array_is_left_alone(self, small):
+        X = PLAIN.copy()
+        X.flags.writeable = False
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            small.predict(X, return_std=True)
+        np.testing.assert_array_equal(X, PLAIN)

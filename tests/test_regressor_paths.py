@@ -31,10 +31,8 @@ def fitted(inference="exact", y=slice(None), **options):
     return DependentGPRegressor(inference=inference, **options).fit(X, Y[:, y])
 
 
-@pytest.fixture(scope="module", params=["exact", "sparse", "compact"])
+@pytest.fixture(scope="module", params=["exact", "sparse"])
 def model(request):
-    if request.param == "compact":
-        return fitted().compact(40, max_iter=0)
     return fitted(request.param)
 
 

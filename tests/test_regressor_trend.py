@@ -126,18 +126,11 @@ class TestInEveryInference:
             pickle.loads(pickle.dumps(model)).predict(X), model.predict(X), rtol=1e-9, atol=1e-10
         )
 
-    def test_sparse_compact_and_online(self, data):
+    def test_sparse(self, data):
         X, Y = data
         model = DependentGPRegressor(
             n_latent=1, trend=PolynomialFeatures(2), random_state=0, max_iter=10
         ).fit(X, Y)
-        small = model.compact(200)
-        np.testing.assert_allclose(small.predict(X), model.predict(X), atol=0.02)
-        new = X + 0.01
-        for one in (model, small):
-            before = one.predict(new, return_std=True)[1]
-            after = one.partial_fit(new, truth(new)).predict(new, return_std=True)[1]
-            assert (after < before).all()
         sparse = clone(model).set_params(inference="sparse", n_inducing=20).fit(X, Y)
         np.testing.assert_allclose(sparse.predict(X), truth(X), atol=0.3)
 

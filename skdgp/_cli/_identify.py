@@ -160,7 +160,6 @@ def _learn(run, train, aircraft, test, title=None, **known):
     steps = {
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
         "lags": "auto" if options.lags else None,
-        "symmetric": options.symmetric,
     }
     with listening(console.progress):
         with console.counting_interrupts():
@@ -172,7 +171,6 @@ def _learn(run, train, aircraft, test, title=None, **known):
                 regressor=regressor,
                 pipeline=steps,
                 samples=options.samples,
-                calibrate=options.calibrate,
                 horizons=options.horizons,
                 **known,
             )
@@ -232,11 +230,6 @@ LEARNING = [
         "linear extrapolates beyond the data (default: linear)",
     ),
     opt.option("--latents M", "latents that the outputs share (default: 2)", opt.at_least(0)),
-    opt.flag(
-        "--calibrate",
-        "scale standard deviations to what training flights show that are held out in turn",
-    ),
-    opt.flag("--symmetric", "the aircraft is symmetric: learn from mirrored flights, too"),
     opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
     opt.SEED,
     opt.option("--n-jobs N", "processes for the members of the average; -1: all cores", opt.jobs),

@@ -12,7 +12,7 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
 CONSTANT = (
@@ -85,22 +85,6 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
             stacklevel=3,
         )
     return L
-
-
-def pivoted_cholesky(K: Matrix, tolerance: float) -> tuple[Indices, Vector]:
-    """Return the pivots in order, each least explained by those before it, and what is left of its variance.
-
-    ``K`` (N, N), in Fortran order, is overwritten. Stops where less than ``tolerance`` is left of
-    every variable; returns at least one pivot.
-    """
-    L, pivots, rank, info = lapack.dpstrf(K, tol=tolerance, lower=1, overwrite_a=1)
-    if info < 0:
-        raise np.linalg.LinAlgError(
-            f"The pivoted Cholesky factorisation failed (pstrf info {info})."
-        )
-    if rank == 0:
-        return np.zeros(1, dtype=int), np.zeros(1)
-    return pivots[:rank] - 1, np.einsum("ii->i", L)[:rank] ** 2
 
 
 def semidefinite_root(M: Matrix) -> Matrix:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,6 @@ MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regre
 # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
 LEAST_ROWS = 10
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
-LARGE_CHANGE = (
-    0.5  # change by compaction, in standard deviations, that causes a warning without a tolerance
-)
 
 
 class FewRowsWarning(UserWarning):
@@ -145,21 +141,6 @@ def check_observed(Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def check_same_targets(names: list[str], expected: list[str]) -> None:
-    """Raise a ValueError if the outputs of further targets are not those of the fit."""
-    if len(names) != len(expected):
-        raise ValueError(
-            f"Got y with {len(names)} outputs, but expected the {len(expected)} of the fit: "
-            f"{expected}. Set targets "
-            "that were not observed to NaN."
-        )
-    if names != expected and default_names(len(names)) not in (names, expected):
-        raise ValueError(
-            f"Got y with the columns {names}, but expected those of the fit, in their order: "
-            f"{expected}."
-        )
-
-
 def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
     """Warn of more inducing inputs than samples."""
     if n_inducing > n_samples:
@@ -168,46 +149,6 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
             f"slower than exact "
             "inference. Lower n_inducing, or use inference='exact'."
         )
-
-
-def check_compaction(n_inducing: int, tolerance: Any, max_iter: int) -> None:
-    """Raise a ValueError if a parameter of ``compact`` is invalid."""
-    if not isinstance(n_inducing, Integral) or isinstance(n_inducing, bool) or n_inducing < 1:
-        raise ValueError(
-            f"Got n_inducing={n_inducing!r}, but expected an integer number of variables from 1 on."
-        )
-    if not isinstance(max_iter, Integral) or isinstance(max_iter, bool) or max_iter < 0:
-        raise ValueError(
-            f"Got max_iter={max_iter!r}, but expected an integer number of iterations, or 0 for "
-            f"none."
-        )
-    if tolerance is None:
-        return
-    if (
-        not isinstance(tolerance, Real)
-        or isinstance(tolerance, bool)
-        or not 0 < float(tolerance) < np.inf
-    ):
-        raise ValueError(
-            f"Got tolerance={tolerance!r}, but expected a positive fraction of the standard "
-            f"deviation, such as 0.1, or "
-            "None."
-        )
-
-
-def warn_of_compaction(tolerance: float | None, change: float, n_inducing: int) -> None:
-    """Warn if compaction changes predictions by more than the tolerance, or by more than LARGE_CHANGE without one."""
-    if change <= (LARGE_CHANGE if tolerance is None else tolerance):
-        return
-    excess = "" if tolerance is None else f", which is more than the tolerance {tolerance:g}"
-    warnings.warn(
-        f"Compacting to {n_inducing} inducing variables changes mean or standard deviation of an "
-        f"output by "
-        f"{change:.2g} of its standard deviation (root mean square){excess}. Raise n_inducing; "
-        f"compaction_ has the "
-        "change of each output.",
-        stacklevel=3,
-    )
 
 
 def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
@@ -341,16 +282,3 @@ def _warn(message, category=UserWarning):
     # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of
     # fit.
     warnings.warn(message, category, stacklevel=5)
-
-
-def check_copies(copies: Any, used: np.ndarray) -> int:
-    """Return how many of the rows that are ``used`` (n,) are of the first copy; raise ValueError if copies differ."""
-    whole = isinstance(copies, int | np.integer) and copies > 0 and len(used) % copies == 0
-    parts = np.split(used, copies) if whole else []
-    if not parts or any((part != parts[0]).any() for part in parts):
-        raise ValueError(
-            f"Got copies={copies!r} of {len(used)} rows, but expected copies of equal length, "
-            f"known in the "
-            "same rows: give the rows one copy after the other."
-        )
-    return int(parts[0].sum())

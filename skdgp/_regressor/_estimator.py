@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils import Bunch, check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -24,13 +23,9 @@ from skdgp._regressor._structure import (
     weights_of,
 )
 from skdgp.inference import (
-    Data,
-    ExactPosterior,
     FunctionErrors,
     SlopeErrors,
-    compact,
     function_errors,
-    input_noise_loading,
     misfit_variance,
     output_correlation,
     residual_drift,
@@ -51,11 +46,6 @@ FIT_REMEDY = (
     "Use inference='sparse' (--inference sparse) or fewer values: "
     "skdgp.model_selection.thin_targets(Y, 755) "
     "(--samples 755) keeps 755 samples spread over the log."
-)
-UPDATE_REMEDY = (
-    "Compact the model first with model.compact(), whose memory does not grow with further "
-    "samples, or fit with "
-    "inference='sparse'."
 )
 PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs no joint covariance."
 
@@ -151,10 +141,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     log_marginal_likelihood_value_ : float
         Log marginal likelihood of the normalised outputs. For sparse inference its lower bound,
         with noise that is inflated by the correlation of neighbouring errors.
-    inference_ : {"exact", "sparse", "compact"}
+    inference_ : {"exact", "sparse"}
         Inference that was used.
-    compaction_ : Compaction
-        Change of the predictions by ``compact``; only in a compact model.
     posterior_ : AveragePosterior, ExactPosterior or SparsePosterior
         Posterior of the normalised outputs.
     weights_ : dict of str to ndarray (P,)
@@ -247,9 +235,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     # ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(
-        self, X: Matrix, y: Any, time: Any = None, flight: Any = None, copies: int = 1
-    ) -> DependentGPRegressor:
+    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -273,9 +259,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None:
             one flight.
-        copies : int
-            How often the rows hold the same measurements, one copy after the other: 2 of a log and
-            its mirror image. Standard deviations then count each measurement once.
 
         Returns
         -------
@@ -286,8 +269,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ------
         ValueError
             If X is not finite, an output has fewer than two observed values, there are fewer than
-            two samples, values are too large or too small for double precision, ``copies`` is invalid,
-            or the posterior does not fit into memory.
+            two samples, values are too large or too small for double precision, or the posterior
+            does not fit into memory.
 
         Warns
         -----
@@ -308,7 +291,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         clock = _checks.check_clock(time, flight, len(X))
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
-        n_measured = _checks.check_copies(copies, used)
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
@@ -341,11 +323,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         misfit, variance, memory = np.zeros((3, len(self.scale_)))
         if clock is not None:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
-            misfit = misfit_variance(posterior, X[:n_measured], Z[:n_measured], clock[:n_measured])
-        if copies > 1:
-            posterior = posterior.scaled_noise(float(copies))
-            posterior.measured = X[:n_measured], Z[:n_measured]
-        self.__dict__.pop("compaction_", None)  # belongs to an earlier fit
+            misfit = misfit_variance(posterior, X, Z, clock)
         self.posterior_, self.kernel_ = posterior, posterior.kernel
         misfit = np.minimum(
             misfit, LARGEST_MISFIT * learned.noise
@@ -363,155 +341,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
         self.converged_, self.interrupted_ = learned.converged, learned.interrupted
         return self
-
-    # -- updates of a fitted model
-    # ---------------------------------------------------------------------
-
-    @fit_context(prefer_skip_nested_validation=False)
-    def partial_fit(
-        self, X: Matrix, y: Any, time: Any = None, flight: Any = None
-    ) -> DependentGPRegressor:
-        """Update the posterior with further samples, at the hyperparameters of ``fit``.
-
-        Kernel, noise, misfit, drift, centre and scale do not change. The posterior becomes that of
-        all samples so far. An exact posterior appends rows to its Cholesky factor, O(N^2) for each
-        new value. A sparse or compact posterior adds to its sums, in constant time; a compact model
-        does not store the samples. If the model is not fitted, this is ``fit``.
-
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-            Regressors, finite.
-        y : array, Series or DataFrame (n,) or (n, P)
-            Targets; NaN where an output was not observed.
-        time, flight : array (n,) or None
-            As for ``fit``. They are not used if the model is fitted: the drift does not change
-            either.
-
-        Returns
-        -------
-        DependentGPRegressor
-            The estimator.
-
-        Raises
-        ------
-        ValueError
-            If columns of X or y are not those of the fit, X is not finite, or the exact posterior
-            of all samples does not fit into memory.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from skdgp import DependentGPRegressor
-        >>> x = np.linspace(0.0, 6.0, 40)[:, None]
-        >>> model = DependentGPRegressor(n_latent=1, random_state=0).partial_fit(x[:30], np.sin(x[:30, 0]))
-        >>> _, before = model.predict(x[-1:], return_std=True)
-        >>> _, after = model.partial_fit(x[30:], np.sin(x[30:, 0])).predict(x[-1:], return_std=True)
-        >>> bool(after[0] < before[0])
-        True
-        """
-        if not hasattr(self, "posterior_"):
-            return self.fit(X, y, time, flight)
-        index = getattr(X, "index", None)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        _checks.warn_of_indices(index, y)
-        Y, names, _ = _checks.check_targets(y, len(X), type(self).__name__)
-        _checks.check_same_targets(names, self.output_names_)
-        _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
-        _checks.check_magnitudes(Y, self.output_names_, "targets", 0.0, _checks.Y_RANGE[1])
-        loading = (
-            None if self._root is None else input_noise_loading(self.posterior_, X, self._root)
-        )
-        data = Data.from_table(X, (Y - self.center_) / self.scale_, loading)
-        if self.inference_ == "exact":
-            n_values = self.posterior_.samples().n_values + data.n_values
-            n_factors = sum(
-                isinstance(member, ExactPosterior) for member in self.posterior_.members
-            )
-            check_memory(n_values, "Exact inference on", UPDATE_REMEDY, 1 + n_factors)
-        if data.n_values:
-            self.posterior_ = self.posterior_.updated(data)
-            self.log_marginal_likelihood_value_ = self.posterior_.log_marginal_likelihood
-        return self
-
-    def compact(
-        self,
-        n_inducing: int = 1500,
-        *,
-        tolerance: Any = None,
-        max_iter: int = 10,
-        random_state: Seed = 0,
-    ) -> DependentGPRegressor:
-        """Return a small, fast model with nearly the same predictions that stores no samples.
-
-        Inducing variables replace the samples, at the same hyperparameters. Each variable is the
-        contribution of one latent to one output; their numbers and inputs are chosen to explain the
-        outputs best. Predicting a row takes microseconds, the size is constant, and ``partial_fit``
-        works. ``compaction_`` holds the change of predictions.
-
-        Parameters
-        ----------
-        n_inducing : int
-            Largest number of inducing variables, besides the weights of a trend. A sparse model
-            with no more variables keeps them.
-        tolerance : float or None
-            Use the fewest variables for which mean and standard deviation of every output change by
-            at most this fraction of the original standard deviation, in root mean square over the
-            training inputs and points around them.
-        max_iter : int
-            Final iterations that move the variables to raise the bound of the likelihood; Ctrl-C
-            stops them.
-        random_state : int, RandomState or None
-            Seed of the placement, and of the points at which the change is measured.
-
-        Returns
-        -------
-        DependentGPRegressor
-            A new fitted model with ``inference_ = "compact"``.
-
-        Raises
-        ------
-        ValueError
-            If a parameter is invalid, matrices of that size do not fit into memory, or the model is
-            already compact.
-
-        Warns
-        -----
-        UserWarning
-            If ``n_inducing`` variables do not keep the tolerance or, without a tolerance, change
-            predictions by more than half a standard deviation.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from skdgp import DependentGPRegressor
-        >>> x = np.linspace(0.0, 6.0, 80)[:, None]
-        >>> y = np.sin(x) + np.random.default_rng(0).normal(0.0, 0.1, x.shape)
-        >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, y)
-        >>> small = model.compact(tolerance=0.01)
-        >>> small.compaction_.change < 0.01, small.compaction_.n_inducing < 80
-        (True, True)
-        """
-        check_is_fitted(self)
-        _checks.check_compaction(n_inducing, tolerance, max_iter)
-        allow = partial(
-            check_memory, what="A compact model of", remedy="Use fewer n_inducing.", n_matrices=8
-        )
-        posterior, compaction = compact(
-            self.posterior_, n_inducing, tolerance, max_iter, random_state, allow
-        )
-        _checks.warn_of_compaction(tolerance, compaction.change, compaction.n_inducing)
-        small = clone(self)
-        vars(small).update(
-            {
-                name: value
-                for name, value in vars(self).items()
-                if name not in self.get_params(False)
-            }
-        )
-        small.posterior_, small.compaction_, small.inference_ = posterior, compaction, "compact"
-        small.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
-        return small
 
     def output_correlation(self) -> Bunch:
         """Return the correlation between outputs and the shift at which it is largest.
@@ -617,7 +446,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random``
         errors, correlated between neighbouring samples and between outputs, and errors of the
-        ``method``. None if the samples are too few, or not stored (compact models). Rows must be in
+        ``method``. None if the samples are too few. Rows must be in
         the order of the log.
 
         Examples
@@ -637,8 +466,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         Errors of neighbouring samples and of different outputs are correlated. Those of a
         polynomial of second order are estimated block by block, as ``random`` of `slope_errors`.
-        ``simulate`` adds them to the paths. None if the samples are too few, or not stored (compact
-        models).
+        ``simulate`` adds them to the paths. None if the samples are too few.
 
         Examples
         --------

@@ -98,8 +98,7 @@ def write_jsbsim(
 
     With ``form="functions"`` the coefficients are the posterior mean, and further aircraft are
     functions drawn from the posterior, sums of exponentials and cosines: those that
-    ``sample_paths`` and ``simulate`` draw with the same ``random_state``. A model with exact
-    inference is compacted first (``DependentGPRegressor.compact``). With ``form="tables"`` they are
+    ``sample_paths`` and ``simulate`` draw with the same ``random_state``. With ``form="tables"`` they are
     those of :func:`build_up`, faster and easier to read, where they lose at most ``max_loss``.
 
     ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``. The
@@ -123,7 +122,7 @@ def write_jsbsim(
     random_state : int, RandomState or None, default=0
         Of the draws.
     tolerance : float, default=0.1
-        As of :func:`build_up`, or as of ``DependentGPRegressor.compact`` for functions.
+        As of :func:`build_up`; functions are exact.
     max_loss : float, default=0.25
         Largest loss of tables, as of :func:`build_up`; a coefficient that loses more is written as
         functions.
@@ -260,16 +259,10 @@ def gaussian_sums(
     n_draws: int = 0,
     random_state: Seed = 0,
 ) -> list[GaussianSum]:
-    """Return the posterior mean of a model, then functions drawn from its posterior, those of ``sample_paths``.
-
-    A model with exact inference is compacted with the tolerance first; its draws are those of the
-    compact model.
-    """
+    """Return the posterior mean of a model, then functions drawn from its posterior, those of ``sample_paths``."""
     posterior = Posterior(model, X)
     original = posterior.mean(posterior.tested)
     deviation = np.sqrt(np.mean(posterior.deviation(posterior.tested) ** 2, axis=0))
-    if posterior.regressor.inference_ == "exact":
-        posterior.regressor = posterior.regressor.compact(tolerance=tolerance, max_iter=0)
     try:
         form = posterior_form(posterior.regressor.posterior_)
     except ValueError as error:
@@ -287,7 +280,8 @@ def gaussian_sums(
         )
     shares, d = form["mixture"].ravel(), len(posterior.names)
     weights = [
-        share * readout.weights for share, readout in zip(shares, form["readouts"], strict=True)
+        share * form["readouts"][k].weights
+        for share, k in zip(shares, form["readout_of"], strict=True)
     ]
     trend = shares[:, None] * form["trend_weights"]
     mean = GaussianSum(
@@ -306,6 +300,11 @@ def gaussian_sums(
     )
     if not n_draws:
         return [mean]
+    if posterior.regressor.inference_ == "exact":
+        raise ValueError(
+            "Got draws of a model with exact inference, but expected inference='sparse', whose "
+            "draws are sums of few functions."
+        )
     bundle = posterior.regressor.sample_paths(n_draws, random_state).bundle
     if not isinstance(bundle, MixedPaths):
         bundle = MixedPaths([bundle], np.zeros((n_draws, form["mixture"].shape[1]), dtype=int))

@@ -191,7 +191,7 @@ class LearnedRange:
     low, high : ndarray (d,)
         Smallest and largest value.
     samples : ndarray (n, d)
-        Some rows of the training data; none of a compact model.
+        Some rows of the training data.
     """
 
     low: Vector
@@ -310,7 +310,7 @@ class PortableModel:
         return [self.outputs.index(name) for name in COEFFICIENTS]
 
     def points(self) -> Matrix:
-        """Return regressors (n, d) that were flown: samples, or inducing inputs of a compact model, among them."""
+        """Return regressors (n, d) that were flown: samples, or inducing inputs, among them."""
         if len(self.envelope.samples) > 1:
             return self.envelope.samples
         Z = (

@@ -1,4 +1,4 @@
-"""The portable model of an identified pipeline: exact, sparse and compact posteriors as arrays."""
+"""The portable model of an identified pipeline: exact and sparse posteriors as arrays."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     """Return the portable model of a fitted identification pipeline.
 
     The pipeline has a ``RegressorSelector``, perhaps scalers such as ``StandardScaler`` behind it,
-    and a ``DependentGPRegressor`` at the end, exact, sparse or compact, perhaps in a
+    and a ``DependentGPRegressor`` at the end, exact or sparse, perhaps in a
     ``CalibratedRegressor``. The ``facts`` of a model file become the provenance:
     ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is no pipeline or
     ``aircraft`` no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
@@ -224,10 +224,6 @@ def _exact(
 ) -> dict[str, Any]:
     """Return the samples as centres, blocks, one readout with the inverse factor, weights and roots of the trends."""
     X, (P, e) = posterior.data.X, tau.shape
-    if not isinstance(
-        posterior._rows, slice
-    ):  # rows were appended: factor again in the order of the outputs
-        posterior = ExactPosterior(posterior.kernel, posterior.noise, posterior.data)
     places = np.cumsum([0, *map(len, X)])
     blocks = []
     for i in range(P):
@@ -262,7 +258,7 @@ def _exact(
 
 
 def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
-    """Return the same of a sparse or compact posterior: inducing inputs are the centres, each output has a readout."""
+    """Return the same of a sparse posterior: inducing inputs are the centres, each output has a readout."""
     P, e = tau.shape
     summands, centres, m = [], [np.empty((0, e - 1))], 0
     for features in posterior.features.summands():

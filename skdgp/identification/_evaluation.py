@@ -31,7 +31,6 @@ from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._flight.smoothing import noise_level
 from skdgp._regressor import DependentGPRegressor
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
@@ -70,9 +69,6 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
         "reconstruction": reconstruction_of(pipeline),
     }
-    if isinstance(pipeline[-1], CalibratedRegressor):
-        facts["std_scale"] = _by_coefficient(pipeline[-1].std_scale_)
-        facts["guaranteed_level"] = _by_coefficient(pipeline[-1].max_level_)
     if "lagcorrector" in pipeline.named_steps:
         facts["lags"] = pipeline["lagcorrector"].lags_.to_dict("index")
     return facts
@@ -94,11 +90,9 @@ def settings_of(pipeline, reconstruction, horizons) -> dict:
         "latents": regressor.n_latent,
         "max_iter": regressor.max_iter,
     }
-    if isinstance(pipeline[-1], CalibratedRegressor):
-        settings["calibrate"] = True
     if "lagcorrector" in pipeline.named_steps:
         settings["lags"] = pipeline["lagcorrector"].lags
-    return settings | ({"symmetric": True} if pipeline.symmetric else {})
+    return settings
 
 
 def reconstruction_of(pipeline) -> str | None:

@@ -289,14 +289,9 @@ class Identification:
             self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12
         )
 
-    def _effects(self) -> EffectsDisplay | None:
-        """Return the effect of each regressor; None of a compact model without its training flights."""
-        compact = regressor_and_scale(self.pipeline)[0].inference_ == "compact"
-        if compact and not self.train:
-            return None
-        return EffectsDisplay.compute(
-            self.pipeline[-2:], self._training_regressors() if compact else None
-        )
+    def _effects(self) -> EffectsDisplay:
+        """Return the effect of each regressor."""
+        return EffectsDisplay.compute(self.pipeline[-2:])
 
     def _training_regressors(self) -> pd.DataFrame:
         return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
@@ -329,11 +324,6 @@ class Identification:
             remarks["Noise of the regressors"] = ", ".join(noisy)
         if self.settings["external_forces"]:
             remarks["Other loads"] = ", ".join(self.settings["external_forces"])
-        if "std_scale" in fit:
-            factors = ", ".join(f"{name} {factor:.2f}" for name, factor in fit["std_scale"].items())
-            remarks["Calibration"] = (
-                f"standard deviations scaled to flights held out in turn: {factors} times"
-            )
         step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
         if step > 1:
             remarks["Bands"] = f"computed at one row in {step}, interpolated between"

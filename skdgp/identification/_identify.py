@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import pandas as pd
-from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.progress import notify
@@ -18,7 +17,6 @@ from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _assumed, _evaluation, _flights
 from skdgp.identification._identification import Identification
@@ -40,7 +38,6 @@ def identify(
     samples: int | str | None = None,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
-    calibrate: bool = False,
     horizons: Sequence[float] = (2.0, 10.0),
     reading: Mapping[str, Any] | None = None,
 ) -> Identification:
@@ -76,10 +73,6 @@ def identify(
         the speed of the propeller among the regressors, best with the airspeed, unless the aircraft
         glides; so does "auto" by itself where the flights have a throttle and nothing gives the
         thrust.
-    calibrate : bool
-        Whether :class:`skdgp.calibration.CalibratedRegressor` scales standard deviations to what
-        training flights show that are held out in turn: up to 5 more fits. Not with a symmetric
-        pipeline.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
@@ -93,8 +86,7 @@ def identify(
     Raises
     ------
     ValueError
-        If a flight lacks columns or usable rows, a name occurs twice, the thrust is not known, or
-        there is a single training flight to calibrate on.
+        If a flight lacks columns or usable rows, a name occurs twice, or the thrust is not known.
     TypeError
         If ``regressor`` is not a DependentGPRegressor.
     OSError
@@ -144,8 +136,6 @@ def identify(
         )
         train, test, held_out = _flights.train_and_test(train, test)
         servos, train, test = _assumed.with_signs_of_flights(servos, train, test)
-        if calibrate:
-            _check_calibration(train, steps.get("symmetric", False))
         columns = _flights.regressor_columns(train.values(), regressors)
         train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
         _flights.warn_of_short_flights(train, regressors)
@@ -174,11 +164,10 @@ def identify(
         targets = thin_targets(Y, len(Y) if n_samples in (None, "all") else n_samples)
 
         notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
-        last = CalibratedRegressor(clone(regressor)) if calibrate else regressor
         has_controls = {*ELEVONS} & {*table} or {*MIXED} <= {*table}
         steps = {"mixer": None if has_controls else "passthrough"} | steps
         model = make_identification_pipeline(
-            aircraft, regressors=regressors, regressor=last, **steps
+            aircraft, regressors=regressors, regressor=regressor, **steps
         )
         if thrust_unknown and isinstance(
             regressors, str
@@ -186,8 +175,7 @@ def identify(
             model.set_params(regressorselector__extra=["airspeed"])
         model.control_units_ = _assumed.control_units(servos)
         began = time.monotonic()
-        groups = {"calibratedregressor__groups": table["flight"]} if calibrate else {}
-        X = model.fit_regressors(table, targets, **groups)
+        X = model.fit_regressors(table, targets)
         model.noise_ = noise_of_motion(X, Y, table)
         seconds = time.monotonic() - began
         aircraft = _assumed.with_vane_errors(aircraft, model)
@@ -315,18 +303,3 @@ def _aircraft(aircraft: Any) -> Aircraft:
 
 def _warn(message):
     warnings.warn(message, stacklevel=3)
-
-
-def _check_calibration(train, symmetric) -> None:
-    if len(train) < 2:
-        raise ValueError(
-            f"Got one training flight ({next(iter(train))!r}) to calibrate on, but expected at "
-            f"least two, to hold "
-            "each out in turn: give more flights, or do not calibrate."
-        )
-    if symmetric:
-        raise ValueError(
-            "Got calibrate with symmetric=True, but expected one or the other: calibration is by "
-            "flights held out, "
-            "which a symmetric model would learn from twice."
-        )

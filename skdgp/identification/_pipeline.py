@@ -16,7 +16,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.clock import flight_segments
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
@@ -49,7 +49,6 @@ def make_identification_pipeline(
     regressor: Any = None,
     memory: Any = None,
     lags: str | dict | None = None,
-    symmetric: bool = False,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
@@ -94,8 +93,6 @@ def make_identification_pipeline(
         each flight once.
     lags : "auto", dict or None, default=None
         As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
-    symmetric : bool, default=False
-        As for :class:`FlightPipeline`.
 
     Returns
     -------
@@ -139,7 +136,7 @@ def make_identification_pipeline(
         StandardScaler(),
         DependentGPRegressor() if regressor is None else clone(regressor),
     )
-    pipeline = FlightPipeline(steps.steps, memory=memory, symmetric=symmetric)
+    pipeline = FlightPipeline(steps.steps, memory=memory)
     pipeline.set_params(flightpathreconstruction=reconstruction)
     if lags is not None:
         pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
@@ -201,18 +198,10 @@ class FlightPipeline(Pipeline):
     includes the noise of the regressors, which is larger in rougher air, see
     :func:`flight_regressors`.
 
-    ``symmetric`` adds samples for the last step in ``fit``, and changes nothing in ``predict``. It
-    needs a :class:`skdgp.preprocessing.RegressorSelector`, and targets with names or of all six
-    coefficients.
-
     Parameters
     ----------
     steps, transform_input, memory, verbose
         As of scikit-learn's ``Pipeline``.
-    symmetric : bool, default=False
-        Whether the aircraft is symmetric about its x-z plane: it also learns from the flights as
-        seen in a mirror, and the standard deviations count each sample once. It takes half as long
-        again.
 
     Attributes
     ----------
@@ -230,18 +219,6 @@ class FlightPipeline(Pipeline):
 
     steps: list[tuple[str, Any]]
 
-    def __init__(
-        self,
-        steps: Any,
-        *,
-        transform_input: Any = None,
-        memory: Any = None,
-        verbose: bool = False,
-        symmetric: bool = False,
-    ) -> None:
-        super().__init__(steps, transform_input=transform_input, memory=memory, verbose=verbose)
-        self.symmetric = symmetric
-
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
@@ -249,9 +226,6 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        if self.symmetric:
-            self.fit_regressors(X, y, **params)
-            return self
         super().fit(X, y, **self._clock(X) | params)
         self._learn_turbulence(X)
         return self
@@ -262,13 +236,10 @@ class FlightPipeline(Pipeline):
         words = {
             key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()
         }
-        if self.symmetric:
-            own = self._fit_symmetric(X, y, words)
-        else:
-            steps = self[:-1]
-            own = np.asarray(steps.fit_transform(X, y))
-            self.steps = [*steps.steps, (name, last)]  # a memory fits clones
-            last.fit(own, y, **words)
+        steps = self[:-1]
+        own = np.asarray(steps.fit_transform(X, y))
+        self.steps = [*steps.steps, (name, last)]  # a memory fits clones
+        last.fit(own, y, **words)
         self._learn_turbulence(X)
         return own
 
@@ -295,34 +266,6 @@ class FlightPipeline(Pipeline):
         flight = {f"{name}__flight": np.asarray(X["flight"])} if "flight" in X else {}
         return {f"{name}__time": X["time"].to_numpy(float), **flight}
 
-    def _fit_symmetric(self, X, y, words):
-        """Fit the steps up to the regressors, and the last one to the samples and their mirror images."""
-        chosen = [
-            k for k, (_, step) in enumerate(self.steps) if isinstance(step, RegressorSelector)
-        ]
-        if not chosen or "time" not in X:
-            raise ValueError(
-                f"Got steps {[name for name, _ in self.steps]} and columns {list(X)} for "
-                f"symmetric, but expected a "
-                "RegressorSelector and the column time: add them."
-            )
-        first, rest, (name, last) = self[: chosen[0] + 1], self[chosen[0] + 1 : -1], self.steps[-1]
-        table, targets = first.fit_transform(X, y), _named_targets(y).reset_index(drop=True)
-        own = np.asarray(rest.fit_transform(table, y) if rest.steps else table)
-        self.steps = [*first.steps, *rest.steps, (name, last)]  # a memory fits clones
-        mirror, image = mirrored(table.reset_index(drop=True), targets)
-        Z = np.concatenate([own, np.asarray(rest.transform(mirror) if rest.steps else mirror)])
-        numbers = pd.factorize(X["flight"] if "flight" in X else np.zeros(len(X)))[0]
-        flights = (
-            {"flight": np.concatenate([numbers, numbers + numbers.max() + 1])}
-            if "flight" in words
-            else {}
-        )
-        copies = {"copies": 2} if isinstance(last, DependentGPRegressor) else {}
-        words = {key: np.tile(value, 2) for key, value in words.items()}
-        last.fit(Z, pd.concat([targets, image], ignore_index=True), **words | flights | copies)
-        return own
-
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 
@@ -335,43 +278,6 @@ class FlightPipeline(Pipeline):
             return super().predict(X, **params)
         check_is_fitted(self)
         return _predict(self[-1], *flight_regressors(self, X), params)
-
-
-def mirrored(regressors: pd.DataFrame, targets: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return regressors (n, d) and coefficients (n, P) of the flights as seen in a mirror.
-
-    A symmetric aircraft flies the mirrored flight with the mirrored controls. Lateral coefficients
-    change their sign about their value without sideslip, rates and lateral controls, by least
-    squares: an asymmetry stays. Raises ValueError for single elevons.
-    """
-    if set(ELEVONS) & set(regressors):
-        raise ValueError(
-            f"Got regressors {list(regressors)} of a symmetric aircraft, but expected elevator "
-            f"and aileron in place of "
-            "single elevons: put ElevonSplitter() before RegressorSelector."
-        )
-    lateral = [name for name in map(str, regressors) if name.removesuffix(HAT) in MIRRORED]
-    X, Y = regressors.copy(), targets.copy()
-    X[lateral] = -X[lateral]
-    A = np.column_stack([np.ones(len(X)), regressors[lateral]])
-    for name in MIRRORED & set(Y):
-        known = Y[name].notna().to_numpy()
-        straight = np.linalg.lstsq(A[known], Y[name].to_numpy()[known], rcond=None)[0][0]
-        Y[name] = 2 * straight - Y[name]
-    return X, Y
-
-
-def _named_targets(y: Any) -> pd.DataFrame:
-    """Return targets with the names of a table, or an array's as the six coefficients; ValueError for other arrays."""
-    if isinstance(y, pd.DataFrame):
-        return y
-    if np.ndim(y) != 2 or np.shape(y)[1] != len(COEFFICIENTS):
-        raise ValueError(
-            f"Got targets of shape {np.shape(y)} without names, but expected a table with columns "
-            f"such as CY, Cl, Cn, "
-            "or the six coefficients: give a DataFrame."
-        )
-    return pd.DataFrame(np.asarray(y, dtype=float), columns=COEFFICIENTS)
 
 
 def flight_noise(

@@ -15,7 +15,6 @@ misfit    the error of the function that residuals show where flights come back 
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
-from skdgp.inference._compact import Compaction, compact
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, joined, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
@@ -34,7 +33,6 @@ from skdgp.inference._sparse import SparsePosterior, shares_of
 __all__ = [
     "AveragePosterior",
     "CentredTerm",
-    "Compaction",
     "Data",
     "ExactPosterior",
     "Fit",
@@ -46,7 +44,6 @@ __all__ = [
     "SparsePosterior",
     "autocorrelation_time",
     "average",
-    "compact",
     "fit_exact",
     "fit_sparse",
     "function_errors",

@@ -55,16 +55,10 @@ class Single:
     """The words of an ``AveragePosterior`` for a posterior that is its only member."""
 
     kernel: Any
-    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
 
     @property
     def members(self) -> list[Any]:
         """The posterior itself."""
-        return [self]
-
-    @property
-    def wholes(self) -> list[Any]:
-        """The posterior itself, which has all terms."""
         return [self]
 
     @property
@@ -139,19 +133,8 @@ class AveragePosterior:
         Weights of each member, for each output; columns add up to one.
     """
 
-    measured: Any = None  # X (n, d), Y (n, P) where it has learned from other samples
-
     def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
         self.members, self.parts, self.mixture = members, parts, np.asarray(mixture, dtype=float)
-
-    @property
-    def wholes(self) -> list[Any]:
-        """The members with all terms, one of each search."""
-        return [
-            member
-            for member, part in zip(self.members, self.parts, strict=True)
-            if part == self.parts[0]
-        ]
 
     @property
     def kernel(self) -> Any:
@@ -172,38 +155,9 @@ class AveragePosterior:
         """Return the log likelihood of the first member at other hyperparameters."""
         return self.members[0].likelihood_at(kernel, noise, eval_gradient)
 
-    def samples(self) -> Data | None:
-        """Return the values that the members have learned from; None in a compact model."""
+    def samples(self) -> Data:
+        """Return the values that the members have learned from."""
         return self.members[0].samples()
-
-    def map(self, function: Any) -> AveragePosterior:
-        """Return the average of other posteriors, ``function`` of each member."""
-        new = AveragePosterior(
-            [function(member) for member in self.members], self.parts, self.mixture
-        )
-        new.measured = self.measured
-        return new
-
-    def updated(self, data: Data) -> AveragePosterior:
-        """Return the average with further values; weights stay."""
-        return self.map(lambda member: member.updated(data))
-
-    def without_samples(self) -> AveragePosterior:
-        """Return the same average without samples."""
-        return self.map(lambda member: member.without_samples())
-
-    def scaled_noise(self, factor: Vector) -> AveragePosterior:
-        """Return the average with the noise of each output times a factor (P,)."""
-        return self.map(lambda member: member.scaled_noise(factor))
-
-    def sparse(self, *features: Any) -> AveragePosterior:
-        """Return the sparse average of the same samples, with these features of the kernels of ``wholes``."""
-        search = np.cumsum([part == self.parts[0] for part in self.parts]) - 1
-        members = [
-            member.sparse(of_terms(features[s], part))
-            for member, part, s in zip(self.members, self.parts, search, strict=True)
-        ]
-        return AveragePosterior(members, self.parts, self.mixture)
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
@@ -418,5 +372,5 @@ class _MemberTerm:
 
 
 def training_inputs(posterior: Any) -> np.ndarray:
-    """Return the distinct inputs of the observed values of a posterior that is not compact, (n, d)."""
+    """Return the distinct inputs of the observed values of a posterior, (n, d)."""
     return np.unique(np.concatenate(posterior.samples().X), axis=0)

@@ -61,15 +61,6 @@ class Data(NamedTuple):
             None if loading is None else SampleNoise.from_table(observed, loading),
         )
 
-    def joined(self, other: Data) -> Data:
-        """Return these values followed by the other values, output by output."""
-        X = [np.concatenate(pair) for pair in zip(self.X, other.X, strict=True)]
-        y = [np.concatenate(pair) for pair in zip(self.y, other.y, strict=True)]
-        sample_noise = self.sample_noise
-        if sample_noise is not None and other.sample_noise is not None:
-            sample_noise = sample_noise.joined(other.sample_noise)
-        return Data(X, y, sample_noise)
-
     def every(self, step: int) -> Data:
         """Return every ``step``-th value of each output."""
         X, y, noise = [x[::step] for x in self.X], [y[::step] for y in self.y], self.sample_noise

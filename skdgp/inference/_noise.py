@@ -50,16 +50,6 @@ class SampleNoise(NamedTuple):
             [loading[rows, i] for i, rows in enumerate(observed.T)],
         )
 
-    def joined(self, other: SampleNoise) -> SampleNoise:
-        """Return these values followed by the other values, which belong to other samples."""
-        first = 1 + max((s.max() for s in self.sample if len(s)), default=-1)
-        sample = [
-            np.concatenate([a, b + first]) for a, b in zip(self.sample, other.sample, strict=True)
-        ]
-        return SampleNoise(
-            sample, [np.concatenate(pair) for pair in zip(self.loading, other.loading, strict=True)]
-        )
-
     def pairs(self):
         """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
 

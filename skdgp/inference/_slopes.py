@@ -21,7 +21,6 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
@@ -102,9 +101,7 @@ class FunctionErrors(NamedTuple):
 @one_blas_thread()
 def function_errors(posterior: Any) -> FunctionErrors | None:
     """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
-    data = _measured(posterior)
-    if data is None:
-        return None
+    data = posterior.samples()
     centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
     weights = np.zeros((BLOCKS, _parabola(data.X[0][:1]).shape[1], len(data.y)))
     for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
@@ -118,14 +115,6 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
     return FunctionErrors(weights, centre, scale)
 
 
-def _measured(posterior: Any) -> Data | None:
-    """Return the measured samples of a posterior, None if it has none (compact models)."""
-    data = posterior.samples()
-    return (
-        data if data is None or posterior.measured is None else Data.from_table(*posterior.measured)
-    )
-
-
 @one_blas_thread()
 def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
@@ -137,9 +126,7 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
 
     A slope by instruments, of standard deviation s, differs by d. It counts as :math:`d |d| /
     \sqrt{d^2 + s^2}`: as d where it is much larger than s, and as .8 s in root mean square where it
-    is only chance. What instruments do not determine, least squares does. Where a posterior has
-    learned from other samples than those ``measured``, such as mirrored ones, polynomials are of
-    the measured ones.
+    is only chance. What instruments do not determine, least squares does.
 
     Noise in a regressor flattens the slopes w of least squares. The same noise is in the residuals
     of all outputs, which have the covariance :math:`\Sigma`. With p, the variance of the regressor
@@ -152,9 +139,7 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     :math:`g / \sqrt 3`, the root mean square of what lies anywhere between. Slopes by other
     regressors follow as the weights correlate.
     """
-    data = _measured(posterior)
-    if data is None:
-        return None
+    data = posterior.samples()
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None

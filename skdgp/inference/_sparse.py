@@ -60,36 +60,26 @@ class SparsePosterior(Single):
 
     Attributes
     ----------
-    shares : list of SampleShare or None
-        None after ``without_samples``: only ``sums`` remain.
     log_marginal_likelihood : float
         Lower bound on the log marginal likelihood.
     """
 
-    shares: Any
     sums: SampleSums
     statistics: Any  # list of Statistics, None if the noise is correlated
 
     def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
-        self.kernel, self.features, self.noise = kernel, features, np.asarray(noise, dtype=float)
+        self.kernel = kernel
+        self.features = features
+        self.noise = np.asarray(noise, dtype=float)
         self.shares = shares
         self._begin()
 
     def __getstate__(self):
-        state = {
-            name: getattr(self, name)
-            for name in ("kernel", "features", "noise", "shares", "measured")
-        }
-        if (
-            self.shares is None
-        ):  # otherwise the sums are computed again from the samples, which take less space
-            state["sums"] = self.sums.packed()
-        return state
+        # A saved model holds the samples, from which the sums are computed again.
+        return {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares")}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
-        if self.shares is None:
-            self.sums = self.sums.unpacked()
         self._begin()
 
     @property
@@ -100,10 +90,9 @@ class SparsePosterior(Single):
     def _begin(self):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
-        if self.shares is not None:
-            self.sums, self.statistics = compute_sums(
-                self.kernel, self.features, self.noise, self.Lu, self.shares
-            )
+        self.sums, self.statistics = compute_sums(
+            self.kernel, self.features, self.noise, self.Lu, self.shares
+        )
         self._condition()
 
     def _condition(self):
@@ -130,22 +119,15 @@ class SparsePosterior(Single):
         with threads_for(self.size):
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
-    def _with(self, **state) -> SparsePosterior:
-        """Return the posterior of other samples or with another noise, with the same features."""
-        new, kept = (
-            object.__new__(SparsePosterior),
-            ("kernel", "features", "Lu", "noise", "measured", "shares"),
-        )
-        vars(new).update({name: getattr(self, name) for name in kept} | state)
-        new._condition()
-        return new
-
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
-        sums = SampleSums.combine(self.features, noise, self.statistics)
-        return self._with(
-            noise=np.asarray(noise, dtype=float), statistics=self.statistics, sums=sums
-        )
+        new = object.__new__(SparsePosterior)
+        kept = ("kernel", "features", "Lu", "shares", "statistics")
+        vars(new).update({name: getattr(self, name) for name in kept})
+        new.noise = np.asarray(noise, dtype=float)
+        new.sums = SampleSums.combine(self.features, noise, self.statistics)
+        new._condition()
+        return new
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
@@ -161,66 +143,23 @@ class SparsePosterior(Single):
             residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
         return residual
 
-    def samples(self) -> Data | None:
-        """Return the values that the posterior has learned from; None without samples."""
-        return None if self.shares is None else data_from_shares(self.shares, self.kernel.n_outputs)
+    def samples(self) -> Data:
+        """Return the values that the posterior has learned from."""
+        return data_from_shares(self.shares, self.kernel.n_outputs)
 
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, shares_of(data))
 
-    def scaled_noise(self, factor: Vector) -> SparsePosterior:
-        """Return the posterior with the noise of each output times a factor (P,)."""
-        return SparsePosterior(self.kernel, self.features, self.noise * factor, self.shares)
-
-    def sparse(self, features: Any) -> SparsePosterior:
-        """Return the posterior of the same samples with other features."""
-        return SparsePosterior(self.kernel, features, self.noise, self.shares)
-
-    def without_samples(self) -> SparsePosterior:
-        """Return the same posterior without samples: it keeps only their sums and predicts the same."""
-        return self._with(shares=None, statistics=None, sums=self.sums, measured=None)
-
-    def updated(self, data: Data) -> SparsePosterior:
-        """Return the posterior with further values: their sums are added."""
-        sums, added = compute_sums(self.kernel, self.features, self.noise, self.Lu, shares_of(data))
-        sums = self.sums.plus(sums)
-        samples = self.samples()
-        if samples is None:
-            return self._with(statistics=None, sums=sums)
-        total = added and [old.plus(new) for old, new in zip(self.statistics, added, strict=True)]
-        return self._with(shares=shares_of(samples.joined(data)), statistics=total, sums=sums)
-
     def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
-        """Return the bound of the same data at other hyperparameters, with ``eval_gradient`` also its gradient."""
-        if self.shares is None:
+        """Return the bound of the same data at other hyperparameters; ValueError for its gradient."""
+        if eval_gradient:
             raise ValueError(
-                "A compact model holds no samples, so its likelihood is known at the fitted "
-                "hyperparameters alone. Use "
-                "the model it was made from."
+                "Got eval_gradient=True for sparse inference, whose bound has no gradient here: use "
+                "inference='exact', or leave it out."
             )
-        other = SparsePosterior(
-            kernel, self.features.rebuild(kernel, self.features.theta), noise, self.shares
-        )
-        if not eval_gradient:
-            return other.log_marginal_likelihood
-        return other.log_marginal_likelihood, other.bound_gradient()[: kernel.n_dims + len(noise)]
-
-    def bound_gradient(self) -> Vector:
-        """Return the gradient of the bound by [kernel theta, log noise, features theta]."""
-        Lu, identity = self.Lu, np.eye(self.size)
-        reduction = _unwhitened(Lu, identity - self.B_inverse)  # Kuu^-1 - (Kuu + sum Kuf Pi Kfu)^-1
-        Wuu = 0.5 * (
-            _unwhitened(Lu, 2 * identity - self.B_inverse - self.B)
-            - np.outer(self.weights, self.weights)
-        )
-        slope = partial(
-            _share_slope, self.kernel, self.features, self.noise, self.weights, reduction
-        )
-        total, diagonal, d_noise = map(sum, zip(*thread_map(slope, self.shares), strict=True))
-        total = total + self.features.gradient_uu(Wuu)
-        n = self.kernel.n_dims
-        return np.concatenate([total[:n] + diagonal, d_noise, total[n:]])
+        features = self.features.rebuild(kernel)
+        return SparsePosterior(kernel, features, noise, self.shares).log_marginal_likelihood
 
     @cached_property
     def _readout(self):
@@ -290,10 +229,8 @@ class SparsePosterior(Single):
         of the term and the features in place of Kfu. ``predict``, ``covariance`` and ``gradient``
         are those of the term, which ``self.kernel.term(regressors)`` gives.
         """
-        new, features = (
-            object.__new__(SparsePosterior),
-            self.features.rebuild(kernel, self.features.theta),
-        )
+        new = object.__new__(SparsePosterior)
+        features = self.features.rebuild(kernel)
         vars(new).update(vars(self) | {"kernel": kernel, "features": features, "roots": self.roots})
         vars(new).pop("_readout", None)
         return new
@@ -455,23 +392,6 @@ class SampleSums(NamedTuple):
             rest += s.n * np.log(2 * np.pi * noise[i]) + (s.square + s.unexplained) / noise[i]
         return cls(outer, inner, rest)
 
-    def plus(self, other: SampleSums) -> SampleSums:
-        """Return the sums over these and the other values."""
-        return SampleSums(
-            self.outer + other.outer, self.inner + other.inner, self.rest + other.rest
-        )
-
-    def packed(self) -> SampleSums:
-        """Return the sums with ``outer`` as the bits of what is not zero in its lower triangle, and these values."""
-        lower = np.tril(self.outer)
-        return self._replace(outer=(np.packbits(lower != 0), lower[lower != 0]))
-
-    def unpacked(self) -> SampleSums:
-        """Return the sums with the full matrix ``outer``; the inverse of ``packed``."""
-        (bits, values), lower = self.outer, np.zeros((len(self.inner),) * 2)
-        lower[np.unpackbits(bits, count=lower.size).reshape(lower.shape).astype(bool)] = values
-        return self._replace(outer=symmetric(lower))
-
 
 class Statistics(NamedTuple):
     """SampleSums over the n samples of one output at unit noise: V V^T (c, c), V y (c,), y y and var(y_i)."""
@@ -559,55 +479,6 @@ def _share_sums(kernel, features, noise, Lu, share):
 
 # -- the gradient of the bound
 # ----------------------------------------------------------------------------------------
-
-
-def _unwhitened(Lu, M):
-    """Return Lu^-T M Lu^-1 for a symmetric M (K, K)."""
-    half = triangular_solve(Lu, np.asfortranarray(M), transposed=True)
-    return triangular_solve(Lu, np.asfortranarray(half.T), transposed=True)
-
-
-def _share_slope(kernel, features, noise, weights, reduction, share):
-    """Return the sums of the gradient: by [kernel, features], by the kernel through prior variances, by log noise.
-
-    ``weights`` (K,) are Kuu^-1 times the posterior mean of the features; ``reduction`` (K, K) as in
-    ``bound_gradient``.
-    """
-    outputs = range(len(share.outputs))
-    columns = [features.columns(i) for i in share.outputs]
-    reductions = {
-        (i, j): reduction[np.ix_(columns[j], columns[i])] for i in outputs for j in outputs
-    }
-    total, diagonal, d_noise = 0.0, np.zeros(kernel.n_dims), np.zeros(len(noise))
-    for X, Y, precision, _ in _blocks(share, noise):
-        A = [features.Kfu(i, X) for i in share.outputs]
-        residual = np.nan_to_num(Y) - np.column_stack([A[i] @ weights[columns[i]] for i in outputs])
-        weighted = np.einsum("nij,nj->ni", precision, residual)
-        projected = {(i, j): A[j] @ reductions[i, j] for i in outputs for j in outputs}
-        covariance = np.empty_like(precision)  # posterior covariance of the outputs at each sample
-        for i, j in _pairs(share):
-            first, second = share.outputs[i], share.outputs[j]
-            value = _variance(kernel, first, second, X) - np.einsum(
-                "nc,nc->n", A[i], projected[i, j]
-            )
-            covariance[:, i, j] = covariance[:, j, i] = value
-            w = -0.5 * precision[:, i, j]
-            if i == j:
-                diagonal += kernel.diag_gradient(first, X, w)
-            elif kernel.couples(first, second):
-                for rows in gen_batches(len(X), DIAGONAL_ROWS):
-                    diagonal += kernel.block_gradient(
-                        first, second, X[rows], X[rows], np.diag(2 * w[rows])
-                    )
-        for i in outputs:
-            W = np.multiply.outer(weighted[:, i], weights[columns[i]])
-            for j in outputs:
-                W += precision[:, i, j, None] * projected[i, j]
-            total = total + features.gradient_fu(share.outputs[i], X, W)
-        spread = np.einsum("nij,njk,nki->ni", precision, covariance, precision)
-        by_noise = np.sum(weighted**2 + spread - np.einsum("nii->ni", precision), axis=0)
-        d_noise[list(share.outputs)] += 0.5 * noise[list(share.outputs)] * by_noise
-    return total, diagonal, d_noise
 
 
 # -- common to both

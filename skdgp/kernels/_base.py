@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,14 +14,12 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
-from sklearn.utils import gen_batches
 
-from skdgp._compute.linalg import RowPairs, cluster_centres, column_scale
+from skdgp._compute.linalg import RowPairs
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._features import Features, PointFeatures, SumFeatures
 from skdgp.kernels._prior_paths import KernelPaths, PathBundle
 
-DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 
 
@@ -124,14 +122,6 @@ class MultiOutputKernel(Kernel):
         W = np.zeros((len(pairs.X),) * 2)
         W.ravel()[pairs.place] = w
         return self.block_gradient(i, i, pairs.X, pairs.X, W)
-
-    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
-        """Return sum(w * dvar(y_i(Xi)) / dtheta), (n_theta,)."""
-        rows = gen_batches(len(Xi), DIAGONAL_ROWS)
-        return sum(
-            (self.block_gradient(i, i, Xi[a], Xi[a], np.diag(w[a])) for a in rows),
-            np.zeros(self.n_dims),
-        )
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -242,17 +232,6 @@ class MultiOutputKernel(Kernel):
     def features(self, Z: Matrix) -> Features:
         """Return inducing features for sparse inference at Z (k, d), by default the values of the outputs at Z."""
         return PointFeatures(self, Z)
-
-    def feature_ranking(
-        self, X: Matrix, scale: Vector, random_state: Seed
-    ) -> Callable[[int], Features]:
-        """Return a function n -> the best n inducing features for the outputs at X (n, d).
-
-        ``scale`` (P,) is the accuracy required of each output. Every term of a sum gets n features.
-        """
-        return lambda n: self.features(
-            cluster_centres(X, column_scale(X), max(1, n // self.n_outputs), random_state)
-        )
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process."""
@@ -565,15 +544,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
         ]
         return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
 
-    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
-        return np.concatenate([self.k1.diag_gradient(i, Xi, w), self.k2.diag_gradient(i, Xi, w)])
-
     def features(self, Z: Matrix) -> Any:
         return SumFeatures(self.k1.features(Z), self.k2.features(Z))
-
-    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
-        rankings = [k.feature_ranking(X, scale, random_state) for k in (self.k1, self.k2)]
-        return lambda n: SumFeatures(*(ranking(n) for ranking in rankings))
 
     def prior_paths(self, *args: Any) -> PathBundle:
         return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
-from skdgp.kernels._features import LatentFeatures, rank_parts
+from skdgp.kernels._features import LatentFeatures
 from skdgp.kernels._pair import (
     Exponent,
     diagonal_pair,
@@ -361,11 +361,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def paths(self, X: Matrix, coefficients: Any) -> Any:
         return ValuePaths(self, X, coefficients)
 
-    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
-        zeros = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
-        zeros["amplitude"][:, i] = 2 * np.sum(w) * self._value("amplitude")[:, i]
-        return self.theta_gradient(zeros)
-
     def features(self, Z: Matrix) -> Any:
         w, A = self._value("amplitude"), self.A
         lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
@@ -388,9 +383,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         else:
             chosen[:, ~others] = cluster_centres(Z[:, ~others], column_scale(Z)[~others], n, 0)
         return chosen
-
-    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
-        return rank_parts(self, X, scale, random_state)
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return Waves.combine(
@@ -599,32 +591,16 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
             return np.zeros(self.n_dims)
-        return self.theta_gradient(self.entry_gradients(i, j, Xi, Xj, W))
-
-    def entry_gradients(
-        self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix, inputs: bool = False
-    ) -> Any:
-        """Return sum(W * dK_ij) by each entry of the parameter arrays (by the logarithms of length scales).
-
-        With ``inputs`` also return the derivatives by the rows of Xj, (n_j, d).
-        """
-        gains, shift = self._pair(i, j)[1], self._pair(i, j)[-1]
+        shift = self._pair(i, j)[-1]
         middle = _middle(Xj)
         b = Xj - middle
         a = [Xi - (mu + middle) for mu in shift]
-        sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, a, b, transposed=inputs)
+        sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, b)
         full = self.covariance_type == "full"
         mass, first, second = (
             np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True)
         )
-        entries = self._gradients_from_moments(i, j, mass, first, second)
-        if not inputs:
-            return entries
-        by_input = [
-            gains[k] * (G.left - G.columns[:, None] * b) @ self._precision(i, j, k)
-            for k, G in enumerate(sums)
-        ]
-        return entries, sum(by_input)
+        return self.theta_gradient(self._gradients_from_moments(i, j, mass, first, second))
 
     def _gradients_from_moments(self, i, j, mass, first, second):
         """Return the gradients from the moments of order 0, 1 and 2 of W * E over delta - mu."""

@@ -7,30 +7,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
-from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import cluster_centres, pivoted_cholesky
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp.kernels._pair import ExponentialRows
 from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, Waves, draw_latents
 
 # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 JITTER = 1e-6
-CANDIDATES = 2400  # candidates of each latent in a ranking
-CLUSTERED = 5000  # largest number of samples for k-means
-NEGLIGIBLE = 1e-6  # residual variance at which a ranking stops, relative to the required accuracy
 
 
 class Features(ABC):
     """K variables u that are jointly Gaussian with the outputs, with covariances Kuu (K, K) and Kfu.
 
-    ``theta`` holds the inducing inputs, one after another. They change the quality of the
-    approximation, not the model.
+    Their inducing inputs change the quality of the approximation, not the model.
     """
 
     kernel: Any  # a MultiOutputKernel; its module imports this one
@@ -65,16 +58,8 @@ class Features(ABC):
         """Return dKfu / dX, (d, n, c_i)."""
 
     @abstractmethod
-    def gradient_fu(self, i: int, X, W) -> Vector:
-        """Return sum(W * dKfu_i) by [kernel theta, features theta]."""
-
-    @abstractmethod
-    def gradient_uu(self, W) -> Vector:
-        """Return sum(W * dKuu) by [kernel theta, features theta]; W is symmetric."""
-
-    @abstractmethod
-    def rebuild(self, kernel, theta) -> Features:
-        """Return the features of another kernel of the same shape, with other inducing inputs."""
+    def rebuild(self, kernel) -> Features:
+        """Return the features of another kernel of the same shape, with the same inducing inputs."""
 
     @abstractmethod
     def prior_paths(
@@ -89,11 +74,6 @@ class Features(ABC):
     def paths(self, coefficients) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
         return FeaturePaths(self, coefficients)
-
-    @property
-    def theta(self) -> Vector:
-        """Inducing inputs, flat; none by default."""
-        return np.empty(0)
 
 
 class PointFeatures(Features):
@@ -129,61 +109,30 @@ class PointFeatures(Features):
             [self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2
         )
 
-    def gradient_fu(self, i, X, W):
-        total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for j, w in zip(
-            self._coupled[i], np.split(W, W.shape[1] // len(self.Z), axis=1), strict=True
-        ):
-            total += self.kernel.block_gradient(i, j, X, self.Z, w)
-            dZ += np.einsum("dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, X), w)
-        return np.concatenate([total, dZ.ravel()])
-
-    def gradient_uu(self, W):
-        W = W + JITTER * np.diag(np.diag(W))
-        total, dZ = np.zeros(self.kernel.n_dims), np.zeros_like(self.Z)
-        for i in range(self.kernel.n_outputs):
-            for j in self._coupled[i]:
-                w = W[self._slice(i), self._slice(j)]
-                total += self.kernel.block_gradient(i, j, self.Z, self.Z, w)
-                dZ += 2 * np.einsum(
-                    "dkn,nk->kd", self.kernel.block_derivative(j, i, self.Z, self.Z), w
-                )
-        return np.concatenate([total, dZ.ravel()])
-
     def prior_paths(self, n_paths, n_frequencies, random_state):
         paths = self.kernel.prior_paths(n_paths, n_frequencies, random_state)
         u = paths.values(self.Z[None]).swapaxes(1, 2).reshape(n_paths, -1)
         u += np.sqrt(JITTER * self.kernel.diag(self.Z)) * random_state.standard_normal(u.shape)
         return paths, u
 
-    @property
-    def theta(self):
-        return self.Z.ravel()
-
-    def rebuild(self, kernel, theta):
-        return PointFeatures(kernel, theta.reshape(self.Z.shape))
+    def rebuild(self, kernel):
+        return PointFeatures(kernel, self.Z)
 
 
 class LatentFeatures(Features):
     r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
     Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances
-    are those of a ConvolvedGaussian with one further output for every block f of variables. There
-    are two kinds of filter g_f:
-
-    - a window with length scales ``width`` (F, d): one block for all outputs of the latent;
-    - the filter of output i, ``outputs[f] = i``: the block is the contribution of the latent to
-      this output. One window cannot represent outputs of different widths well, while this filter
-      loses no information about its output.
-
-    Either ``width`` or ``outputs`` is None. Block f is of latent ``latents[f]``, at the inducing
-    inputs ``Z[f]``.
+    are those of a ConvolvedGaussian with one further output for every block f of variables, whose
+    filter g_f is a window with length scales ``width`` (F, d). Block f is of latent
+    ``latents[f]``, at the inducing inputs ``Z[f]``.
     """
 
-    def __init__(self, kernel, latents, Z, width=None, outputs=None):
-        self.kernel, self.Z, self.width = kernel, list(Z), width
+    def __init__(self, kernel, latents, Z, width):
+        self.kernel = kernel
+        self.Z = list(Z)
+        self.width = width
         self.latents = [int(m) for m in latents]
-        self.outputs = None if outputs is None else [int(i) for i in outputs]
         self.joint = self._with_blocks()
         self._edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(self._edges[-1])
@@ -193,9 +142,7 @@ class LatentFeatures(Features):
         self._block_pairs = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
     def __getstate__(self):
-        return {
-            name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width", "outputs")
-        }
+        return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width")}
 
     def __setstate__(self, state):
         vars(self).update(vars(LatentFeatures(**state)))
@@ -207,14 +154,10 @@ class LatentFeatures(Features):
             value = kernel._value(name)
             if name in ("amplitude", "feeds"):
                 extra = np.eye(len(value))[:, self.latents]
-            elif self.outputs is not None:
-                extra = value[self.latents, self.outputs]
+            elif name == "length_scale":
+                extra = self.width
             else:
-                extra = (
-                    self.width
-                    if name == "length_scale"
-                    else np.zeros((len(self.latents), value.shape[2]))
-                )
+                extra = np.zeros((len(self.latents), value.shape[2]))
             arrays[name] = np.concatenate(
                 [value, np.broadcast_to(extra, (len(value), *extra.shape[-value.ndim + 1 :]))],
                 axis=1,
@@ -255,48 +198,6 @@ class LatentFeatures(Features):
             self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks]
         )
 
-    def gradient_fu(self, i, X, W):
-        P, blocks = self.kernel.n_outputs, self._blocks[i]
-        columns = [
-            slice(*edges) for edges in pairwise(np.cumsum([0, *(len(self.Z[f]) for f in blocks)]))
-        ]
-        return self._collect(
-            [
-                (f, self.joint.entry_gradients(i, P + f, X, self.Z[f], W[:, own], inputs=True))
-                for f, own in zip(blocks, columns, strict=True)
-            ]
-        )
-
-    def gradient_uu(self, W):
-        P, W = self.kernel.n_outputs, W - np.diag(np.diag(W))  # the diagonal of Kuu is constant
-        parts = []
-        for f, g in self._block_pairs:
-            w = W[self._slice(f), self._slice(g)]
-            entries, by_input = self.joint.entry_gradients(
-                P + f, P + g, self.Z[f], self.Z[g], w, inputs=True
-            )
-            parts.append((g, (entries, 2 * by_input)))
-        return self._collect(parts)
-
-    def _collect(self, parts):
-        """Return the gradient by [kernel theta, Z] from those by entries of ``joint`` and inputs of a block each."""
-        P, names = self.kernel.n_outputs, ("amplitude", "length_scale", "shift", "shear")
-        total, dZ = (
-            {name: np.zeros_like(self.joint._value(name)) for name in names},
-            [np.zeros_like(z) for z in self.Z],
-        )
-        for f, (entries, by_input) in parts:
-            dZ[f] += by_input
-            for name in names:
-                total[name] += entries[name]
-        for f, i in enumerate(self.outputs or ()):  # blocks have the filters of these outputs
-            for name in names[1:]:
-                total[name][self.latents[f], i] += total[name][self.latents[f], P + f]
-        by_kernel = self.kernel.theta_gradient(
-            {name: entries[:, :P] for name, entries in total.items()}
-        )
-        return np.concatenate([by_kernel, *(z.ravel() for z in dZ)])
-
     def prior_paths(self, n_paths, n_frequencies, random_state):
         P, latents = (
             self.kernel.n_outputs,
@@ -309,13 +210,8 @@ class LatentFeatures(Features):
         u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
         return Waves.combine(latents, range(P)), u
 
-    @property
-    def theta(self):
-        return np.concatenate([z.ravel() for z in self.Z])
-
-    def rebuild(self, kernel, theta):
-        Z = np.split(theta.reshape(self.size, -1), self._edges[1:-1])
-        return LatentFeatures(kernel, self.latents, Z, self.width, self.outputs)
+    def rebuild(self, kernel):
+        return LatentFeatures(kernel, self.latents, self.Z, self.width)
 
 
 class TrendFeatures(Features):
@@ -351,12 +247,6 @@ class TrendFeatures(Features):
         slopes = self.kernel.basis_slopes(i, X)
         return np.broadcast_to(slopes, (len(slopes), len(X), self.n_weights))
 
-    def gradient_fu(self, i, X, W):
-        return self.kernel.basis_gradient(i, X, W)
-
-    def gradient_uu(self, W):
-        return np.zeros(self.kernel.n_dims)
-
     def prior_paths(self, n_paths, n_frequencies, random_state):
         u = random_state.standard_normal((n_paths, self.size))
         return self.paths(u), u
@@ -364,7 +254,7 @@ class TrendFeatures(Features):
     def paths(self, coefficients):
         return TrendPaths(self.kernel, coefficients.reshape(len(coefficients), -1, self.n_weights))
 
-    def rebuild(self, kernel, theta):
+    def rebuild(self, kernel):
         return TrendFeatures(kernel)
 
 
@@ -411,16 +301,6 @@ class SumFeatures(Features):
             [self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2
         )
 
-    def gradient_fu(self, i, X, W):
-        n = len(self.first.columns(i))
-        return self._ordered(
-            self.first.gradient_fu(i, X, W[:, :n]), self.second.gradient_fu(i, X, W[:, n:])
-        )
-
-    def gradient_uu(self, W):
-        n = self.first.size
-        return self._ordered(self.first.gradient_uu(W[:n, :n]), self.second.gradient_uu(W[n:, n:]))
-
     def prior_paths(self, *args):
         (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)
         return first + second, np.hstack([u, v])
@@ -429,66 +309,5 @@ class SumFeatures(Features):
         n = self.first.size
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
-    def _ordered(self, a, b):
-        """Return [kernel theta, features theta] of both terms, kernels first."""
-        na, nb = len(a) - len(self.first.theta), len(b) - len(self.second.theta)
-        return np.concatenate([a[:na], b[:nb], a[na:], b[nb:]])
-
-    @property
-    def theta(self):
-        return np.concatenate([self.first.theta, self.second.theta])
-
-    def rebuild(self, kernel, theta):
-        n = len(self.first.theta)
-        return SumFeatures(
-            self.first.rebuild(kernel.k1, theta[:n]), self.second.rebuild(kernel.k2, theta[n:])
-        )
-
-
-# -- placement of inducing variables
-# -------------------------------------------------------------------
-
-
-def rank_parts(kernel, X, scale, random_state) -> Callable[[int], LatentFeatures]:
-    """Return a function n -> the best n inducing features.
-
-    Candidates are the contributions of the latents to every output at every sample, weighted by
-    amplitude over ``scale`` (P,), the required accuracy. A pivoted Cholesky factorisation of their
-    covariance selects in each step the candidate with the largest unexplained variance (Burt et al.
-    2020). The selection defines the number of variables of each latent and output. These are then
-    placed at centres of k-means in the length scales of that output, which explain more variance
-    than the pivots.
-    """
-    seed = check_random_state(random_state).randint(2**31 - 1)
-    random_state = np.random.RandomState(seed)
-    X, rankings = np.unique(X, axis=0), []
-    for m, outputs in enumerate(map(np.flatnonzero, kernel._value("feeds"))):
-        x = X[random_state.permutation(len(X))[: max(1, CANDIDATES // len(outputs))]]
-        K = LatentFeatures(kernel, [m] * len(outputs), [x] * len(outputs), outputs=outputs).Kuu()
-        weight = np.repeat(kernel._value("amplitude")[m, outputs] / scale[outputs], len(x))
-        pivots, gain = pivoted_cholesky(
-            np.asfortranarray(K * np.multiply.outer(weight, weight)), NEGLIGIBLE
-        )
-        gain[0] = np.inf  # every latent, and so every output, has at least one feature
-        rankings.append((gain, outputs[pivots // len(x)]))
-    order = np.sort(np.concatenate([gain for gain, _ in rankings]))[::-1]
-    subset = X[np.sort(random_state.permutation(len(X))[:CLUSTERED])]
-
-    def best(n):
-        least = order[min(max(n, len(rankings)), len(order)) - 1]
-        latents, outputs, Z = [], [], []
-        for m, (gain, of_output) in enumerate(rankings):
-            for i, size in zip(
-                *np.unique(of_output[gain >= least], return_counts=True), strict=True
-            ):
-                latents.append(m)
-                outputs.append(i)
-                lengths = kernel._value("length_scale")[m, i]
-                Z.append(
-                    subset
-                    if size >= len(subset)
-                    else cluster_centres(subset, lengths, size, seed, max_iter=30)
-                )
-        return LatentFeatures(kernel, latents, Z, outputs=outputs)
-
-    return best
+    def rebuild(self, kernel):
+        return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))

@@ -58,7 +58,7 @@ def moments(sums, a, b, full):
     Row sums, column sums and one matrix product are enough; the (n_i, n_j, d) array of separations
     is not needed.
     """
-    rows, columns, Gb, _ = sums
+    rows, columns, Gb = sums
     first = rows @ a - columns @ b
     if full:
         cross = a.T @ Gb
@@ -168,22 +168,20 @@ def exponential_times(exponent, B, n_rows) -> np.ndarray:
 
 
 class WeightedSums(NamedTuple):
-    """Row sums (n_i,), column sums (n_j,), G b (n_i, d) and G^T a (n_j, d) or None, for G = W * exp(exponent)."""
+    """Row sums (n_i,), column sums (n_j,) and G b (n_i, d), for G = W * exp(exponent)."""
 
     rows: np.ndarray
     columns: np.ndarray
     right: np.ndarray
-    left: np.ndarray | None
 
 
-def weighted_sums(exponents, W, a, b, transposed=False) -> list[WeightedSums]:
-    """Return the sums of G for each exponent; a is a list with one (n_i, d) for each exponent, b is (n_j, d)."""
+def weighted_sums(exponents, W, b) -> list[WeightedSums]:
+    """Return the sums of G for each exponent; b is (n_j, d)."""
     (n_i, n_j), d = W.shape, b.shape[1]
     padded = np.column_stack([b, np.ones(n_j)])
     ones = np.ones(n_i)
     products = np.empty((len(exponents), n_i, d + 1))
     columns = np.zeros((len(exponents), n_j))
-    lefts = np.zeros((len(exponents), n_j, d)) if transposed else [None] * len(exponents)
     buffer = np.empty(min(W.size, STRIP + 8 * n_j))
     for rows in strips(n_i, n_j):
         strip = W[rows]
@@ -193,12 +191,7 @@ def weighted_sums(exponents, W, a, b, transposed=False) -> list[WeightedSums]:
             np.multiply(G, strip, out=G)
             np.matmul(G, padded, out=products[k, rows])
             columns[k] += ones[rows] @ G
-            if transposed:
-                lefts[k] += G.T @ a[k][rows]
-    return [
-        WeightedSums(p[:, d], c, p[:, :d], left)
-        for p, c, left in zip(products, columns, lefts, strict=True)
-    ]
+    return [WeightedSums(p[:, d], c, p[:, :d]) for p, c in zip(products, columns, strict=True)]
 
 
 class ExponentialRows:

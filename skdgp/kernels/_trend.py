@@ -6,7 +6,7 @@ The weights are integrated out.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import joblib
@@ -212,18 +212,8 @@ class Trend(MultiOutputKernel):
             self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)]
         )
 
-    def basis_gradient(self, i: int, X: Matrix, W: Matrix) -> Vector:
-        """Return sum(W * dbasis / dtheta), (n_theta,)."""
-        return self._by_weight(i, (W * self.basis(i, X)).sum(axis=0))
-
-    def diag_gradient(self, i: int, Xi: Matrix, w: Vector) -> Vector:
-        return self._by_weight(i, 2 * w @ self.basis(i, Xi) ** 2)
-
     def features(self, Z: Matrix) -> Any:
         return TrendFeatures(self)
-
-    def feature_ranking(self, X: Matrix, scale: Vector, random_state: Seed) -> Callable:
-        return lambda n: TrendFeatures(self)
 
     def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
         return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]

@@ -98,15 +98,6 @@ def test_tables_are_linear_between_breakpoints_and_constant_beyond():
     np.testing.assert_allclose(two(np.array([[0.5, 1.0], [2.0, 5.0]])), [4.0, 10.0])
 
 
-def test_a_compact_model_needs_samples(fitted, uav, regressors):
-    model = fitted("additive")
-    small = type(model)([("scale", model[0]), ("small", model[-1].compact(100))])
-    with pytest.raises(ValueError, match=r"compact model, which holds no samples\. Give X"):
-        build_up(small, uav)
-    found = build_up(small, uav, X=regressors, pairs="none", max_loss=np.inf)
-    assert found.loss["loss"].max() < 0.1
-
-
 @pytest.mark.filterwarnings("ignore:Got one flight", "ignore:Got level")
 def test_a_calibrated_model_has_calibrated_deviations(fitted, uav, regressors):
     plain = fitted("trend")

@@ -58,8 +58,8 @@ def placed(fdm, row, aircraft, largest):
         ("trend", "tables", 1e-6),
         ("sparse", "functions", 1e-6),
         ("sparse-average", "functions", 1e-6),
-        ("additive", "functions", 1e-4),  # compacted
-        ("average", "functions", 1e-3),
+        ("additive", "functions", 1e-6),
+        ("average", "functions", 1e-6),
     ],
 )
 def test_coefficients_are_those_of_the_model(

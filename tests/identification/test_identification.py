@@ -326,46 +326,6 @@ class TestIdentify:
             encoding="utf-8"
         )
 
-    def test_calibrates_by_flight(self, example):
-        aircraft, train, test = example
-        quick = clone(QUICK).set_params(n_latent=0, max_iter=2)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            warnings.filterwarnings("ignore", ".*2 flights guarantee no more than 0.667")
-            of_two = identify(
-                train,
-                aircraft,
-                test=test,
-                samples=40,
-                regressor=quick,
-                horizons=[1.0],
-                calibrate=True,
-            )
-        calibrated = of_two.pipeline[-1]
-        assert calibrated.unit_ == "flight"
-        assert (calibrated.n_units_ == 2).all()
-        with pytest.raises(
-            ValueError, match=r"Got one training flight \('latlon'\) to calibrate on"
-        ):
-            identify(train[train["flight"] == "latlon"], aircraft, test=test, calibrate=True)
-
-    def test_models_of_symmetric_aircraft(self, example):
-        aircraft, train, test = example
-        trend = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
-        options = {"test": test, "pipeline": {"symmetric": True}, "horizons": [1.0]}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            found = identify(train, aircraft, samples="all", regressor=trend, **options)
-        slopes = found.pipeline[-1].predict_gradient(
-            np.zeros((1, found.pipeline[-1].n_features_in_))
-        )[0]
-        names = found.pipeline["regressorselector"].get_feature_names_out().tolist()
-        by_elevator, by_aileron = slopes[3, [names.index("elevator"), names.index("aileron")]]
-        assert abs(by_elevator) < 1e-4 * abs(by_aileron)  # Cl of a symmetric aircraft
-        assert found.metrics["options"]["symmetric"] is True
-        with pytest.raises(ValueError, match="Got calibrate with symmetric=True"):
-            identify(train, aircraft, calibrate=True, **options)
-
     def test_evaluates_another_flight_as_its_test_flights(self, result, example):
         again = result.evaluate(example[2])
         for name in ("mean", "std", "measured_std"):

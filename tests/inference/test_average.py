@@ -10,13 +10,10 @@ from scipy.special import logsumexp, softmax
 from skdgp import DependentGPRegressor, effects, listening
 from skdgp.inference import (
     AveragePosterior,
-    Data,
     ExactPosterior,
     average,
-    compact,
     fit_exact,
     fit_sparse,
-    joined,
 )
 from skdgp.inference._average import PRIOR_ROWS, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -163,26 +160,6 @@ class TestMixture:
                     (a[0, 0] + a[1, 1] - 2 * a[0, 1]) / (4 * h**2), rel=0.01
                 )
 
-    def test_further_samples_are_learned_by_each_member(self, mixture):
-        rng = np.random.default_rng(8)
-        more = Data.from_table(rng.uniform(-2, 2, (5, D)), rng.normal(size=(5, P)))
-        updated = mixture.updated(more)
-        joined = mixture.samples().joined(more)
-        members = [member.of(joined, member.noise) for member in mixture.members]
-        refit = AveragePosterior(members, mixture.parts, mixture.mixture)
-        np.testing.assert_allclose(
-            updated.predict(AT, True), refit.predict(AT, True), rtol=1e-6, atol=1e-9
-        )
-        assert [len(x) for x in updated.samples().X] == [len(x) for x in joined.X]
-
-    def test_without_samples_predicts_the_same(self, mixture):
-        if hasattr(mixture.wholes[0], "features"):
-            bare = mixture.without_samples()
-            assert bare.samples() is None
-            np.testing.assert_allclose(
-                bare.predict(AT, True), mixture.predict(AT, True), rtol=1e-9, atol=1e-12
-            )
-
 
 @pytest.fixture(scope="module", params=["exact", "sparse"])
 def fits(request, data):
@@ -193,49 +170,6 @@ def fits(request, data):
         kernel.clone_with_theta(kernel.theta + 0.2 * np.cos(np.arange(kernel.n_dims))),
     ]
     return [average(fit_of(request.param, *data, each), *data) for each in others]
-
-
-class TestSearches:
-    """The mean of averages that different searches ended at."""
-
-    def test_moments_are_those_of_an_equal_mixture_of_both(self, fits):
-        both = joined(fits)
-        (m1, v1), (m2, v2) = (fit.posterior.predict(AT, True) for fit in fits)
-        assert np.abs(m1 - m2).max() > 0.01
-        mean, variance = both.posterior.predict(AT, True)
-        np.testing.assert_allclose(mean, (m1 + m2) / 2, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(variance, (v1 + v2) / 2 + (m1 - m2) ** 2 / 4, rtol=1e-9)
-        np.testing.assert_allclose(both.posterior.mixture.sum(axis=0), 1.0)
-        np.testing.assert_allclose(
-            both.learned.noise, (fits[0].learned.noise + fits[1].learned.noise) / 2
-        )
-
-    def test_noise_of_regressors_is_the_mean_of_their_covariances(self, fits):
-        roots = [np.diag([0.1, 0.0]), np.array([[0.2, 0.0], [0.1, 0.1]])]
-        noisy = [
-            fit._replace(learned=fit.learned._replace(root=root))
-            for fit, root in zip(fits, roots, strict=True)
-        ]
-        found = joined(noisy).learned.root
-        np.testing.assert_allclose(
-            found @ found.T, sum(root @ root.T for root in roots) / 2, atol=1e-12
-        )
-
-    def test_compaction_keeps_both_searches(self, fits):
-        """As many variables as there are samples change next to nothing."""
-        both = joined(fits).posterior
-        small, change = compact(both, 20 * N, None, 0, 0, lambda size: None)
-        assert len(small.wholes) == len(both.wholes) == 2
-        assert small.samples() is None
-        assert change.change < 0.05
-        np.testing.assert_allclose(small.predict(AT), both.predict(AT), atol=0.02)
-
-    def test_a_log_has_two_and_other_rows_one(self, data):
-        X, Y = data
-        model = DependentGPRegressor(n_latent=0, max_iter=2, input_noise=None, random_state=0)
-        assert len(model.fit(X, Y, time=np.arange(N)).posterior_.wholes) == 2
-        np.testing.assert_allclose(sum(model.weights_.values()), 1.0)
-        assert len(model.fit(X, Y).posterior_.wholes) == 1
 
 
 def test_a_trend_of_weights_is_the_exact_posterior(data):
@@ -497,53 +431,6 @@ class TestRegressor:
             sum(mean.values()) + found.intercept, model.predict(AT), rtol=1e-8, atol=1e-8
         )
         assert all((values >= 0).all() for values in std.values())
-
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    def test_further_rows_are_those_of_members(self, data, inference):
-        X, Y = data
-        options = {
-            "inference": inference,
-            "n_inducing": 15,
-            "n_latent": 1,
-            "random_state": 0,
-            "max_iter": 5,
-        }
-        model = DependentGPRegressor(**options).fit(X[:40], Y[:40])
-        expected = model.posterior_.updated(
-            Data.from_table(X[40:], (Y[40:] - model.center_) / model.scale_)
-        )
-        before, weights = model.predict(X, return_std=True)[1], model.weights_
-        after = [member.predict(X, True)[1] for member in expected.members]
-        former = [member.predict(X, True)[1] for member in model.posterior_.members]
-        assert all((new <= old * (1 + 1e-6)).all() for new, old in zip(after, former, strict=True))
-        model.partial_fit(X[40:], Y[40:])
-        mean, variance = expected.predict(X, True)
-        got, std = model.predict(X, return_std=True)
-        np.testing.assert_allclose(got, mean * model.scale_ + model.center_, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(std, np.sqrt(variance) * model.scale_, rtol=1e-6)
-        assert model.weights_ is weights
-        assert not np.allclose(std, before)
-
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    def test_a_compact_model_predicts_nearly_the_same(self, data, inference):
-        X, Y = data
-        options = {
-            "inference": inference,
-            "n_inducing": 30,
-            "n_latent": 1,
-            "random_state": 0,
-            "max_iter": 10,
-        }
-        model = DependentGPRegressor(**options).fit(X, Y)
-        small = model.compact(tolerance=0.05)
-        mean, std = model.predict(X, return_std=True)
-        other, other_std = small.predict(X, return_std=True)
-        assert small.compaction_.change <= 0.05
-        assert (np.sqrt(np.mean((other - mean) ** 2 / std**2, axis=0)) < 0.1).all()
-        assert (np.sqrt(np.mean((other_std / std - 1) ** 2, axis=0)) < 0.1).all()
-        for name, weights in model.weights_.items():
-            np.testing.assert_array_equal(small.weights_[name], weights)
-        assert small.posterior_.samples() is None
 
     def test_ctrl_c_while_members_are_fitted_keeps_the_whole(self, data):
         """The search has ended: what it found is kept, alone."""

@@ -134,21 +134,6 @@ class Nothing:
         return np.zeros_like(X)
 
 
-def test_further_samples_change_no_drift():
-    rng, time = np.random.default_rng(1), 0.05 * np.arange(120)
-    X, Y = np.sin(time)[:, None], 2 * np.sin(time) + ornstein_uhlenbeck(rng, 120, 0.05, 0.5, 0.09)
-    model = DependentGPRegressor(structure="trend", random_state=0).fit(
-        X[:100], Y[:100], time=time[:100]
-    )
-    before = model.drift_variance_, model.drift_memory_
-    assert before[0] > 0.01
-    without = clone(model).fit(X[:100], Y[:100], time=time[:100]).partial_fit(X[100:], Y[100:])
-    model.partial_fit(X[100:], Y[100:], time=time[100:])
-    np.testing.assert_array_equal([model.drift_variance_, model.drift_memory_], before)
-    for found, expected in zip(model.predict(X, True), without.predict(X, True), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
-
-
 @pytest.mark.parametrize(
     ("clock", "words"),
     [

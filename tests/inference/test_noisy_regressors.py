@@ -1,7 +1,5 @@
 """Values whose noise is shared by the outputs of a sample: exact and sparse, against dense references."""
 
-import pickle
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -108,17 +106,6 @@ class TestSparse:
             sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9
         )
 
-    def test_gradient_by_everything(self, noisy, assert_gradient):
-        features, n = noisy.kernel.features(Z), noisy.kernel.n_dims
-
-        def bound(theta):
-            kernel = noisy.kernel.clone_with_theta(theta[:n])
-            moved = features.rebuild(kernel, theta[n + 3 :])
-            return sparse(noisy, kernel, np.exp(theta[n : n + 3]), moved).log_marginal_likelihood
-
-        theta = np.concatenate([noisy.kernel.theta, np.log(noisy.noise), features.theta])
-        assert_gradient(sparse(noisy).bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
-
     def test_a_zero_factor_is_no_shared_noise(self, noisy):
         apart = SparsePosterior(
             noisy.kernel,
@@ -131,26 +118,3 @@ class TestSparse:
         assert together.log_marginal_likelihood == pytest.approx(
             apart.log_marginal_likelihood, rel=1e-10
         )
-        np.testing.assert_allclose(
-            together.bound_gradient(), apart.bound_gradient(), rtol=1e-6, atol=1e-7
-        )
-
-
-def test_a_file_without_samples_keeps_what_outputs_have_in_common(noisy):
-    small = sparse(noisy).without_samples()
-    again = pickle.loads(pickle.dumps(small))
-    for mine, theirs in zip(again.predict(NEW, True), small.predict(NEW, True), strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-10)
-
-
-@pytest.mark.parametrize("make", [lambda p: ExactPosterior(p.kernel, p.noise, p.data), sparse])
-def test_later_samples_are_as_good_as_earlier_ones(noisy, make):
-    whole = make(noisy)
-    X, Y, loading = noisy.X, noisy.Y, noisy.loading
-    noisy.data = Data.from_table(X[:9], Y[:9], loading[:9])
-    grown = pickle.loads(pickle.dumps(make(noisy))).updated(
-        Data.from_table(X[9:], Y[9:], loading[9:])
-    )
-    assert grown.log_marginal_likelihood == pytest.approx(whole.log_marginal_likelihood, rel=1e-8)
-    for mine, theirs in zip(grown.predict(NEW, True), whole.predict(NEW, True), strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-9)

@@ -1,12 +1,10 @@
 """Paths of the posterior: their moments are the posterior's, and they pass through what is known."""
 
-import pickle
-
 import numpy as np
 import pytest
 from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, compact, shares_of
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, shares_of
 from skdgp.kernels import BasisTrend
 
 N_PATHS = 4000
@@ -20,10 +18,6 @@ def exact(problem, data=None):
 def sparse(problem, data=None):
     features = problem.kernel.features(Z)
     return SparsePosterior(problem.kernel, features, problem.noise, shares_of(data or problem.data))
-
-
-def compacted(problem, data=None):
-    return compact(exact(problem, data), 15, None, 0, 0, lambda size: None)[0]
 
 
 def points(problem):
@@ -51,7 +45,7 @@ def _few_waves(monkeypatch):
         monkeypatch.setattr(f"skdgp.inference.{module}.FREQUENCIES", 6)
 
 
-@pytest.fixture(params=[exact, sparse, compacted])
+@pytest.fixture(params=[exact, sparse])
 def make(request):
     return request.param
 
@@ -82,17 +76,6 @@ def test_a_trend_in_any_columns(one_problem, make):
     basis = BasisTrend(PolynomialFeatures(2), np.ones(3), np.full((3, 6), 0.5)).initialize(X, Y, 0)
     one_problem.kernel = basis + one_problem.kernel.k2
     assert_moments(make(one_problem), points(one_problem))
-
-
-def test_after_an_update(one_problem, make):
-    """An exact posterior has appended rows then; loaded from a file it factors anew."""
-    X, Y = one_problem.X, one_problem.Y
-    posterior = make(one_problem, Data.from_table(X[:9], Y[:9])).updated(
-        Data.from_table(X[9:], Y[9:])
-    )
-    paths = assert_moments(posterior, points(one_problem))
-    again = pickle.loads(pickle.dumps(posterior)).paths(N_PATHS, 0)
-    np.testing.assert_allclose(again(Z), paths(Z), rtol=1e-6, atol=1e-7)
 
 
 def test_an_output_that_was_never_observed(one_problem, make):

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, function_errors, slope_errors
+from skdgp.inference import Data, function_errors
 from skdgp.inference._slopes import _instrumented, _line, _parabola, _Polynomial, _slopes_of
 
 AT = np.array([[0.3, -0.2]])
@@ -154,10 +154,6 @@ def test_exact_and_sparse_inference_keep_the_same_samples(log, model):
 def test_none_without_samples_enough(log, model):
     few = DependentGPRegressor(structure="trend").fit(log[0][:20], log[1][:20])
     assert few.slope_errors(log[0][:1]) is None
-    compact = (
-        DependentGPRegressor(n_latent=1, optimizer=None).fit(log[0][:60], log[1][:60]).compact(40)
-    )
-    assert slope_errors(compact.posterior_, AT) is None
 
 
 def flown_in_gusts(memory=1.5):

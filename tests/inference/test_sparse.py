@@ -47,37 +47,16 @@ class TestBound:
         assert bounds[0] < bounds[1] < bounds[2] < exact
         assert exact - bounds[2] < 0.02 * (exact - bounds[0])
 
-    def test_gradient_by_everything(self, problem, assert_gradient):
-        """By kernel, noise, and the inducing inputs."""
+    def test_at_other_hyperparameters(self, problem):
         posterior = sparse(problem)
-        features = posterior.features
-        n, P = problem.kernel.n_dims, 3
-
-        def bound(theta):
-            kernel = problem.kernel.clone_with_theta(theta[:n])
-            rebuilt = features.rebuild(kernel, theta[n + P :])
-            return SparsePosterior(
-                kernel, rebuilt, np.exp(theta[n : n + P]), shares_of(problem.data)
-            ).log_marginal_likelihood
-
-        theta = np.concatenate([problem.kernel.theta, np.log(problem.noise), features.theta])
-        assert_gradient(posterior.bound_gradient(), bound, theta, rtol=1e-5, atol=1e-4)
-
-    def test_at_other_hyperparameters(self, problem, assert_gradient):
-        posterior = sparse(problem)
-        n = problem.kernel.n_dims
-        theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)]) + 0.05
-
-        def bound(theta):
-            return posterior.likelihood_at(
-                problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:])
-            )
-
-        value, gradient = posterior.likelihood_at(
-            problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), eval_gradient=True
+        kernel = problem.kernel.clone_with_theta(problem.kernel.theta + 0.05)
+        noise = 1.1 * problem.noise
+        features = posterior.features.rebuild(kernel)
+        assert posterior.likelihood_at(kernel, noise) == pytest.approx(
+            SparsePosterior(kernel, features, noise, posterior.shares).log_marginal_likelihood
         )
-        assert value == pytest.approx(bound(theta))
-        assert_gradient(gradient, bound, theta, rtol=1e-5, atol=1e-4)
+        with pytest.raises(ValueError, match="has no gradient"):
+            posterior.likelihood_at(kernel, noise, eval_gradient=True)
 
     def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
         trend = one_problem.kernel.k1
@@ -147,13 +126,12 @@ class TestRows:
         posterior = sparse(problem)
         expected = (
             posterior.log_marginal_likelihood,
-            posterior.bound_gradient(),
             *posterior.predict(NEW, True),
         )
         monkeypatch.setattr(_sparse, "ROWS", 3)
         monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again = sparse(problem)
-            got = again.log_marginal_likelihood, again.bound_gradient(), *again.predict(NEW, True)
+            got = again.log_marginal_likelihood, *again.predict(NEW, True)
         for a, b in zip(got, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)

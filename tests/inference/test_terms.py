@@ -79,25 +79,6 @@ class TestTerms:
                 np.testing.assert_allclose(variance[:, i], expected, atol=1e-8)
 
 
-@pytest.mark.parametrize("kind", [0, 1], ids=["exact", "sparse"])
-def test_terms_of_an_updated_posterior(kind):
-    """Appended rows change the order of the rows of the factor."""
-    kernel = TREND + DEPENDENT
-    further = Data.from_table(NEW, np.ones((6, 2)))
-    updated, joined = (
-        posteriors(kernel)[kind].updated(further),
-        Data.from_table(X, Y).joined(further),
-    )
-    if kind == 0:
-        again = ExactPosterior(kernel, NOISE, joined)
-    else:
-        again = SparsePosterior(kernel, updated.features, NOISE, shares_of(joined))
-    for columns in kernel.term_regressors():
-        found, expected = (one.term(kernel.term(columns)) for one in (updated, again))
-        for a, b in zip(found.predict(X[:5], True), expected.predict(X[:5], True), strict=True):
-            np.testing.assert_allclose(a, b, atol=1e-8)
-
-
 def test_a_term_has_the_posterior_of_dense_matrices():
     kernel = TREND + DEPENDENT
     K, y = kernel(X) + np.diag(np.repeat(NOISE, len(X))), Y.T.ravel()

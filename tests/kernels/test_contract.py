@@ -243,24 +243,6 @@ class TestContract:
             atol=1e-10,
         )
 
-    def test_gradients_of_features_are_derivatives(self, kernel):
-        X, features, n = inputs(kernel)[0], kernel.features(inputs(kernel)[0][:2]), kernel.n_dims
-        start, rng = np.concatenate([kernel.theta, features.theta]), np.random.default_rng(16)
-
-        def at(theta):
-            return features.rebuild(kernel.clone_with_theta(theta[:n]), theta[n:])
-
-        W = rng.normal(size=(features.size, features.size))
-        W += W.T
-        assert_gradient(features.gradient_uu(W), lambda theta: np.sum(W * at(theta).Kuu()), start)
-        for i in range(kernel.n_outputs):
-            w = rng.normal(size=(len(X), len(features.columns(i))))
-            assert_gradient(
-                features.gradient_fu(i, X, w),
-                lambda t, i=i, w=w: np.sum(w * at(t).Kfu(i, X)),
-                start,
-            )
-
     def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(self, kernel, name):
         free = [h for h in kernel.hyperparameters if not h.fixed]
         assert kernel.n_dims == len(kernel.theta) == sum(h.n_elements for h in free)
@@ -362,12 +344,6 @@ class TestUse:
                     rtol=1e-9,
                     atol=1e-11,
                 )
-
-    def test_diag_gradient_is_the_contraction_of_the_diagonal(self, kernel):
-        for i, Xi in enumerate(inputs(kernel)):
-            w = np.random.default_rng(10).normal(size=len(Xi))
-            expected = kernel.block_gradient(i, i, Xi, Xi, np.diag(w))
-            equal(kernel.diag_gradient(i, Xi, w), expected, atol=1e-12)
 
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))

@@ -5,7 +5,6 @@ import pytest
 from scipy.stats import kstest
 
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.kernels._features import LatentFeatures
 
 X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
 Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
@@ -25,11 +24,6 @@ def make_kernel(covariance_type="diag", shifted=True, P=3, d=2, seed=0):
     )
 
 
-def parts_of(kernel):
-    """Parts that some outputs have and others have not."""
-    return LatentFeatures(kernel, [0, 0, 1, 2], [Z, Z[:1], Z[:2] + 0.5, Z], outputs=[0, 2, 1, 0])
-
-
 def trend():
     rng = np.random.default_rng(3)
     return LinearTrend(rng.uniform(0.5, 2, 3), rng.uniform(0.5, 2, (3, 2)), rng.normal(size=2))
@@ -38,8 +32,6 @@ def trend():
 FEATURES = {
     "smoothed latents": make_kernel().features(Z),
     "smoothed latents, full": make_kernel("full").features(Z),
-    "parts": parts_of(make_kernel()),
-    "parts, full": parts_of(make_kernel("full", shifted=False)),
     "trend": trend().features(Z),
     "trend and smoothed latents": (trend() + make_kernel()).features(Z),
 }

@@ -80,8 +80,6 @@ def test_every_kind_of_inference_ignores_the_others(inference, data):
         np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, change)[0], change, atol=1e-4)
     again = pickle.loads(pickle.dumps(model))
     np.testing.assert_allclose(again.predict(X), model.predict(X), rtol=1e-10, atol=1e-12)
-    small = model.compact(40)
-    assert small.compaction_.change < 0.2
 
 
 @pytest.mark.parametrize(

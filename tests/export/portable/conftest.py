@@ -28,9 +28,6 @@ KINDS = {
     "sparse": AVERAGE | {"inference": "sparse", "n_inducing": 9},
     "sparse-additive": QUICK | {"inference": "sparse", "structure": "additive", "n_inducing": 9},
     "sparse-constant": QUICK | {"inference": "sparse", "trend": "constant", "n_inducing": 9},
-    "compact": AVERAGE,
-    "compact-full": QUICK | {"covariance_type": "full"},
-    "updated": AVERAGE,
     "calibrated": QUICK | {"input_noise": 0.1},
     "precise": QUICK | {"max_iter": 20},  # little noise: the variance is a millionth of the prior
 }
@@ -78,11 +75,6 @@ def fitted(kind):
         regressor=regressor,
     )
     model.set_params(flightcheck="passthrough", flightsmoother="passthrough").fit(flight, Y)
-    if kind.startswith("compact"):
-        model.steps[-1] = (model.steps[-1][0], model[-1].compact(30, max_iter=0))
-    if kind == "updated":
-        more, targets = make_flight(12, seed=1)
-        model[-1].partial_fit(model[:-1].transform(more), targets)
     return Bunch(
         pipeline=model,
         aircraft=AIRCRAFT,

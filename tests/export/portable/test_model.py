@@ -69,7 +69,7 @@ def test_the_envelope_is_what_was_flown(kind, portable):
     samples = portable.envelope.samples
     assert portable.envelope.inside(samples).all()
     assert not portable.envelope.inside(high[None] + 1.0)
-    assert (len(samples) == 0) == kind.startswith("compact")
+    assert len(samples) > 0
 
 
 def test_each_regressor_says_its_formula(exact, flight):

@@ -3,7 +3,7 @@ Read a portable model with NumPy alone
 ======================================
 
 Predict mean and standard deviation of the coefficients from ``model.npz``, arrays and JSON without
-code, which ``python -m skdgp export model.joblib --to portable -o portable`` writes::
+code, which ``skdgp export model.joblib --to portable -o portable`` writes::
 
     python examples/read_portable.py portable/model.npz
 

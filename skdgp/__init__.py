@@ -1,39 +1,68 @@
 """Aircraft aerodynamics from flight logs with dependent Gaussian processes, as ordinary scikit-learn."""
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skdgp import calibration as calibration
+    from skdgp import datasets as datasets
+    from skdgp import design as design
+    from skdgp import dynamics as dynamics
+    from skdgp import export as export
+    from skdgp import identification as identification
+    from skdgp import inference as inference
+    from skdgp import io as io
+    from skdgp import kernels as kernels
+    from skdgp import metrics as metrics
+    from skdgp import model_selection as model_selection
+    from skdgp import plotting as plotting
+    from skdgp import preprocessing as preprocessing
+    from skdgp import report as report
+    from skdgp._compute.progress import listening as listening
+    from skdgp._effects import Effects as Effects
+    from skdgp._effects import effects as effects
+    from skdgp._regressor import DependentGPRegressor as DependentGPRegressor
+    from skdgp._regressor import FewRowsWarning as FewRowsWarning
+    from skdgp.identification import make_identification_pipeline as make_identification_pipeline
 
 __all__ = [
-    *("DependentGPRegressor", "Effects", "FewRowsWarning", "effects", "listening"),
+    "DependentGPRegressor",
+    "Effects",
+    "FewRowsWarning",
+    "effects",
+    "listening",
     "make_identification_pipeline",
 ]
 __version__ = "0.1.0"
 
 _HOMES = {
     "DependentGPRegressor": "_regressor",
-    "FewRowsWarning": "_regressor",
     "Effects": "_effects",
+    "FewRowsWarning": "_regressor",
     "effects": "_effects",
     "listening": "_compute.progress",
     "make_identification_pipeline": "identification",
 }
-_FOLDERS = (
-    *(
-        "calibration",
-        "datasets",
-        "design",
-        "dynamics",
-        "export",
-        "identification",
-        "inference",
-        "io",
-        "kernels",
-    ),
-    *("metrics", "model_selection", "plotting", "preprocessing", "report"),
-)
+_FOLDERS = [
+    "calibration",
+    "datasets",
+    "design",
+    "dynamics",
+    "export",
+    "identification",
+    "inference",
+    "io",
+    "kernels",
+    "metrics",
+    "model_selection",
+    "plotting",
+    "preprocessing",
+    "report",
+]
 
 
-def __getattr__(name):
-    """Import what is asked for: so ``python -m skdgp`` begins at once, and can be stopped while it imports the rest."""
+def __getattr__(name: str) -> object:
+    """Import a name when it is asked for, so that the command line starts, and can be stopped, at once."""
     if name in _HOMES:
         return getattr(import_module(f"skdgp.{_HOMES[name]}"), name)
     if name in _FOLDERS:
@@ -41,5 +70,5 @@ def __getattr__(name):
     raise AttributeError(f"module 'skdgp' has no attribute {name!r}")
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return [*globals(), *__all__, *_FOLDERS]

@@ -1,4 +1,4 @@
-"""``python -m skdgp``."""
+"""The command ``skdgp``, also as ``python -m skdgp``."""
 
 import os
 import signal
@@ -11,10 +11,10 @@ def _stop(number, frame):
     os._exit(130)
 
 
-if __name__ == "__main__":
-    handles_ctrl_c = (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )  # else Ctrl-C is ignored, as in the background
+def run() -> None:
+    """Run the command line and exit; Ctrl-C also stops it while it imports the package."""
+    # Otherwise Ctrl-C is ignored, as in the background.
+    handles_ctrl_c = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handles_ctrl_c:
         signal.signal(signal.SIGINT, _stop)
     from skdgp._cli import main
@@ -22,3 +22,7 @@ if __name__ == "__main__":
     if handles_ctrl_c:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

@@ -1,5 +1,6 @@
 """Public functions say what they take and return: mypy checks the rest."""
 
+import ast
 import importlib
 import inspect
 import pkgutil
@@ -51,5 +52,18 @@ def test_every_public_function_is_annotated():
     assert bare == []
 
 
-def test_the_package_says_that_it_is_typed():
+def test_type_checkers_see_the_names_of_the_package_root():
+    """They are imported when asked for, which only the root's own code says."""
     assert (Path(skdgp.__file__).parent / "py.typed").exists()
+    tree = ast.parse(Path(skdgp.__file__).read_text(encoding="utf-8"))
+    named = [
+        alias.asname == alias.name and alias.name
+        for block in tree.body
+        if isinstance(block, ast.If)
+        for line in block.body
+        for alias in line.names
+    ]
+    folders = [room.partition(".")[2] for room in ROOMS[1:]]
+    assert sorted(named) == sorted([*skdgp.__all__, *folders])
+    assert {*named} <= {*dir(skdgp)}
+    assert all(getattr(skdgp, name) is not None for name in named)

@@ -1,4 +1,4 @@
-"""The command line, ``python -m skdgp COMMAND``: it parses, calls and prints."""
+"""The command line, ``skdgp COMMAND``: it parses, calls and prints."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ COMMANDS = {
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
-  python -m skdgp demo                                     simulated example flights, nothing else needed
-  python -m skdgp inspect log.ulg                          what a log holds, and lacks for which step
-  python -m skdgp identify log.ulg --mass 3.2 --span 1.6   from a log, a scale and a tape measure
-  python -m skdgp identify a.csv b.csv --aircraft uav.json -o results
-  python -m skdgp validate results/model.joblib c.csv      is the model right about another flight?
-  python -m skdgp predict results/model.joblib c.csv -o coefficients.csv
-  python -m skdgp simulate results/model.joblib --trim 35 -o flown
-  python -m skdgp derivatives results/model.joblib --airspeed 30 35 40
-  python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
-  python -m skdgp export results/model.joblib --to c -o flight_code
+  skdgp demo                                     simulated example flights, nothing else needed
+  skdgp inspect log.ulg                          what a log holds, and lacks for which step
+  skdgp identify log.ulg --mass 3.2 --span 1.6   from a log, a scale and a tape measure
+  skdgp identify a.csv b.csv --aircraft uav.json -o results
+  skdgp validate results/model.joblib c.csv      is the model right about another flight?
+  skdgp predict results/model.joblib c.csv -o coefficients.csv
+  skdgp simulate results/model.joblib --trim 35 -o flown
+  skdgp derivatives results/model.joblib --airspeed 30 35 40
+  skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
+  skdgp export results/model.joblib --to c -o flight_code
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
 usage, 130 stopped by Ctrl-C.

@@ -31,8 +31,8 @@ def derivatives(run: Run) -> None:
     derivatives.png into DIR, all or none.
 
     For example:
-      python -m skdgp derivatives results/model.joblib --airspeed 35
-      python -m skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
+      skdgp derivatives results/model.joblib --airspeed 35
+      skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
     """
     options = run.options
     run.console.stage("reading")

@@ -30,8 +30,8 @@ def export(run: Run) -> None:
     DIR, or none, with config.toml, all options of this run.
 
     For example:
-      python -m skdgp export results/model.joblib --to portable -o portable
-      python -m skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
+      skdgp export results/model.joblib --to portable -o portable
+      skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
     """
     options = run.options
     run.console.stage("reading")
@@ -81,7 +81,8 @@ EXPORT = opt.Command(
     {
         "": [
             opt.option(
-                "model MODEL", "the model.joblib that identify wrote, or a portable model.npz"
+                "model MODEL",
+                f"the model.joblib that identify wrote ({opt.TRUST}), or a portable model.npz",
             ),
             opt.AIRCRAFT,
             opt.option("--to", "the format", choices=list(FORMATS), required=True),

@@ -77,10 +77,10 @@ def identify(run: Run) -> None:
     is written.
 
     For example:
-      python -m skdgp identify sortie.ulg --mass 3.2 --span 1.6
-      python -m skdgp identify train.csv --aircraft uav.json --test test.csv -o results
-      python -m skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
-      python -m skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
+      skdgp identify sortie.ulg --mass 3.2 --span 1.6
+      skdgp identify train.csv --aircraft uav.json --test test.csv -o results
+      skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
+      skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
     """
     options = run.options
     known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
@@ -131,8 +131,8 @@ def demo(run: Run) -> None:
     on two cores.
 
     For example:
-      python -m skdgp demo
-      python -m skdgp demo --samples 250 --inference exact -o quick
+      skdgp demo
+      skdgp demo --samples 250 --inference exact -o quick
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()

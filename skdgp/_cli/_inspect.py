@@ -24,8 +24,8 @@ def inspect(run: Run) -> None:
     LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 
     For example:
-      python -m skdgp inspect log.ulg
-      python -m skdgp inspect log.bin --servo-template servo.toml
+      skdgp inspect log.ulg
+      skdgp inspect log.bin --servo-template servo.toml
     """
     options = run.options
     run.console.stage("reading")

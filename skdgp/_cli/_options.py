@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from skdgp._compute.files import read_toml, software_versions
 from skdgp._flight.channels import REGRESSOR_SETS
 
-PROGRAM = "python -m skdgp"
+PROGRAM = "skdgp"
 HEAD = f"# {PROGRAM} "
 NOT_KEPT = ("config", "output", "traceback")  # in a configuration
 COMPARED = ("skdgp", "scikit-learn", "numpy", "scipy")  # versions that numbers depend on
@@ -129,7 +129,8 @@ COMMON = [
     option("--config FILE", "TOML with options by name; the command line wins over it"),
     flag("--traceback", "on an error also show where it arose"),
 ]
-MODEL = option("model MODEL", "the model.joblib that identify wrote")
+TRUST = "loading runs code that is in it, so open only files that you trust"
+MODEL = option("model MODEL", f"the model.joblib that identify wrote; {TRUST}")
 FLIGHTS = option("flight FLIGHT", "flights, as of identify", nargs="+")
 AIRCRAFT = option(
     "--aircraft FILE",
@@ -240,7 +241,7 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
 
 @dataclass(frozen=True)
 class Command:
-    """A command of ``python -m skdgp``."""
+    """A command of ``skdgp``."""
 
     run: Callable
     """Its docstring is the help."""

@@ -54,9 +54,9 @@ def plan(run: Run) -> None:
       config.toml    all options of this run
 
     For example:
-      python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
-      python -m skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
-      python -m skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
+      skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
+      skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
+      skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
     options, console = run.options, run.console
     axes, limits, full = (

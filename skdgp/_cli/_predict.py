@@ -81,8 +81,8 @@ def predict(run: Run) -> None:
     warning. Beside OUT.csv stands OUT.config.toml, all options of this run.
 
     For example:
-      python -m skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
-      python -m skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
+      skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
+      skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
     """
     options, output = run.options, Path(run.options.output)
     check_writable(output.suffix)
@@ -141,10 +141,10 @@ def validate(run: Run) -> None:
     were flown, their responses, and what they taught.
 
     For example:
-      python -m skdgp validate results/model.joblib thursday.csv
-      python -m skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
-      python -m skdgp validate results/model.joblib thursday.csv --plan next/plan.json -o validation
-      python -m skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
+      skdgp validate results/model.joblib thursday.csv
+      skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      skdgp validate results/model.joblib thursday.csv --plan next/plan.json -o validation
+      skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
     names = ("thrust", "external_forces")

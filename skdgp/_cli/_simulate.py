@@ -75,9 +75,9 @@ def simulate(run: Run) -> None:
       config.toml       all options of this run
 
     For example:
-      python -m skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
-      python -m skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
-      python -m skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
+      skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
+      skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
+      skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
     """
     options = run.options
     suffix = f".{options.format}"

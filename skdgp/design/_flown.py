@@ -169,7 +169,7 @@ def flown_plan(
     Parameters
     ----------
     plan : Plan or path
-        What was to be flown, or the plan.json of ``python -m skdgp plan``.
+        What was to be flown, or the plan.json of ``skdgp plan``.
     pipeline : Pipeline
         Of :func:`skdgp.identification.identify`. Give the model that the plan was made with, or one
         learned from its flights and these: its standard deviations stand beside those of the plan.

@@ -208,7 +208,7 @@ class Record(NamedTuple):
 
 
 def read_plan(plan: Plan | str | os.PathLike[str]) -> Record:
-    """Return the record of a plan, or of the plan.json of ``python -m skdgp plan``; errors are as of `flown_plan`."""
+    """Return the record of a plan, or of the plan.json of ``skdgp plan``; errors are as of `flown_plan`."""
     if isinstance(plan, Plan):
         return record_of(plan.to_dict())
     if not Path(plan).is_file():
@@ -272,7 +272,7 @@ def record_of(plan: Any, source: str = "a dictionary") -> Record:
             else "which is none"
         )
         raise ValueError(
-            f"Got {source} as the plan, {what}, but expected the plan.json that python -m skdgp "
+            f"Got {source} as the plan, {what}, but expected the plan.json that skdgp "
             f"plan writes: copy it "
             "again, or plan again."
         ) from None

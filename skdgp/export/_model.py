@@ -558,7 +558,7 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 
 
 def load_portable(path: str | os.PathLike[str]) -> PortableModel:
-    """Return a portable model that :func:`save_portable` or ``python -m skdgp export`` wrote, the same to the bit.
+    """Return a portable model that :func:`save_portable` or ``skdgp export`` wrote, the same to the bit.
 
     No code is run. Raises FileNotFoundError if there is no such file, PortableFileError if it is
     not a portable model, differs from what was written in a single bit, or is of another format
@@ -567,7 +567,7 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(
-            f"Got {path}, but there is no such file: python -m skdgp export writes model.npz."
+            f"Got {path}, but there is no such file: skdgp export writes model.npz."
         )
     with path.open("rb") as file:
         try:

@@ -122,7 +122,7 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
         if not is_log(path):
             raise
         raise ValueError(
-            f"{error} What a log has, and why it lacks them: python -m skdgp inspect {path}"
+            f"{error} What a log has, and why it lacks them: skdgp inspect {path}"
         ) from None
     return table
 

@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import copyreg
 import json
 import os
+import pickle
 import warnings
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import joblib
-from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, software_versions, write_atomically
+from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
-FORMAT = 2
+FORMAT = 3
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14
 MATTERS = ("skdgp", "scikit-learn", "numpy")
+"""Packages whose versions may change predictions of a model that can be read."""
 
 
 class ModelFileError(ValueError):
@@ -54,14 +61,13 @@ def save_model(
     if not _is_model(model):
         raise TypeError(
             f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a "
-            f"fitted pipeline and "
-            "its Aircraft: call fit first."
+            f"fitted pipeline and its Aircraft: call fit first."
         )
     return write_atomically(path, lambda temporary: dump_model(temporary, model))
 
 
 def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
-    """Return what a model file holds, with the time and the versions of now."""
+    """Return the content of a model file, with the current time and versions."""
     now = {
         "created": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": software_versions(),
@@ -72,9 +78,10 @@ def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
 def dump_model(path: Path, model: Bunch) -> None:
     """Write the model and, after it, a line of JSON that can be read when the model itself cannot.
 
-    Unpickling stops before that line. It ends in the SHA-256 of all that stands before the digest.
+    Unpickling stops before that line. It ends in the SHA-256 of all bytes before the digest.
     """
-    joblib.dump(model, path)
+    with path.open("xb") as file:
+        _Pickler(file, protocol=5).dump(model)
     closing = {
         "format": FORMAT,
         "bytes": path.stat().st_size,
@@ -86,8 +93,71 @@ def dump_model(path: Path, model: Bunch) -> None:
         file.write(sha256_of(file, file.tell()) + END)
 
 
+class _Pickler(pickle.Pickler):
+    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them.
+
+    Estimators of scikit-learn are written without its version, which the file has once for all.
+    """
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how to make a table or an estimator again."""
+        if isinstance(value, pd.DataFrame):
+            columns = [_array(value.iloc[:, k]) for k in range(value.shape[1])]
+            return _table, (columns, _names(value.columns), _names(value.index), value.attrs)
+        if isinstance(value, pd.Series):
+            return _series, (_array(value), _names(value.index), value.name)
+        if isinstance(value, pd.Index):
+            return _index, _names(value)
+        kind = type(value)
+        if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
+            state = value.__getstate__()
+            state.pop("_sklearn_version", None)
+            return copyreg.__newobj__, (kind,), state, None, None, _set_state
+        return NotImplemented
+
+
+def _array(values: Any) -> Array:
+    """Return a column as an array of NumPy: numbers and times as they are, else plain Python objects."""
+    if isinstance(values.dtype, np.dtype) and values.dtype.kind != "O":
+        return values.to_numpy()
+    if is_bool_dtype(values.dtype) and not values.hasnans:
+        return values.to_numpy(dtype=bool)
+    if is_numeric_dtype(values.dtype):
+        return values.to_numpy(dtype=float, na_value=np.nan)
+    array = np.empty(len(values), dtype=object)
+    array[:] = [None if value is pd.NA else value for value in values]
+    return array
+
+
+def _names(index: pd.Index) -> tuple[list[Array], list]:
+    """Return the levels of an index, and their names."""
+    levels = [index.get_level_values(k) for k in range(index.nlevels)]
+    return [_array(level) for level in levels], list(index.names)
+
+
+def _index(levels: list[Array], names: list) -> pd.Index:
+    if len(levels) > 1:
+        return pd.MultiIndex.from_arrays(levels, names=names)
+    return pd.Index(levels[0], name=names[0])
+
+
+def _table(columns: list[Array], names: Any, rows: Any, attrs: dict) -> pd.DataFrame:
+    table = pd.DataFrame(dict(enumerate(columns)), index=_index(*rows))
+    table.columns = _index(*names)
+    table.attrs = attrs
+    return table
+
+
+def _series(values: Array, rows: Any, name: Any) -> pd.Series:
+    return pd.Series(values, index=_index(*rows), name=name)
+
+
+def _set_state(estimator: BaseEstimator, state: dict) -> None:
+    vars(estimator).update(state)
+
+
 def load_model(path: str | os.PathLike) -> Bunch:
-    """Return a model that :func:`save_model` or ``python -m skdgp identify`` wrote.
+    """Return a model that :func:`save_model` or ``skdgp identify`` wrote.
 
     The file is a pickle, and loading may run any code in it: open only files whose origin you
     trust.
@@ -104,35 +174,29 @@ def load_model(path: str | os.PathLike) -> Bunch:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(
-            f"Got {path}, but there is no such file: python -m skdgp identify writes model.joblib."
+            f"Got {path}, but there is no such file: skdgp identify writes model.joblib."
         )
     with path.open("rb") as file:
-        made_by, here = _closing(file, path)["versions"], software_versions()
+        made_by = _closing(file, path)["versions"]
+        here = software_versions()
         if any(made_by.get(name) != here.get(name) for name in MATTERS):
             warnings.warn(
-                f"{path} was made by {_in_words(made_by)}, and this is {_in_words(here)}: its "
-                f"predictions may differ. "
-                "Compare a few, fit it again, or install those versions.",
+                f"Got {path}, written with {_differences(made_by, here)}: its predictions may "
+                f"differ. Compare a few, fit it again, or install those versions.",
                 stacklevel=2,
             )
+        file.seek(0)
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore", InconsistentVersionWarning
-                )  # warned of above, once for all
-                file.seek(0)
-                model = joblib.load(file)
+            model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written by {_in_words(made_by)}, which cannot be read here, with "
-                f"{_in_words(here)} "
-                f"({type(error).__name__}: {error}): fit it again, or install those versions."
+                f"Got {path}, written with {_differences(made_by, here)}, which cannot be read "
+                f"here ({type(error).__name__}: {error}). Fit it again, or install those versions."
             ) from error
     if not _is_model(model):
         raise ModelFileError(
             f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and "
-            f"its aircraft: fit it "
-            "again, and write it with skdgp.identification.save_model."
+            f"its aircraft: fit it again, and write it with skdgp.identification.save_model."
         )
     return model
 
@@ -146,7 +210,8 @@ def _closing(file: BinaryIO, path) -> dict:
     before = size - CHECKSUM_LENGTH - len(END)
     try:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
-        form, made_by = closing["format"], _in_words(closing["versions"])
+        form = closing["format"]
+        made_by = _in_words(dict(closing["versions"]))
         whole = closing["bytes"] == size - (len(end) - start)
         whole &= sha256_of(file, before) + END == end[before - size :]
     except (
@@ -160,28 +225,35 @@ def _closing(file: BinaryIO, path) -> dict:
     if not whole:
         raise ModelFileError(
             f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
-            f"missing or does not "
-            "fit. Expected a file that python -m skdgp identify or "
-            "skdgp.identification.save_model wrote; if it is "
-            "one, it was cut off or changed: copy it again."
+            f"missing or does not fit. Expected a file that skdgp identify or "
+            f"skdgp.identification.save_model wrote; if it is one, it was cut off or changed: "
+            f"copy it again."
         )
     if form != FORMAT:
         raise ModelFileError(
-            f"Got {path} of format {form}, written by {made_by}, but this skdgp reads format "
-            f"{FORMAT}: fit it again, "
-            "or install that version."
+            f"Got {path} of format {form}, written with {made_by}, but this skdgp reads format "
+            f"{FORMAT}: fit it again, or install that version."
         )
     return closing
 
 
-def _is_model(found) -> bool:
-    """Whether this is what a model file holds: a fitted estimator and an aircraft."""
+def _is_model(content: Any) -> bool:
+    """Return whether this is the content of a model file: a fitted estimator and an aircraft."""
     try:
-        check_is_fitted(found.pipeline)
+        check_is_fitted(content.pipeline)
     except (AttributeError, TypeError, NotFittedError):
         return False
-    return isinstance(found, Bunch) and isinstance(found.get("aircraft"), Aircraft)
+    return isinstance(content, Bunch) and isinstance(content.get("aircraft"), Aircraft)
 
 
-def _in_words(versions) -> str:
-    return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)
+def _differences(made_by: dict, here: dict) -> str:
+    """Return the versions that differ, then those that are installed here."""
+    names = [name for name in here if made_by.get(name) != here[name]]
+    if not names:
+        return "the versions that are installed here"
+    installed = {name: here[name] for name in names}
+    return f"{_in_words(made_by, names)} (installed: {_in_words(installed, names)})"
+
+
+def _in_words(versions: dict, names: Any = MATTERS) -> str:
+    return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in names)

@@ -437,7 +437,7 @@ def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None
         remedy = (
             "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) "
             "and of its targets, "
-            f"as python -m skdgp identify does: keep = "
+            f"as skdgp identify does: keep = "
             f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
             "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave "
             "out an empty column"

@@ -543,7 +543,7 @@ class TestPlan:
         old = {"plan.lua", "plan_1.csv", "plan_2.csv", "plan_1.lua"}
         for name in (*old, "plan_b.csv", "my_plan.lua"):
             (folder / name).write_text("old")
-        (folder / "config.toml").write_text("# python -m skdgp simulate --config THIS_FILE")
+        (folder / "config.toml").write_text("# skdgp simulate --config THIS_FILE")
         more = shlex.split(
             "--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20 --airspeed 35 36"
         )

@@ -209,12 +209,10 @@ class TestHelp:
         with pytest.raises(SystemExit):
             main([*([command] if command else []), "--help"])
         text = capsys.readouterr().out
-        examples = [
-            line.strip() for line in text.splitlines() if line.startswith("  python -m skdgp")
-        ]
+        examples = [line.strip() for line in text.splitlines() if line.startswith("  skdgp ")]
         assert examples
         for example in examples:
-            name, *words = shlex.split(re.split(r"\s{2,}", example)[0])[3:]
+            name, *words = shlex.split(re.split(r"\s{2,}", example)[0])[1:]
             assert command in (None, name)
             COMMANDS[name].parse(words)
 

@@ -1,4 +1,4 @@
-"""``python -m skdgp``: exit codes, outputs all or none, Ctrl-C, and what it says meanwhile."""
+"""``skdgp``: exit codes, outputs all or none, Ctrl-C, and what it says meanwhile."""
 
 import io
 import json
@@ -89,7 +89,7 @@ class TestIdentify:
         _, _, metrics = identified
         assert metrics["format"] == 1
         assert metrics["command"].startswith(
-            "python -m skdgp identify lateral.csv latlon.csv --aircraft uav.json"
+            "skdgp identify lateral.csv latlon.csv --aircraft uav.json"
         )
         assert {"skdgp", "scikit-learn", "numpy", "scipy", "pandas", "python"} <= set(
             metrics["versions"]
@@ -413,7 +413,7 @@ class TestBadInput:
             main(arguments)
         assert error.value.code == 2
         said = capsys.readouterr().err
-        assert "usage: python -m skdgp" in said
+        assert "usage: skdgp" in said
         assert message in said
 
     def test_version(self, capsys):
@@ -558,7 +558,7 @@ class TestInterrupt:
         assert b"\x1b" not in out
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert "two_altitudes" in page
-        assert "python -m skdgp identify latlon.csv" in page
+        assert "skdgp identify latlon.csv" in page
         assert page.count("<svg") > 10
 
 
@@ -740,7 +740,7 @@ def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
     for language, block in blocks:
         if language == "sh":
             for line in block.splitlines():
-                assert main([*shlex.split(line)[3:], *QUICK]) == 0, line
+                assert main([*shlex.split(line)[1:], *QUICK]) == 0, line
         elif language == "python":
             exec(compile(block, str(PAGE), "exec"), space)
     assert (tmp_path / "skdgp-demo" / "report.html").is_file()

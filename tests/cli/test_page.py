@@ -43,7 +43,7 @@ def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     (mine,) = blocks(page, "toml")
     (tmp_path / "mine.toml").write_text(mine)
     for line in "".join(blocks(page, "sh")).splitlines():
-        words = shlex.split(line)[3:]
+        words = shlex.split(line)[1:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line
     assert (tmp_path / "exact" / "model.joblib").is_file()
     assert (tmp_path / "steeper" / "bands.csv").read_text() != (

@@ -268,9 +268,7 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
     holder[last] = value
     (tmp_path / "plan.json").write_text(json.dumps(whole["plan"]))
     damaged = rf"whose '{where[0]}' is missing" if where else "which is none"
-    with pytest.raises(
-        ValueError, match=rf"{damaged}.*expected the plan.json that python -m skdgp plan"
-    ):
+    with pytest.raises(ValueError, match=rf"{damaged}.*expected the plan.json that skdgp plan"):
         read_plan(tmp_path / "plan.json")
 
 
@@ -280,9 +278,7 @@ def test_a_damaged_plan_is_refused_with_what_is_damaged(plan, tmp_path, where, v
 )
 def test_a_file_that_is_no_plan_is_refused(tmp_path, words):
     (tmp_path / "plan.json").write_text(words)
-    with pytest.raises(
-        ValueError, match=r"expected the plan.json that python -m skdgp plan writes"
-    ):
+    with pytest.raises(ValueError, match=r"expected the plan.json that skdgp plan writes"):
         read_plan(tmp_path / "plan.json")
 
 

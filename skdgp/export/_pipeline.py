@@ -304,11 +304,11 @@ def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
 
 def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:
     """Return the blocks of output i for its covariance with output j; ``original`` is the kernel of the model."""
-    _, gains, _, roots, shifts = kernel._pair(i, j)
+    pair = kernel.pair(i, j)
     (regressors,) = original.term_regressors()
     place = i, int(first_centre), int(first_column), int(size)
     return [
         Block(*place, float(gain), shift, root, regressors)
-        for gain, root, shift in zip(gains, roots, shifts, strict=True)
+        for gain, root, shift in zip(pair.gain, pair.F, pair.mu, strict=True)
         if size
     ]

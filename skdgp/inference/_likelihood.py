@@ -138,12 +138,16 @@ def _pairs(kernel, sizes):
 
 
 def covariance(
-    kernel: Any, noise: Vector, data: Data, workspace: Matrix | None = None
+    kernel: Any,
+    noise: Vector,
+    data: Data,
+    workspace: Matrix | None = None,
+    at_pairs: Vector | None = None,
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
     ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if
-    it is given.
+    it is given. ``at_pairs`` (n_pairs,) is the covariance of ``data.pairs``, where it is known.
     """
     X = data.X
     sizes = [len(x) for x in X]
@@ -156,12 +160,8 @@ def covariance(
             a.output, b.output, X[a.output][a.rows], X[b.output][b.rows]
         )
 
-    if data.pairs is not None:
-        data.pairs.begin()
-        values = data.pairs.buffer()
-        values.fill(0.0)
-        kernel.add_pairs(data.only_output, data.pairs, values)
-        upper.ravel()[data.pairs.place] = values
+    if at_pairs is not None:
+        upper.ravel()[data.pairs.place] = at_pairs
     else:
         if not all(couplings(kernel)):
             upper.fill(0.0)
@@ -212,13 +212,19 @@ def log_likelihood(
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace))
+        at_pairs = by_pairs = None
+        if data.pairs is not None:
+            data.pairs.begin()
+            at_pairs, by_pairs = kernel.at_pairs(data.only_output, data.pairs)
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace, at_pairs))
         white = triangular_solve(L, y)
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
-        return (value, _gradient(kernel, noise, data, y, L, weights)) if eval_gradient else value
+        if not eval_gradient:
+            return value
+        return value, _gradient(kernel, noise, data, y, L, weights, by_pairs)
 
 
-def _gradient(kernel, noise, data, y, L, weights):
+def _gradient(kernel, noise, data, y, L, weights, by_pairs):
     inverse = cholesky_inverse(L)
     alpha = dsymv(1.0, inverse, y, lower=1)
     if weights is not None:
@@ -237,12 +243,12 @@ def _gradient(kernel, noise, data, y, L, weights):
             a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W
         )
 
-    if data.pairs is not None:
+    if by_pairs is not None:
         w = np.take(
             minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip"
         )  # in place only so
         w[data.pairs.own] *= 0.5
-        d_theta = -kernel.pair_gradient(data.only_output, data.pairs, w)
+        d_theta = -by_pairs(w)
     else:
         d_theta = -np.sum(thread_map(contract, _pairs(kernel, [len(x) for x in data.X])), axis=0)
     return np.concatenate([d_theta, -noise_gradient(minus_W, noise, data)])

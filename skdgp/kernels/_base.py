@@ -113,15 +113,18 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
-        """Add cov(y_i(x), y_i(x')) of the pairs of rows to ``out``, (n_pairs,)."""
-        out += self.block(i, i, pairs.X, pairs.X).ravel()[pairs.place]
+    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
+        """Return cov(y_i(x), y_i(x')) of pairs of rows, (n_pairs,), and its gradient.
 
-    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
-        """Return sum(w * dcov / dtheta) over the pairs of rows, (n_theta,), after ``add_pairs``."""
-        W = np.zeros((len(pairs.X),) * 2)
-        W.ravel()[pairs.place] = w
-        return self.block_gradient(i, i, pairs.X, pairs.X, W)
+        The gradient is the function from weights w (n_pairs,) to sum(w * dcov / dtheta).
+        """
+
+        def gradient(w):
+            W = np.zeros((len(pairs.X),) * 2)
+            W.ravel()[pairs.place] = w
+            return self.block_gradient(i, i, pairs.X, pairs.X, W)
+
+        return self.block(i, i, pairs.X, pairs.X).ravel()[pairs.place], gradient
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -478,17 +481,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])
 
-    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
-        for kernel in (self.k1, self.k2):
-            if kernel.couples(i, i):
-                kernel.add_pairs(i, pairs, out)
-
-    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
+    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
         parts = [
-            k.pair_gradient(i, pairs, w) if k.couples(i, i) else np.zeros(k.n_dims)
-            for k in (self.k1, self.k2)
+            kernel.at_pairs(i, pairs)
+            if kernel.couples(i, i)
+            else (0.0, lambda w, kernel=kernel: np.zeros(kernel.n_dims))
+            for kernel in (self.k1, self.k2)
         ]
-        return np.concatenate(parts)
+        values, gradients = zip(*parts, strict=True)
+        return sum(values), lambda w: np.concatenate([gradient(w) for gradient in gradients])
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)

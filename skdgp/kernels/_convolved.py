@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,18 +19,7 @@ from skdgp._compute.linalg import (
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._features import LatentFeatures
-from skdgp.kernels._pair import (
-    Exponent,
-    diagonal_pair,
-    diagonal_slopes,
-    exponential_times,
-    full_pair,
-    full_slopes,
-    moments,
-    precision,
-    signed_sum,
-    weighted_sums,
-)
+from skdgp.kernels._gaussian_filters import FilterPair, precision
 from skdgp.kernels._prior_paths import PathBundle, ValuePaths, Waves, draw_latents
 
 TIED_AXIS = {
@@ -400,10 +388,11 @@ class ConvolvedGaussian(MultiOutputKernel):
     def peaks(self, i: int, j: int) -> Matrix:
         # Terms of opposite sign may cancel at their centres: add points one to three widths away
         # along each axis.
-        _, _, _, F, shift = self._pair(i, j)
-        widths = 1.0 / (F if F.ndim == 2 else np.einsum("mkk->mk", F))
+        pair = self.pair(i, j)
+        widths = 1.0 / (np.einsum("mkk->mk", pair.F) if pair.full else pair.F)
         steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
-        return np.concatenate([shift, *(mu + steps * width for mu in shift for width in widths)])
+        beside = [mu + steps * width for mu in pair.mu for width in widths]
+        return np.concatenate([pair.mu, *beside])
 
     def free_parameters(self) -> list[FreeParameter]:
         return self._cached("free", self._free_parameters)
@@ -474,65 +463,54 @@ class ConvolvedGaussian(MultiOutputKernel):
     # -- the equations
     # ---------------------------------------------------------------------------------
 
-    def _pair(self, i, j):
-        """Return the latents of both outputs, gains, c, F of Sigma = F F^T (or its diagonal), and mu_i - mu_j."""
-        return self._cached((i, j), lambda: self._filters(i, j))
+    def pair(self, i: int, j: int) -> FilterPair:
+        """Return equation 16 of outputs i and j."""
+        return self._cached((i, j), lambda: self._pair(i, j))
 
-    def _filters(self, i, j):
-        latents = np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
-        w, mu = self._value("amplitude")[latents], self._value("shift")[latents]
-        if self.covariance_type == "full":
-            c, F = full_pair(*self._roots()[latents][:, [i, j]].swapaxes(0, 1))
-        else:
-            c, F = diagonal_pair(*self._value("length_scale")[latents][:, [i, j]].swapaxes(0, 1))
-        return latents, c * w[:, i] * w[:, j], c, F, mu[:, i] - mu[:, j]
+    def _common(self, i, j):
+        """Return the numbers of the latents that feed both outputs."""
+        return np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
+
+    def _pair(self, i, j):
+        latents = self._common(i, j)
+        full = self.covariance_type == "full"
+        widths = self._roots() if full else self._value("length_scale")
+        w, widths, mu = (
+            np.stack([values[latents, i], values[latents, j]])
+            for values in (self._value("amplitude"), widths, self._value("shift"))
+        )
+        return FilterPair(w, widths, mu[0] - mu[1])
 
     def couples(self, i: int, j: int) -> bool:
-        return len(self._pair(i, j)[0]) > 0
-
-    def _exponents(self, i, j, Xi, Xj, shifts=None):
-        """Return the exponent -1/2 (delta - mu)^T Sigma (delta - mu), plus ``shifts``, for each latent."""
-        _, _, _, F, mu = self._pair(i, j)
-        middle = _middle(Xj)
-        b = Xj - middle
-        exponents = []
-        for k, root in enumerate(F):
-            a = Xi - (mu[k] + middle)
-            pair = (a * root, b * root) if root.ndim == 1 else (a @ root, b @ root)
-            exponents.append(Exponent.between(*pair, 0.0 if shifts is None else shifts[k]))
-        return exponents
+        return len(self.pair(i, j).gain) > 0
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        gains = self._pair(i, j)[1]
-        nonzero = gains != 0.0
-        with np.errstate(divide="ignore"):
-            exponents = self._exponents(i, j, Xi, Xj, np.log(np.abs(gains)))
-        exponents = [exponent for exponent, keep in zip(exponents, nonzero, strict=True) if keep]
-        return signed_sum(exponents, np.sign(gains[nonzero]), (len(Xi), len(Xj)))
+        return self.pair(i, j).covariance(Xi, Xj)
 
-    def add_pairs(self, i: int, pairs: RowPairs, out: Vector) -> None:
-        if self.covariance_type == "full":
-            super().add_pairs(i, pairs, out)
-            return
-        _, gains, _, F, _ = self._pair(i, i)
-        columns, exponentials = self._columns(), [pairs.buffer() for _ in gains]
-        for gain, root, E in zip(gains, F[:, columns], exponentials, strict=True):
-            np.exp(np.dot(-0.5 * root**2, pairs.squares[columns], out=E), out=E)
-            out += np.multiply(E, gain, out=pairs.scratch)
-        self.__dict__["_cache"]["exponentials", i] = exponentials
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
+        return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
 
-    def pair_gradient(self, i: int, pairs: RowPairs, w: Vector) -> Vector:
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
+        return self.pair(i, j).derivative(np.asarray(Xi, float), np.asarray(Xj, float))
+
+    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
+        return self.pair(i, j).derivative_times(Xi, Xj, w)
+
+    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
+        pair = self.pair(i, i)
+        variance = sum(gain * np.diag(pair.Sigma(m)) for m, gain in enumerate(pair.gain))
+        return np.broadcast_to(variance, np.shape(Xi))
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        if not self.couples(i, j):
+            return np.zeros(self.n_dims)
+        return self._theta_gradient(i, j, self.pair(i, j).moments(Xi, Xj, W))
+
+    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
         if self.covariance_type == "full":
-            return super().pair_gradient(i, pairs, w)
-        exponentials, columns = self.__dict__["_cache"]["exponentials", i], self._columns()
-        mass, first, second = (
-            np.zeros(len(exponentials)),
-            *np.zeros((2, len(exponentials), self.n_features)),
-        )
-        for k, E in enumerate(exponentials):
-            G = np.multiply(w, E, out=pairs.scratch)
-            mass[k], second[k, columns] = G.sum(), pairs.squares[columns] @ G
-        return self.theta_gradient(self._gradients_from_moments(i, i, mass, first, second))
+            return super().at_pairs(i, pairs)
+        values, moments = self.pair(i, i).at_pairs(pairs, self._columns())
+        return values, lambda w: self._theta_gradient(i, i, moments(w))
 
     def _columns(self):
         """Return the columns of X that the outputs depend on; of one or all a slice, which needs no copy."""
@@ -541,104 +519,28 @@ class ConvolvedGaussian(MultiOutputKernel):
         columns = np.flatnonzero(~self._without_effect(self.n_features))
         return slice(columns[0], columns[0] + 1) if len(columns) == 1 else columns
 
-    def terms(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        """Return the term of each common latent in the covariance, side by side, (n_i, n_j times their number)."""
-        gains, shape = self._pair(i, j)[1], (len(Xi), len(Xj))
-        exponents = self._exponents(i, j, Xi, Xj)
-        terms = [
-            gain * e.exponential(slice(None), np.empty(shape))
-            for gain, e in zip(gains, exponents, strict=True)
-        ]
-        return np.hstack(terms) if terms else np.empty((len(Xi), 0))
-
-    def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
-
-    def _precision(self, i, j, k):
-        """Return Sigma of one latent, (d, d)."""
-        F = self._pair(i, j)[3][k]
-        return F @ F.T if F.ndim == 2 else np.diag(F**2)
-
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
-        _, gains, _, _, shift = self._pair(i, j)
-        middle = _middle(Xj)
-        D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
-        for k, exponent in enumerate(self._exponents(i, j, Xi, Xj)):
-            S = self._precision(i, j, k)
-            E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
-            E *= gains[k]
-            D -= E * (
-                ((Xi - middle - shift[k]) @ S).T[:, :, None] - ((Xj - middle) @ S).T[:, None, :]
-            )
-        return D
-
-    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        _, gains, _, _, shift = self._pair(i, j)
-        middle, total = _middle(Xj), np.zeros(np.shape(Xi))
-        weighted = w[:, None] * np.column_stack([Xj - middle, np.ones(len(Xj))])
-        for k, exponent in enumerate(self._exponents(i, j, Xi, Xj)):
-            sums = exponential_times(exponent, weighted, len(Xi))
-            separation = (Xi - middle - shift[k]) * sums[:, -1:] - sums[:, :-1]
-            total -= gains[k] * separation @ self._precision(i, j, k)
-        return total
-
-    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        gains = self._pair(i, i)[1]
-        variance = sum(gains[k] * np.diag(self._precision(i, i, k)) for k in range(len(gains)))
-        return np.broadcast_to(variance, np.shape(Xi))
-
-    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        if not self.couples(i, j):
-            return np.zeros(self.n_dims)
-        shift = self._pair(i, j)[-1]
-        middle = _middle(Xj)
-        b = Xj - middle
-        a = [Xi - (mu + middle) for mu in shift]
-        sums = weighted_sums(self._exponents(i, j, Xi, Xj), W, b)
-        full = self.covariance_type == "full"
-        mass, first, second = (
-            np.array(m) for m in zip(*map(partial(moments, b=b, full=full), sums, a), strict=True)
-        )
-        return self.theta_gradient(self._gradients_from_moments(i, j, mass, first, second))
-
-    def _gradients_from_moments(self, i, j, mass, first, second):
-        """Return the gradients from the moments of order 0, 1 and 2 of W * E over delta - mu."""
-        latents, gains, c, F, _ = self._pair(i, j)
+    def _theta_gradient(self, i, j, moments):
+        """Return d/dtheta of sum(W * cov_ij), from the moments of W."""
+        latents = self._common(i, j)
+        found = self.pair(i, j).gradient(moments)
         gradients = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
-        w = self._value("amplitude")[latents]
-        gradients["amplitude"][latents, i] += c * w[:, j] * mass
-        gradients["amplitude"][latents, j] += c * w[:, i] * mass
-        mass, first = gains * mass, gains[:, None] * first
-        lengths = self._value("length_scale")[latents]
-        if self.covariance_type == "full":
-            lower = np.tril_indices(lengths.shape[-1], -1)
-            roots = self._roots()[latents][:, [i, j]].swapaxes(0, 1)
-            for output, R in zip((i, j), roots, strict=True):
-                dR = full_slopes(mass, gains[:, None, None] * second, F, roots, R)
-                gradients["length_scale"][latents, output] -= (dR * R).sum(axis=-1)
-                shear = (dR / lengths[:, output, :, None])[:, *lower]
-                gradients["shear"][latents, output] += shear
-            slope = np.einsum("mkl,mpl,mp->mk", F, F, first)
-        else:
-            slopes = diagonal_slopes(mass, gains[:, None] * second, lengths[:, i], lengths[:, j])
-            for output, by_length in zip((i, j), slopes, strict=True):
-                gradients["length_scale"][latents, output] += by_length
-            slope = F**2 * first
-        gradients["shift"][latents, i] += slope
-        gradients["shift"][latents, j] -= slope
-        return gradients
+        for output, by_w, by_widths in zip((i, j), found.w, found.widths, strict=True):
+            gradients["amplitude"][latents, output] += by_w
+            if self.covariance_type != "full":
+                gradients["length_scale"][latents, output] += by_widths
+                continue
+            R = self._roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
+            gradients["length_scale"][latents, output] -= (by_widths * R).sum(axis=-1)
+            by_C = by_widths / self._value("length_scale")[latents, output, :, None]
+            below = np.tril_indices(R.shape[-1], -1)
+            gradients["shear"][latents, output] += by_C[:, *below]
+        gradients["shift"][latents, i] += found.mu
+        gradients["shift"][latents, j] -= found.mu
+        return self.theta_gradient(gradients)
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
-
-
-def _middle(X):
-    """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
-    return np.add.reduce(X, axis=0) / max(
-        len(X), 1
-    )  # np.mean takes five times as long for few rows
 
 
 def common_scale(scales, X: Matrix) -> np.ndarray:

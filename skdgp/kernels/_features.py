@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from skdgp._compute.typing import Array, Indices, Matrix
-from skdgp.kernels._pair import ExponentialRows
+from skdgp.kernels._gaussian_filters import CovarianceColumns
 from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, Waves, draw_latents
 
 # variance of white noise in the inducing variables, over their variance; the bound remains a bound
@@ -194,9 +194,12 @@ class LatentFeatures(Features):
 
     def rows(self):
         P = self.kernel.n_outputs
-        return ExponentialRows(
-            self.joint, [[(P + f, self.Z[f]) for f in blocks] for blocks in self._blocks]
-        )
+        pairs = [
+            (self.joint.pair(i, P + f), self.Z[f])
+            for i, blocks in enumerate(self._blocks)
+            for f in blocks
+        ]
+        return CovarianceColumns(self.kernel.n_features, pairs)
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         P, latents = (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from skdgp.kernels._pair import ExponentialRows
+from skdgp.kernels._gaussian_filters import CovarianceColumns
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 TILE = 512  # values in one block of covariances
@@ -235,11 +235,12 @@ class ValuePaths(KernelPaths):
         super().__init__(kernel, X, coefficients)
         outputs = range(kernel.n_outputs)
         coupled = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
-        self._rows = ExponentialRows(kernel, [[(j, X[j]) for j in others] for others in coupled])
+        pairs = [(kernel.pair(i, j), X[j]) for i in outputs for j in coupled[i]]
+        self._rows = CovarianceColumns(kernel.n_features, pairs)
         empty = np.empty((len(coefficients[0]), 0))
         self._weights = [
             np.hstack(
-                [empty, *(np.tile(coefficients[j], len(kernel._pair(i, j)[1])) for j in others)]
+                [empty, *(np.tile(coefficients[j], len(kernel.pair(i, j).gain)) for j in others)]
             )
             for i, others in enumerate(coupled)
         ]

@@ -1,0 +1,425 @@
+r"""Equations 15 and 16: Gaussian filters of white noise, and the covariance of two outputs.
+
+Latent process m reaches output i through the filter (Hemakumara & Sukkarieh 2011)
+
+    h_mi(s) = v_mi exp(-1/2 (s - mu_mi)^T A_mi (s - mu_mi)).                                   (15)
+
+With the separation delta = s - s', mu = mu_mi - mu_mj and Sigma = A_mi (A_mi + A_mj)^-1 A_mj, the
+covariance of outputs i and j is
+
+    cov_ij = sum_m (2 pi)^(d/2) v_mi v_mj |A_mi + A_mj|^(-1/2)
+                   exp(-1/2 (delta - mu)^T Sigma (delta - mu)).                                (16)
+
+The amplitude w = v pi^(d/4) |A|^(-1/4) replaces v, so that cov_ii(0) = sum_m w_mi^2. The factor of
+the exponential is then the gain w_mi w_mj c, where c depends on the two widths alone and is 1 for
+equal ones. Sigma is used through its root F, Sigma = F F^T. The first axis of all arrays runs over
+the latent processes, (m, ...).
+
+Exponentials of squared distances and their sums are computed in strips of rows that fit the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from skdgp._compute.linalg import RowPairs
+from skdgp._compute.typing import Array, Matrix, Vector
+
+STRIP = 3 * 2**16  # doubles in one strip; fewer strips mean less waiting between threads
+FAR = 1e9  # |a|^2 / 2 or |b|^2 / 2 above which cancellation, about 1e-16 of them, becomes visible
+
+
+class Moments(NamedTuple):
+    """Sums of G = W * exp(...) over all pairs of rows, for each latent: of G, G (delta - mu), G (delta - mu)^2.
+
+    ``zeroth`` (m,), ``first`` (m, d), ``second`` (m, d), or (m, d, d) of outer products.
+    """
+
+    zeroth: Vector
+    first: Matrix
+    second: Array
+
+
+class PairGradient(NamedTuple):
+    """Derivatives of sum(W * cov_ij) by the parameters of both outputs.
+
+    ``w`` (2, m) by the amplitudes; ``widths`` (2, m, d) by the logarithms of the length scales, or
+    (2, m, d, d) by the roots R; ``mu`` (m, d) by mu_i - mu_j.
+    """
+
+    w: Array
+    widths: Array
+    mu: Matrix
+
+
+class FilterPair:
+    """Equation 16 of outputs i and j, for the m latent processes that feed both.
+
+    Parameters
+    ----------
+    w : array (2, m)
+        Amplitudes of output i and of output j.
+    widths : array (2, m, d) or (2, m, d, d)
+        Length scales l with A = 2 diag(l^-2), or lower triangular roots R with A = 2 R R^T.
+    mu : array (m, d)
+        mu_mi - mu_mj.
+
+    Attributes
+    ----------
+    c, gain : array (m,)
+        Factor of the exponential for unit amplitudes, and for the amplitudes w.
+    F : array (m, d) or (m, d, d)
+        Root of Sigma = F F^T, or its diagonal.
+    """
+
+    def __init__(self, w: Array, widths: Array, mu: Matrix) -> None:
+        self.w, self.widths, self.mu = w, widths, mu
+        self.full = widths.ndim == 4
+        self.c, self.F = (_full_factors if self.full else _diagonal_factors)(*widths)
+        self.gain = self.c * w[0] * w[1]
+
+    def exponents(self, Xi: Matrix, Xj: Matrix, log_factor: Vector | None = None) -> list[Exponent]:
+        """Return -1/2 (delta - mu)^T Sigma (delta - mu) of each latent, plus ``log_factor`` (m,)."""
+        middle = _middle(Xj)
+        b = Xj - middle
+        exponents = []
+        for m, F in enumerate(self.F):
+            a = Xi - (self.mu[m] + middle)
+            rows = (a @ F, b @ F) if self.full else (a * F, b * F)
+            exponents.append(Exponent.between(*rows, 0.0 if log_factor is None else log_factor[m]))
+        return exponents
+
+    def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
+        """Return equation 16 at all pairs of rows, (n_i, n_j)."""
+        used = self.gain != 0.0
+        with np.errstate(divide="ignore"):
+            exponents = self.exponents(Xi, Xj, np.log(np.abs(self.gain)))
+        exponents = [exponent for exponent, keep in zip(exponents, used, strict=True) if keep]
+        return signed_sum(exponents, np.sign(self.gain[used]), (len(Xi), len(Xj)))
+
+    def terms(self, Xi: Matrix, Xj: Matrix) -> Matrix:
+        """Return the terms of equation 16 side by side, (n_i, m n_j)."""
+        exponents = self.exponents(Xi, Xj)
+        terms = [g * e.all(len(Xi), len(Xj)) for g, e in zip(self.gain, exponents, strict=True)]
+        return np.hstack([np.empty((len(Xi), 0)), *terms])
+
+    def at_pairs(
+        self, pairs: RowPairs, columns: slice | Array
+    ) -> tuple[Vector, Callable[[Vector], Moments]]:
+        """Return equation 16 at pairs of rows, (n_pairs,), for mu = 0 and a diagonal Sigma.
+
+        Also return the function from weights (n_pairs,) to moments. ``columns`` are the regressors
+        that matter.
+        """
+        squares = pairs.squares[columns]
+        exponentials = [pairs.buffer() for _ in self.gain]
+        total = np.zeros_like(pairs.scratch)
+        for gain, F, E in zip(self.gain, self.F[:, columns], exponentials, strict=True):
+            np.exp(np.dot(-0.5 * F**2, squares, out=E), out=E)
+            total += np.multiply(E, gain, out=pairs.scratch)
+
+        def moments(W: Vector) -> Moments:
+            zeroth = np.zeros(len(exponentials))
+            first, second = np.zeros((2, *self.mu.shape))
+            for m, E in enumerate(exponentials):
+                G = np.multiply(W, E, out=pairs.scratch)
+                zeroth[m] = G.sum()
+                second[m, columns] = squares @ G
+            return Moments(zeroth, first, second)
+
+        return total, moments
+
+    # -- derivatives by the inputs
+    # ---------------------------------------------------------------------------------------
+
+    def Sigma(self, m: int) -> Matrix:
+        """Return Sigma of one latent, (d, d)."""
+        F = self.F[m]
+        return F @ F.T if self.full else np.diag(F**2)
+
+    def derivative(self, Xi: Matrix, Xj: Matrix) -> Array:
+        """Return d cov_ij / d Xi, (d, n_i, n_j)."""
+        middle = _middle(Xj)
+        D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
+        for m, exponent in enumerate(self.exponents(Xi, Xj)):
+            Sigma = self.Sigma(m)
+            a = (Xi - middle - self.mu[m]) @ Sigma
+            b = (Xj - middle) @ Sigma
+            E = exponent.all(len(Xi), len(Xj))
+            E *= self.gain[m]
+            D -= E * (a.T[:, :, None] - b.T[:, None, :])
+        return D
+
+    def derivative_times(self, Xi: Matrix, Xj: Matrix, weights: Vector) -> Matrix:
+        """Return sum_b d cov_ij(Xi, Xj_b) / d Xi weights_b, (n_i, d)."""
+        middle = _middle(Xj)
+        total = np.zeros(np.shape(Xi))
+        weighted = weights[:, None] * np.column_stack([Xj - middle, np.ones(len(Xj))])
+        for m, exponent in enumerate(self.exponents(Xi, Xj)):
+            sums = exponential_times(exponent, weighted, len(Xi))
+            separation = (Xi - middle - self.mu[m]) * sums[:, -1:] - sums[:, :-1]
+            total -= self.gain[m] * separation @ self.Sigma(m)
+        return total
+
+    # -- derivatives by the parameters
+    # -----------------------------------------------------------------------------------
+
+    def moments(self, Xi: Matrix, Xj: Matrix, W: Matrix) -> Moments:
+        """Return the moments of weights W (n_i, n_j)."""
+        middle = _middle(Xj)
+        b = Xj - middle
+        sums = weighted_sums(self.exponents(Xi, Xj), W, b)
+        parts = []
+        for mu, (rows, columns, Gb) in zip(self.mu, sums, strict=True):
+            a = Xi - (mu + middle)
+            first = rows @ a - columns @ b
+            if self.full:
+                cross = a.T @ Gb
+                second = (a.T * rows) @ a + (b.T * columns) @ b - cross - cross.T
+            else:
+                second = rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
+            parts.append((rows.sum(), first, second))
+        return Moments(*(np.array(part) for part in zip(*parts, strict=True)))
+
+    def gradient(self, moments: Moments) -> PairGradient:
+        """Return the derivatives of sum(W * cov_ij), from the moments of W."""
+        by_w = self.c * moments.zeroth * self.w[::-1]
+        zeroth = self.gain * moments.zeroth
+        first = self.gain[:, None] * moments.first
+        if self.full:
+            second = self.gain[:, None, None] * moments.second
+            by_widths = _full_slopes(zeroth, second, self.F, self.widths)
+            return PairGradient(by_w, by_widths, np.einsum("mkl,mpl,mp->mk", self.F, self.F, first))
+        by_widths = _diagonal_slopes(zeroth, self.gain[:, None] * moments.second, *self.widths)
+        return PairGradient(by_w, by_widths, self.F**2 * first)
+
+
+def _diagonal_factors(li, lj):
+    """Return c (m,) and the diagonal of F (m, d) of equation 16, for length scales (m, d)."""
+    total = li**2 + lj**2
+    return np.sqrt(2 * li * lj / total).prod(axis=1), np.sqrt(2 / total)
+
+
+def _full_factors(Ri, Rj):
+    """Return c (m,) and F (m, d, d) of equation 16, for roots (m, d, d).
+
+    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares. Their roots come from QR factorisations,
+    which are stable for length scales of very different size.
+    """
+    log_i, log_j, log_sum = (
+        np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj))
+    )
+    c = np.exp(0.5 * Ri.shape[-1] * np.log(2.0) + 0.5 * (log_i + log_j) - log_sum)
+    # Sigma = (A_i^-1 + A_j^-1)^-1 = U^-1 U^-T with U^T U = A_i^-1 + A_j^-1, A^-1 = (R^-T R^-1) / 2.
+    inverses = (np.swapaxes(np.linalg.inv(R), -1, -2) / np.sqrt(2) for R in (Ri, Rj))
+    return c, np.linalg.inv(_root_of_sum(*inverses))
+
+
+def _root_of_sum(Ri, Rj):
+    """Return the upper triangle U (m, d, d) with U^T U = R_i R_i^T + R_j R_j^T."""
+    return np.linalg.qr(np.swapaxes(np.concatenate([Ri, Rj], axis=-1), -1, -2), mode="r")
+
+
+def precision(R: Array) -> Array:
+    """Return A = 2 R R^T, (..., d, d)."""
+    return 2.0 * R @ np.swapaxes(R, -1, -2)
+
+
+def _diagonal_slopes(zeroth, second, li, lj):
+    """Return d/dlog l_i and d/dlog l_j of sum(W cov_ij), (2, m, d), from moments times the gain."""
+    total = li**2 + lj**2
+    by_exponent = 2 * second / total**2  # of -delta^2 / (l_i^2 + l_j^2)
+    by_factor = 0.5 * zeroth[:, None] * (lj**2 - li**2) / total  # of sqrt(2 l_i l_j / total)
+    return np.stack([by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor])
+
+
+def _full_slopes(zeroth, second, F, roots):
+    """Return d/dR_i and d/dR_j of sum(W cov_ij), (2, m, d, d), from moments times the gain.
+
+    dSigma = Sigma A^-1 dA A^-1 Sigma, and dlog c = tr((1/4 A^-1 - 1/2 (A_i + A_j)^-1) dA).
+    """
+    of_sum = np.linalg.inv(precision(roots[0]) + precision(roots[1]))
+    slopes = []
+    for R in roots:
+        inverse = np.linalg.inv(precision(R))
+        T = inverse @ F @ np.swapaxes(F, -1, -2)
+        G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
+        G += zeroth[:, None, None] * (0.25 * inverse - 0.5 * of_sum)
+        slopes.append(4.0 * G @ R)  # A = 2 R R^T
+    return np.stack(slopes)
+
+
+def _middle(X):
+    """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
+    return np.add.reduce(X, axis=0) / max(len(X), 1)  # five times as fast as np.mean for few rows
+
+
+# -- exponentials of squared distances
+# --------------------------------------------------------------------------------
+
+
+class Exponent(NamedTuple):
+    """Factors with left @ right.T = shift - |a - b|^2 / 2 for all rows a and b: one matrix product.
+
+    Far from the origin the product would lose digits; ``far`` then selects explicit differences.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    shift: float
+    far: bool
+
+    @classmethod
+    def between(cls, a: Matrix, b: Matrix, shift: float = 0.0) -> Exponent:
+        """Return the exponent of rows a (n_i, d) and b (n_j, d)."""
+        left = np.empty((len(a), a.shape[1] + 2))
+        right = np.empty((len(b), b.shape[1] + 2))
+        left[:, :-2], right[:, :-2] = a, b
+        left[:, -1], right[:, -2] = 1.0, 1.0
+        np.einsum("nk,nk->n", a, a, out=left[:, -2])
+        np.einsum("nk,nk->n", b, b, out=right[:, -1])
+        left[:, -2] *= -0.5
+        right[:, -1] *= -0.5
+        far = bool(len(a) and len(b) and max(-left[:, -2].min(), -right[:, -1].min()) > FAR)
+        right[:, -1] += shift
+        return cls(left, right, shift, far)
+
+    def exponential(self, rows: slice, out: Matrix) -> Matrix:
+        """Return the exponentials of some rows, written to ``out``."""
+        if self.far:
+            squares = cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
+            out[:] = self.shift - 0.5 * squares
+        else:
+            np.matmul(self.left[rows], self.right.T, out=out)
+        return np.exp(out, out=out)
+
+    def all(self, n_rows: int, n_columns: int) -> Matrix:
+        """Return the exponentials of all rows."""
+        return self.exponential(slice(None), np.empty((n_rows, n_columns)))
+
+
+def strips(n_rows: int, n_columns: int) -> Iterator[slice]:
+    """Return slices of the rows with about STRIP entries each."""
+    step = max(8, STRIP // max(n_columns, 1))
+    return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))
+
+
+def _strip_buffer(n_rows, n_columns):
+    return np.empty(min(n_rows * n_columns, STRIP + 8 * n_columns))
+
+
+def signed_sum(exponents: list[Exponent], signs: Vector, shape: tuple[int, int]) -> Matrix:
+    """Return sum_k sign_k exp(exponent_k), (n_i, n_j)."""
+    total = np.empty(shape) if exponents else np.zeros(shape)
+    buffer = _strip_buffer(*shape)
+    for rows in strips(*shape):
+        out = total[rows]
+        for k, (exponent, sign) in enumerate(zip(exponents, signs, strict=True)):
+            if k == 0:
+                exponent.exponential(rows, out)
+                if sign < 0:
+                    np.negative(out, out=out)
+            else:
+                E = exponent.exponential(rows, buffer[: out.size].reshape(out.shape))
+                (np.add if sign > 0 else np.subtract)(out, E, out=out)
+    return total
+
+
+def exponential_times(exponent: Exponent, B: Matrix, n_rows: int) -> Matrix:
+    """Return exp(exponent) @ B, (n_rows, k)."""
+    out = np.empty((n_rows, B.shape[1]))
+    buffer = _strip_buffer(n_rows, len(B))
+    for rows in strips(n_rows, len(B)):
+        size = len(out[rows])
+        E = exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B)))
+        np.matmul(E, B, out=out[rows])
+    return out
+
+
+def weighted_sums(
+    exponents: list[Exponent], W: Matrix, b: Matrix
+) -> list[tuple[Vector, Vector, Matrix]]:
+    """Return row sums (n_i,), column sums (n_j,) and G b (n_i, d) of G = W * exp(exponent), for each exponent.
+
+    These are enough for the moments: the (n_i, n_j, d) array of separations is not needed.
+    """
+    (n_i, n_j), d = W.shape, b.shape[1]
+    padded = np.column_stack([b, np.ones(n_j)])
+    ones = np.ones(n_i)
+    products = np.empty((len(exponents), n_i, d + 1))
+    columns = np.zeros((len(exponents), n_j))
+    buffer = _strip_buffer(n_i, n_j)
+    for rows in strips(n_i, n_j):
+        strip = W[rows]
+        G = buffer[: strip.size].reshape(strip.shape)
+        for k, exponent in enumerate(exponents):
+            exponent.exponential(rows, G)
+            np.multiply(G, strip, out=G)
+            np.matmul(G, padded, out=products[k, rows])
+            columns[k] += ones[rows] @ G
+    return [(p[:, d], c, p[:, :d]) for p, c in zip(products, columns, strict=True)]
+
+
+class CovarianceColumns:
+    """Equation 16 of all outputs with given values of others, term by term, for few rows at a time.
+
+    ``pairs`` are (FilterPair, Z) of an output and another one at inputs Z (k, d); each latent of a
+    pair has k columns of its own, gain exp(-1/2 |F^T (x - mu - z)|^2). With x relative to a central
+    point, the exponents of all columns are one product: of the squares of the entries of F^T x,
+    which columns of a pair and latent share, of x and of 1, with a matrix.
+    """
+
+    def __init__(self, n_features: int, pairs: list[tuple[FilterPair, Matrix]]) -> None:
+        d = n_features
+        self.pairs = pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
+        self.middle = _middle(np.concatenate([np.empty((0, d)), *(Z for _, Z in pairs)]))
+        roots, slopes, constants, gains, counts = [], [np.zeros((0, d))], [np.zeros(0)], [], []
+        for pair, Z in pairs:
+            for F, mu, gain in zip(pair.F, pair.mu, pair.gain, strict=True):
+                root = F if pair.full else np.diag(F)
+                b = (Z - self.middle + mu) @ root
+                roots.append(root)
+                slopes.append(b @ root.T)
+                constants.append(-0.5 * np.einsum("kd,kd->k", b, b))
+                gains.append(gain)
+                counts.append(len(Z))
+        constant = np.concatenate(constants)
+        self.far = -constant.min(initial=0.0) > FAR
+        self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
+        self.roots = np.hstack([np.zeros((d, 0)), *roots])
+        if self.diagonal:
+            squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T
+        else:
+            squares = np.eye(len(roots))
+        counts = np.array(counts, dtype=int)
+        with np.errstate(divide="ignore"):  # a gain of zero
+            constant += np.repeat(np.log(np.abs(gains)), counts)
+        self.matrix = np.vstack(
+            [-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant]
+        )
+        last = np.cumsum(counts)
+        self.negative = [
+            slice(end - n, end)
+            for gain, n, end in zip(gains, counts, last, strict=True)
+            if gain < 0
+        ]
+
+    def __call__(self, X: Matrix) -> Matrix:
+        """Return all columns at X (n, d), (n, C)."""
+        if self.far:
+            terms = [pair.terms(X, Z) for pair, Z in self.pairs]
+            return np.hstack([np.empty((len(X), 0)), *terms])
+        x = X - self.middle
+        if self.diagonal:
+            squares = x * x
+        else:
+            squares = ((x @ self.roots).reshape(len(x), -1, x.shape[1]) ** 2).sum(axis=2)
+        E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix
+        np.exp(E, out=E)
+        for columns in self.negative:
+            np.negative(E[:, columns], out=E[:, columns])
+        return E

@@ -166,8 +166,7 @@ class TestNotation:
         from skdgp import DependentGPRegressor
         from skdgp.dynamics import Aircraft
         from skdgp.inference import Data, ExactPosterior
-        from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
-        from skdgp.kernels._features import Features
+        from skdgp.kernels import ConvolvedGaussian, Features, LinearTrend, MultiOutputKernel
 
         x = np.linspace(0, 1, 8)[:, None]
         fitted = DependentGPRegressor(structure="joint", max_iter=1).fit(x, np.hstack([x, x**2]))
@@ -192,6 +191,7 @@ class TestNotation:
 
     def test_shapes_are_as_stated(self):
         from skdgp import DependentGPRegressor
+        from skdgp.kernels import inducing_features
 
         rng = np.random.default_rng(0)
         n, d, P = 12, 3, 2
@@ -210,7 +210,7 @@ class TestNotation:
             assert model.posterior_.L.shape == (n * P, n * P)
             assert model.posterior_.alpha.shape == (n * P,)
             assert model.predict_gradient(X).shape == (n, P, d)
-            assert [z.shape for z in kernel.features(X[:5]).Z] == [(5, d)] * M
+            assert [z.shape for z in inducing_features(kernel, X[:5]).Z] == [(5, d)] * M
         assert np.shape(kernel.shear) == (M, P, d * (d - 1) // 2)
 
 

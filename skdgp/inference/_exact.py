@@ -21,6 +21,7 @@ from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._noise import draw_noise
 from skdgp.inference._paths import FREQUENCIES, Paths
+from skdgp.kernels import covariance_paths, prior_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles
@@ -179,7 +180,9 @@ class ExactPosterior(Single):
     def _mean_function(self):
         """The mean as a function that is fast for few points."""
         edges = np.cumsum([0, *map(len, self.data.X)])
-        return self.kernel.paths(self.data.X, [self.alpha[None, a:b] for a, b in pairwise(edges)])
+        return covariance_paths(
+            self.kernel, self.data.X, [self.alpha[None, a:b] for a, b in pairwise(edges)]
+        )
 
     def _mean(self, Xs):
         """Return the mean; covariances are computed and used tile by tile, within the cache."""
@@ -234,7 +237,7 @@ class ExactPosterior(Single):
         rng, data = check_random_state(random_state), self.data
         edges = np.cumsum([0, *map(len, data.X)])
         with threads_for(self.size):
-            prior = self.kernel.prior_paths(n_paths, FREQUENCIES, rng)
+            prior = prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
             points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
             f = prior.values(points[None])
             f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
@@ -242,5 +245,7 @@ class ExactPosterior(Single):
             coefficients = self.solve(residual.T).T
             by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
             return Paths(
-                prior + self.kernel.paths(data.X, by_output), n_paths, self.kernel.n_features
+                prior + covariance_paths(self.kernel, data.X, by_output),
+                n_paths,
+                self.kernel.n_features,
             )

@@ -33,6 +33,7 @@ from skdgp.inference._search import (
     some_rows,
 )
 from skdgp.inference._sparse import SparsePosterior, shares_of
+from skdgp.kernels import inducing_features
 
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
 
@@ -144,14 +145,16 @@ def fit_sparse(
     random_state, kernel = check_random_state(random_state), kernel.prepared(X)
     start = kernel.initialize(X, Y, np.random.RandomState(0))
     Z = inducing_centres(start, X, n_inducing, random_state)
-    size = start.features(Z).size
+    size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     rows, held = (
         held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
     )
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     learned = search(kernel, X, Y, rows, held=held, random_state=random_state, **options)
-    return _sparse_fit(learned, learned.kernel.features(Z), X, Y, converge=optimizer is not None)
+    return _sparse_fit(
+        learned, inducing_features(learned.kernel, Z), X, Y, converge=optimizer is not None
+    )
 
 
 def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
@@ -223,7 +226,7 @@ def _converge_noise(posterior, inflation, least):
 
 def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any) -> Matrix:
     """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
-    if kernel.features(X[:1]).size == kernel.features(X[:2]).size:
+    if inducing_features(kernel, X[:1]).size == inducing_features(kernel, X[:2]).size:
         return X[:1]
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
@@ -325,5 +328,7 @@ def _of_part(whole, X, Y, loading, part) -> Fit:
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
     else:  # the few weights of a trend are all that there is to know, so this is exact, and small
-        posterior = SparsePosterior(kernel, kernel.features(X[:1]), noise, shares_of(data))
+        posterior = SparsePosterior(
+            kernel, inducing_features(kernel, X[:1]), noise, shares_of(data)
+        )
     return Fit(posterior, learned._replace(noise=noise, n_evaluations=n_evaluations), whole.value)

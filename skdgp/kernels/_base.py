@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,8 +17,6 @@ from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
 from skdgp._compute.linalg import RowPairs
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
-from skdgp.kernels._features import Features, PointFeatures, SumFeatures
-from skdgp.kernels._prior_paths import KernelPaths, PathBundle
 
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 
@@ -231,22 +229,6 @@ class MultiOutputKernel(Kernel):
     def peaks(self, i: int, j: int) -> Matrix:
         """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
         return np.zeros((0, self.n_features))
-
-    def features(self, Z: Matrix) -> Features:
-        """Return inducing features for sparse inference at Z (k, d), by default the values of the outputs at Z."""
-        return PointFeatures(self, Z)
-
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process."""
-        raise NotImplementedError(
-            f"{type(self).__name__} does not define prior_paths, which sample paths need. Use "
-            f"sample_y, which draws "
-            "values at given points from any kernel."
-        )
-
-    def paths(self, X: Matrix, coefficients: Any) -> PathBundle:
-        """Return the functions sum_j cov(y, y_j(X_j)) c_j, with X_j (n_j, d) and c_j (S, n_j) for each output."""
-        return KernelPaths(self, X, coefficients)
 
     # -- matrices
     # --------------------------------------------------------------------------------------
@@ -534,9 +516,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def has_values(self) -> bool:
         return self.k1.has_values() and self.k2.has_values()
 
-    def paths(self, X: Matrix, coefficients: Any) -> Any:
-        return self.k1.paths(X, coefficients) + self.k2.paths(X, coefficients)
-
     def stationary_part(self) -> Any:
         parts = [
             part
@@ -544,12 +523,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
             if part is not None
         ]
         return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
-
-    def features(self, Z: Matrix) -> Any:
-        return SumFeatures(self.k1.features(Z), self.k2.features(Z))
-
-    def prior_paths(self, *args: Any) -> PathBundle:
-        return self.k1.prior_paths(*args) + self.k2.prior_paths(*args)
 
     def summands(self) -> list[MultiOutputKernel]:
         return [*self.k1.summands(), *self.k2.summands()]

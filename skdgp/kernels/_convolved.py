@@ -11,16 +11,13 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import (
     RowPairs,
-    cluster_centres,
     column_scale,
     constant_columns,
     output_scale,
 )
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
-from skdgp.kernels._features import LatentFeatures
 from skdgp.kernels._gaussian_filters import FilterPair, precision
-from skdgp.kernels._prior_paths import PathBundle, ValuePaths, Waves, draw_latents
 
 TIED_AXIS = {
     "tied": 1,
@@ -30,7 +27,6 @@ MAX_SCALE_RATIO = (
     1e5  # largest over smallest standard deviation of regressors with a common length scale
 )
 CONSTANT_LENGTH = 1e6  # length scale over the standard deviation of a regressor that has no effect
-ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
 ADDITIVE_AMPLITUDE = (
     0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 )
@@ -167,7 +163,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         )
         P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
         feeds = self._feed_matrix(P)
-        M, others = len(feeds), self._without_effect(d)
+        M, others = len(feeds), self.without_effect(d)
         if not (lengths > 0).all() or not np.isfinite(w).all():
             raise ValueError(
                 "Got a length_scale that is not positive or an amplitude that is not finite."
@@ -194,7 +190,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
-    def _without_effect(self, d):
+    def without_effect(self, d):
         """Return the mask (d,) of regressors that the outputs do not depend on."""
         if self.regressors is None:
             return np.zeros(d, dtype=bool)
@@ -269,7 +265,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         coarse: Any = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
-        others = self._without_effect(X.shape[1])
+        others = self.without_effect(X.shape[1])
         params = self.get_params()
         feeds = self._feed_matrix(Y.shape[1])
         for name, shape in (
@@ -346,39 +342,8 @@ class ConvolvedGaussian(MultiOutputKernel):
             0, covariance_type=kind, regressors=self.regressors, length_scale_bounds=bounds
         )
 
-    def paths(self, X: Matrix, coefficients: Any) -> Any:
-        return ValuePaths(self, X, coefficients)
-
-    def features(self, Z: Matrix) -> Any:
-        w, A = self._value("amplitude"), self.A
-        lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
-        weight = np.maximum(w**2, 1e-12) * self._value("feeds")
-        weight /= weight.sum(axis=1, keepdims=True)
-        width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
-        return LatentFeatures(self, range(len(w)), [self._inducing(Z)] * len(w), width)
-
-    def _inducing(self, Z):
-        """Return inducing inputs for functions of few regressors: fewer than the given ones."""
-        others = self._without_effect(Z.shape[1])
-        n = ADDITIVE_POINTS * int((~others).sum())
-        if not others.any() or n >= len(Z):
-            return Z
-        chosen = np.tile(Z.mean(axis=0), (n, 1))
-        if others.sum() == Z.shape[1] - 1:
-            chosen[:, ~others] = np.linspace(
-                Z[:, ~others].min(axis=0), Z[:, ~others].max(axis=0), n
-            )
-        else:
-            chosen[:, ~others] = cluster_centres(Z[:, ~others], column_scale(Z)[~others], n, 0)
-        return chosen
-
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        return Waves.combine(
-            draw_latents(self, n_paths, n_frequencies, random_state), range(self.n_outputs)
-        )
-
     def term_regressors(self) -> list[tuple[int, ...]]:
-        return [tuple(np.flatnonzero(~self._without_effect(self.n_features)).tolist())]
+        return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
 
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         if regressors in self.term_regressors():
@@ -406,7 +371,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         filters = latent * P + output
         width = latent if self.covariance_type == "tied" else filters
         per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
-        matters = ~self._without_effect(d)
+        matters = ~self.without_effect(d)
         shifted = feeds & (
             output != feeds.argmax(axis=1)[:, None]
         )  # only differences between outputs matter
@@ -438,7 +403,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Filter precisions, (M, P, d) or, for "full", (M, P, d, d)."""
         if self.covariance_type != "full":
             return 2.0 / self._value("length_scale") ** 2
-        return precision(self._roots())
+        return precision(self.roots())
 
     @property
     def mu(self) -> Array:
@@ -452,7 +417,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
         return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
 
-    def _roots(self):
+    def roots(self):
         """Return R, (M, P, d, d), with A = 2 R R^T and R = D^-1 C."""
         lengths = self._value("length_scale")
         d = lengths.shape[-1]
@@ -474,7 +439,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def _pair(self, i, j):
         latents = self._common(i, j)
         full = self.covariance_type == "full"
-        widths = self._roots() if full else self._value("length_scale")
+        widths = self.roots() if full else self._value("length_scale")
         w, widths, mu = (
             np.stack([values[latents, i], values[latents, j]])
             for values in (self._value("amplitude"), widths, self._value("shift"))
@@ -516,7 +481,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Return the columns of X that the outputs depend on; of one or all a slice, which needs no copy."""
         if self.regressors is None:
             return slice(None)
-        columns = np.flatnonzero(~self._without_effect(self.n_features))
+        columns = np.flatnonzero(~self.without_effect(self.n_features))
         return slice(columns[0], columns[0] + 1) if len(columns) == 1 else columns
 
     def _theta_gradient(self, i, j, moments):
@@ -529,7 +494,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             if self.covariance_type != "full":
                 gradients["length_scale"][latents, output] += by_widths
                 continue
-            R = self._roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
+            R = self.roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
             gradients["length_scale"][latents, output] -= (by_widths * R).sum(axis=-1)
             by_C = by_widths / self._value("length_scale")[latents, output, :, None]
             below = np.tril_indices(R.shape[-1], -1)

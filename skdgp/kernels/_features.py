@@ -7,17 +7,30 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from skdgp._compute.linalg import cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix
+from skdgp.kernels._base import MultiOutputKernel, Sum
+from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import CovarianceColumns
-from skdgp.kernels._prior_paths import FeaturePaths, PathBundle, TrendPaths, Waves, draw_latents
+from skdgp.kernels._prior_paths import (
+    FeaturePaths,
+    PathBundle,
+    TrendPaths,
+    Waves,
+    draw_latents,
+    prior_paths,
+)
+from skdgp.kernels._trend import Trend
 
 # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 JITTER = 1e-6
+ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
 
 
 class Features(ABC):
@@ -26,7 +39,7 @@ class Features(ABC):
     Their inducing inputs change the quality of the approximation, not the model.
     """
 
-    kernel: Any  # a MultiOutputKernel; its module imports this one
+    kernel: Any  # a MultiOutputKernel
     size: int
 
     @property
@@ -110,7 +123,7 @@ class PointFeatures(Features):
         )
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
-        paths = self.kernel.prior_paths(n_paths, n_frequencies, random_state)
+        paths = prior_paths(self.kernel, n_paths, n_frequencies, random_state)
         u = paths.values(self.Z[None]).swapaxes(1, 2).reshape(n_paths, -1)
         u += np.sqrt(JITTER * self.kernel.diag(self.Z)) * random_state.standard_normal(u.shape)
         return paths, u
@@ -314,3 +327,53 @@ class SumFeatures(Features):
 
     def rebuild(self, kernel):
         return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))
+
+
+# -- features of a kernel
+# -----------------------------------------------------------------------------------------------
+
+
+@singledispatch
+def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
+    """Return inducing features for sparse inference at Z (k, d).
+
+    By default they are the values of the outputs at Z. ``inducing_features.register`` adds a class
+    of kernels with others.
+    """
+    return PointFeatures(kernel, Z)
+
+
+@inducing_features.register
+def _(kernel: ConvolvedGaussian, Z):
+    w = kernel._value("amplitude")
+    A = kernel.A
+    lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
+    weight = np.maximum(w**2, 1e-12) * kernel._value("feeds")
+    weight /= weight.sum(axis=1, keepdims=True)
+    width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
+    Z = _thinned(Z, kernel.without_effect(Z.shape[1]))
+    return LatentFeatures(kernel, range(len(w)), [Z] * len(w), width)
+
+
+@inducing_features.register
+def _(kernel: Trend, Z):
+    return TrendFeatures(kernel)
+
+
+@inducing_features.register
+def _(kernel: Sum, Z):
+    return SumFeatures(inducing_features(kernel.k1, Z), inducing_features(kernel.k2, Z))
+
+
+def _thinned(Z, without_effect):
+    """Return inducing inputs for functions of few regressors: fewer than the given ones."""
+    used = ~without_effect
+    n = ADDITIVE_POINTS * int(used.sum())
+    if used.all() or n >= len(Z):
+        return Z
+    chosen = np.tile(Z.mean(axis=0), (n, 1))
+    if used.sum() == 1:
+        chosen[:, used] = np.linspace(Z[:, used].min(axis=0), Z[:, used].max(axis=0), n)
+    else:
+        chosen[:, used] = cluster_centres(Z[:, used], column_scale(Z)[used], n, 0)
+    return chosen

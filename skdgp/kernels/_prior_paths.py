@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import singledispatch
 from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
+from skdgp._compute.typing import Matrix, Seed
+from skdgp.kernels._base import MultiOutputKernel, Sum
+from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import CovarianceColumns
+from skdgp.kernels._trend import Trend
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 TILE = 512  # values in one block of covariances
@@ -401,7 +406,7 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
         )
         c, d = shift.shape
         roots = (
-            kernel._roots()[m, i]
+            kernel.roots()[m, i]
             if kernel.covariance_type == "full"
             else np.eye(d) / lengths[..., None]
         )
@@ -420,3 +425,68 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
             LatentWaves(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), i, gain, shift)
         )
     return latents
+
+
+# -- paths of a kernel
+# ---------------------------------------------------------------------------------------------------
+
+
+@singledispatch
+def prior_paths(
+    kernel: MultiOutputKernel, n_paths: int, n_frequencies: int, random_state: Seed
+) -> PathBundle:
+    """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process.
+
+    ``prior_paths.register`` adds a class of kernels. Raises NotImplementedError for others.
+    """
+    raise NotImplementedError(
+        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths: register them "
+        "with skdgp.kernels.prior_paths, or use sample_y, which draws values at given points."
+    )
+
+
+@prior_paths.register
+def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
+    latents = draw_latents(kernel, n_paths, n_frequencies, random_state)
+    return Waves.combine(latents, range(kernel.n_outputs))
+
+
+@prior_paths.register
+def _(kernel: Trend, n_paths, n_frequencies, random_state):
+    shape = n_paths, kernel.n_outputs, kernel.n_weights
+    return TrendPaths(kernel, random_state.standard_normal(shape))
+
+
+@prior_paths.register
+def _(kernel: Sum, n_paths, n_frequencies, random_state):
+    first = prior_paths(kernel.k1, n_paths, n_frequencies, random_state)
+    return first + prior_paths(kernel.k2, n_paths, n_frequencies, random_state)
+
+
+@singledispatch
+def covariance_paths(
+    kernel: MultiOutputKernel, X: list[Matrix], coefficients: list[Matrix]
+) -> PathBundle:
+    """Return the functions sum_j cov(y, y_j(X_j)) c_j.
+
+    For each output ``X`` holds inputs (n_j, d), and ``coefficients`` c_j (S, n_j).
+    """
+    return KernelPaths(kernel, X, coefficients)
+
+
+@covariance_paths.register
+def _(kernel: ConvolvedGaussian, X, coefficients):
+    return ValuePaths(kernel, X, coefficients)
+
+
+@covariance_paths.register
+def _(kernel: Trend, X, coefficients):
+    pairs = zip(X, coefficients, strict=True)
+    weights = [c @ kernel.basis(i, x) for i, (x, c) in enumerate(pairs)]
+    return TrendPaths(kernel, np.stack(weights, axis=1))
+
+
+@covariance_paths.register
+def _(kernel: Sum, X, coefficients):
+    first = covariance_paths(kernel.k1, X, coefficients)
+    return first + covariance_paths(kernel.k2, X, coefficients)

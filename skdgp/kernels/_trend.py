@@ -16,8 +16,6 @@ from sklearn.base import clone
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
-from skdgp.kernels._features import TrendFeatures
-from skdgp.kernels._prior_paths import PathBundle, TrendPaths
 
 BASIS_STEP = 1e-3  # step of numerical derivatives, in standard deviations of the regressor
 SLOPE_BOUNDS = 0.05, 1e2
@@ -211,18 +209,6 @@ class Trend(MultiOutputKernel):
         return np.pad(
             self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)]
         )
-
-    def features(self, Z: Matrix) -> Any:
-        return TrendFeatures(self)
-
-    def prior_paths(self, n_paths: int, n_frequencies: int, random_state: Seed) -> PathBundle:
-        return TrendFeatures(self).prior_paths(n_paths, n_frequencies, random_state)[0]
-
-    def paths(self, X: Matrix, coefficients: Any) -> Any:
-        weights = [
-            c @ self.basis(i, x) for i, (x, c) in enumerate(zip(X, coefficients, strict=True))
-        ]
-        return TrendPaths(self, np.stack(weights, axis=1))
 
     def column_regressors(self) -> list[tuple[int, ...]]:
         """Return the regressors that each column of phi depends on; the default is all of them."""

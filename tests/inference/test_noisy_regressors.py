@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import Data, ExactPosterior, SparsePosterior, log_likelihood, shares_of
+from skdgp.kernels import inducing_features
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -34,7 +35,9 @@ def dense(problem, *scale):
 def sparse(problem, kernel=None, noise=None, features=None):
     kernel = problem.kernel if kernel is None else kernel
     noise = problem.noise if noise is None else noise
-    return SparsePosterior(kernel, features or kernel.features(Z), noise, shares_of(problem.data))
+    return SparsePosterior(
+        kernel, features or inducing_features(kernel, Z), noise, shares_of(problem.data)
+    )
 
 
 def test_every_second_value_keeps_its_own_noise(noisy):
@@ -85,7 +88,7 @@ class TestExact:
 
 class TestSparse:
     def test_bound_is_titsias_with_that_noise(self, noisy, stacked):
-        features, S = noisy.kernel.features(Z), noise_of(noisy)
+        features, S = inducing_features(noisy.kernel, Z), noise_of(noisy)
         Kfu = stacked(features, noisy.data.X)
         Qff = Kfu @ np.linalg.solve(features.Kuu(), Kfu.T)
         missing = np.trace(np.linalg.solve(S, noisy.kernel(noisy.data.X) - Qff))
@@ -93,7 +96,7 @@ class TestSparse:
         assert sparse(noisy).log_marginal_likelihood == pytest.approx(expected, rel=1e-8)
 
     def test_posterior(self, noisy, stacked):
-        features, S = noisy.kernel.features(Z), noise_of(noisy)
+        features, S = inducing_features(noisy.kernel, Z), noise_of(noisy)
         Kuu, Kfu, Ksu = (
             features.Kuu(),
             stacked(features, noisy.data.X),
@@ -109,7 +112,7 @@ class TestSparse:
     def test_a_zero_factor_is_no_shared_noise(self, noisy):
         apart = SparsePosterior(
             noisy.kernel,
-            noisy.kernel.features(Z),
+            inducing_features(noisy.kernel, Z),
             noisy.noise,
             shares_of(Data.from_table(noisy.X, noisy.Y)),
         )

@@ -5,7 +5,7 @@ import pytest
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp.inference import Data, ExactPosterior, SparsePosterior, shares_of
-from skdgp.kernels import BasisTrend
+from skdgp.kernels import BasisTrend, inducing_features
 
 N_PATHS = 4000
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -16,7 +16,7 @@ def exact(problem, data=None):
 
 
 def sparse(problem, data=None):
-    features = problem.kernel.features(Z)
+    features = inducing_features(problem.kernel, Z)
     return SparsePosterior(problem.kernel, features, problem.noise, shares_of(data or problem.data))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp.inference import CentredTerm, Data, ExactPosterior, SparsePosterior, shares_of
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, inducing_features
 
 RNG = np.random.default_rng(0)
 X, Y, NEW = RNG.normal(size=(25, 2)), RNG.normal(size=(25, 2)), RNG.normal(size=(6, 2))
@@ -40,7 +40,7 @@ def posteriors(kernel):
     data = Data.from_table(X, Y)
     return [
         ExactPosterior(kernel, NOISE, data),
-        SparsePosterior(kernel, kernel.features(X[:15]), NOISE, shares_of(data)),
+        SparsePosterior(kernel, inducing_features(kernel, X[:15]), NOISE, shares_of(data)),
     ]
 
 

@@ -20,6 +20,9 @@ from skdgp.kernels import (
     Sum,
     Trend,
     _gaussian_filters,
+    covariance_paths,
+    inducing_features,
+    prior_paths,
 )
 
 
@@ -228,7 +231,7 @@ class TestContract:
             equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
 
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
-        X, features = inputs(kernel, (6, 6, 6))[0], kernel.features(inputs(kernel)[0])
+        X, features = inputs(kernel, (6, 6, 6))[0], inducing_features(kernel, inputs(kernel)[0])
         Kuu, P = features.Kuu(), kernel.n_outputs
         Kfu = np.zeros((P, len(X), features.size))
         for i in range(P):
@@ -346,7 +349,7 @@ class TestUse:
 
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
-        paths = kernel.prior_paths(8000, 4, np.random.RandomState(12)).values(X[None])
+        paths = prior_paths(kernel, 8000, 4, np.random.RandomState(12)).values(X[None])
         stacked = paths.swapaxes(1, 2).reshape(len(paths), -1)
         K = kernel(X)
         variance = np.multiply.outer(np.diag(K), np.diag(K))
@@ -358,7 +361,7 @@ class TestUse:
 
     def test_slopes_of_paths_are_their_derivatives(self, kernel):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
-        paths = kernel.prior_paths(3, 8, np.random.RandomState(14))
+        paths = prior_paths(kernel, 3, 8, np.random.RandomState(14))
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 
@@ -371,7 +374,7 @@ class TestUse:
         )
         K = kernel([points] * len(X), X)
         expected = (K @ np.concatenate(c, axis=1).T).reshape(len(X), 3, 2).T
-        paths = kernel.paths(X, c)
+        paths = covariance_paths(kernel, X, c)
         equal(paths.each(points[None]), expected, rtol=1e-9, atol=1e-10)
         equal(paths.take(slice(1, 2)).each(points[None]), expected[1:], rtol=1e-9, atol=1e-10)
         found = central_difference(

@@ -9,6 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from skdgp.kernels import prior_paths
+
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "kernels.md"
 NAMES = ["four methods, of the page", "trend of the page"]
@@ -61,4 +63,4 @@ def test_a_whole_turn_changes_nothing():
 
 def test_paths_that_a_kernel_lacks_are_said_to_be_missing():
     with pytest.raises(NotImplementedError, match="sample_y"):
-        contract.KERNELS["four methods, of the page"].prior_paths(1, 4, None)
+        prior_paths(contract.KERNELS["four methods, of the page"], 1, 4, None)

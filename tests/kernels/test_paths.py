@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import (
+    ConvolvedGaussian,
+    LinearTrend,
+    covariance_paths,
+    inducing_features,
+    prior_paths,
+)
 
 X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
 Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
@@ -30,10 +36,10 @@ def trend():
 
 
 FEATURES = {
-    "smoothed latents": make_kernel().features(Z),
-    "smoothed latents, full": make_kernel("full").features(Z),
-    "trend": trend().features(Z),
-    "trend and smoothed latents": (trend() + make_kernel()).features(Z),
+    "smoothed latents": inducing_features(make_kernel(), Z),
+    "smoothed latents, full": inducing_features(make_kernel("full"), Z),
+    "trend": inducing_features(trend(), Z),
+    "trend and smoothed latents": inducing_features(trend() + make_kernel(), Z),
 }
 
 
@@ -88,7 +94,7 @@ def test_coefficients_make_functions_of_a_kernel():
         rng.normal(size=(n, 2)) for n in (700, 0, 3)
     ]  # more than one tile; an output without values
     c = [rng.normal(size=(2, len(x))) for x in where]
-    paths = kernel.paths(where, c)
+    paths = covariance_paths(kernel, where, c)
     expected = (kernel(X, where) @ np.hstack(c).T).reshape(3, len(X), 2).transpose(2, 1, 0)
     np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-10)
     derivative = [
@@ -106,9 +112,9 @@ class TestBundle:
     def bundle(self, kernel):
         where = [X, X[:2], X[:0]]
         c = [np.random.default_rng(7).normal(size=(5, len(x))) for x in where]
-        features = kernel.features(Z)
+        features = inducing_features(kernel, Z)
         prior, u = features.prior_paths(5, 7, np.random.RandomState(8))
-        return prior + features.paths(u) + kernel.paths(where, c)
+        return prior + features.paths(u) + covariance_paths(kernel, where, c)
 
     def test_each_at_its_own_points_is_what_all_have_there(self, kernel):
         bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
@@ -131,7 +137,7 @@ def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
     kernel = ConvolvedGaussian(
         2, covariance_type="tied", amplitude=np.ones((4, 2)), length_scale=[[[0.5, 2.0]]]
     )
-    paths = kernel.prior_paths(5000, 1, np.random.RandomState(0)).values(X[None])
+    paths = prior_paths(kernel, 5000, 1, np.random.RandomState(0)).values(X[None])
     for values in paths[:, 0].T / np.sqrt(3.0):
         assert kstest(values, "norm").pvalue > 0.01
 
@@ -145,7 +151,7 @@ def test_more_waves_make_paths_more_gaussian():
     points = np.random.default_rng(1).normal(size=(1, 8, 6))
 
     def kurtosis(n_frequencies):
-        paths = kernel.prior_paths(10000, n_frequencies, np.random.RandomState(2)).values(points)
+        paths = prior_paths(kernel, 10000, n_frequencies, np.random.RandomState(2)).values(points)
         return np.mean((paths**4).mean(axis=0) / (paths**2).mean(axis=0) ** 2 - 3.0)
 
     assert kurtosis(4) > 0.3
@@ -155,6 +161,6 @@ def test_more_waves_make_paths_more_gaussian():
 def test_inducing_inputs_far_from_each_other_lose_no_digits():
     """In length scales; squares of such distances, expanded, would cancel."""
     kernel, Z = make_kernel(), np.array([[0.0, 0.0], [1e8, -1e8]])
-    features, X = kernel.features(Z), Z + 0.3
+    features, X = inducing_features(kernel, Z), Z + 0.3
     expected = np.hstack([features.Kfu(i, X) for i in range(kernel.n_outputs)])
     np.testing.assert_allclose(features.rows()(X), expected, rtol=1e-6, atol=1e-9)

@@ -112,7 +112,8 @@ class _Pickler(pickle.Pickler):
         if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
             state = value.__getstate__()
             state.pop("_sklearn_version", None)
-            return copyreg.__newobj__, (kind,), state, None, None, _set_state
+            new = copyreg.__newobj__  # type: ignore[attr-defined]
+            return new, (kind,), state, None, None, _set_state
         return NotImplemented
 
 

@@ -160,7 +160,7 @@ def covariance(
             a.output, b.output, X[a.output][a.rows], X[b.output][b.rows]
         )
 
-    if at_pairs is not None:
+    if at_pairs is not None and data.pairs is not None:
         upper.ravel()[data.pairs.place] = at_pairs
     else:
         if not all(couplings(kernel)):

@@ -395,17 +395,15 @@ class CovarianceColumns:
             squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T
         else:
             squares = np.eye(len(roots))
-        counts = np.array(counts, dtype=int)
+        sizes = np.array(counts, dtype=int)
         with np.errstate(divide="ignore"):  # a gain of zero
-            constant += np.repeat(np.log(np.abs(gains)), counts)
+            constant += np.repeat(np.log(np.abs(gains)), sizes)
         self.matrix = np.vstack(
-            [-0.5 * np.repeat(squares, counts, axis=1), np.concatenate(slopes).T, constant]
+            [-0.5 * np.repeat(squares, sizes, axis=1), np.concatenate(slopes).T, constant]
         )
-        last = np.cumsum(counts)
+        last = np.cumsum(sizes)
         self.negative = [
-            slice(end - n, end)
-            for gain, n, end in zip(gains, counts, last, strict=True)
-            if gain < 0
+            slice(end - n, end) for gain, n, end in zip(gains, sizes, last, strict=True) if gain < 0
         ]
 
     def __call__(self, X: Matrix) -> Matrix:

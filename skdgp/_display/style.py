@@ -31,9 +31,10 @@ MARKERS = (
     "P",
 )  # one per colour of ``CYCLE``, for readers who do not see colours
 ROLES = {
-    "measured": "#333333",
+    "measured": PALETTE["grey"],
     "mean": PALETTE["blue"],
     "band": PALETTE["sky"],
+    "edge": "#2A86C2",
     "truth": PALETTE["vermillion"],
 }
 
@@ -113,15 +114,16 @@ def tidy(ax: Any) -> None:
 
 
 def draw_curve(
-    ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str
-) -> tuple[Any, Any]:
+    ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str, *,
+    color: str = ROLES["mean"], band: str = ROLES["band"],
+) -> tuple[Any, Any]:  # fmt: skip
     """Draw a line and, where its standard deviation is known, its band; return both."""
-    band = None
+    area = None
     if std is not None:
         half = half_width(level) * std
-        style = {"color": ROLES["band"], "alpha": 0.4, "lw": 0, "label": f"{level:.0%}"}
-        band = ax.fill_between(x, mean - half, mean + half, **style)
-    return ax.plot(x, mean, color=ROLES["mean"], label=label)[0], band
+        style = {"color": band, "alpha": 0.35, "lw": 0, "label": f"{level:.0%}"}
+        area = ax.fill_between(x, mean - half, mean + half, **style)
+    return ax.plot(x, mean, color=color, label=label)[0], area
 
 
 def mark_samples(ax: Any, values: Vector) -> None:
@@ -134,16 +136,6 @@ def mark_samples(ax: Any, values: Vector) -> None:
         "label": "samples",
     }
     ax.plot(at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(), **style)
-
-
-def scale_beside(ax: Any, artist: Any, label: str, **options: Any) -> Any:
-    """Draw the colour scale of ``artist`` beside the axes, in their height."""
-    # An inset follows axes of fixed aspect; axes taken from the parent do not.
-    bar = ax.figure.colorbar(
-        artist, cax=ax.inset_axes([1.03, 0.0, 0.035, 1.0]), label=label, **options
-    )
-    bar.outline.set_visible(False)
-    return bar
 
 
 def legend_above(ax: Any, handles: list | None = None) -> None:

@@ -182,7 +182,6 @@ def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evalu
         truth=table[names].to_numpy(float) if set(names) <= set(table) else None,
         table=table,
         replay=replayed,
-        replay_errors=states.get("measured"),
         rows=rows,
         states=states,
         regressors=regressors,

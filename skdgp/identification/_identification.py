@@ -258,7 +258,6 @@ class Identification:
                 converged=fit.get("converged", True),
                 fit_seconds=fit.get("seconds"),
                 noise_std=regressor.noise_variance_**0.5,
-                correlation=regressor.output_correlation() if coupled else None,
                 versions=software_versions(),
                 extra=self._remarks(),
             ),
@@ -272,6 +271,7 @@ class Identification:
             mechanics=self.mechanics,
             envelope=self._envelope(),
             effects=self._effects(),
+            air=air_of(self.pipeline),
             sections=[each.section() for each in self.supplements],
             assumed=self.assumed,
             units=getattr(self.pipeline, "control_units_", {}),
@@ -335,6 +335,20 @@ class Identification:
         if fit.get("interrupted"):
             remarks["Fit"] = "interrupted; this is the best model until then"
         return remarks
+
+
+def air_of(pipeline: Pipeline) -> str:
+    """Return gusts and steady wind of the training flights, as reconstruction found them; empty where it did not."""
+    step = pipeline["flightpathreconstruction"]
+    if not getattr(step, "tells_gusts_", False):
+        return ""
+    parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
+    winds = step.calibration_.pivot(index="flight", columns="constant", values="estimate")
+    for name, row in winds.iterrows() if {"wind_north", "wind_east"} <= {*winds} else ():
+        north, east = row[["wind_north", "wind_east"]]
+        way = np.rad2deg(np.arctan2(-east, -north)) % 360
+        parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")
+    return ", ".join(parts[:4])
 
 
 def _extent(table) -> dict[str, float]:

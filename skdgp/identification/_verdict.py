@@ -26,6 +26,7 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.identification._evaluation import Evaluation, scores, sensor_noise
+from skdgp.plotting import TrajectoryDisplay
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
@@ -34,6 +35,8 @@ ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for en
 # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
 # 5 %
 N_PATHS = 200
+SHOWN_PATHS = 30  # of the simulation that the report draws
+SHOWN_STATES = ("airspeed", "alpha", "phi", "theta", "p", "q")
 STATES = (
     "airspeed",
     "alpha",
@@ -273,6 +276,7 @@ def flight_mechanics(
         found["note"] = f"No derivatives: {error}"
     try:
         found["simulation"] = simulation_errors(pipeline, aircraft, test, settings)
+        found["simulated"] = simulated_flight(pipeline, aircraft, test, settings)
     except ValueError as error:
         found["simulation_note"] = str(error)
     return FlightMechanics(**found)
@@ -373,6 +377,29 @@ def simulation_errors(
         "horizon": elapsed[-1],
     }
     return pd.DataFrame(columns, index=list(STATES))
+
+
+def simulated_flight(
+    pipeline: Pipeline, aircraft: Aircraft, tables: Sequence[pd.DataFrame], settings: dict
+) -> TrajectoryDisplay:
+    """Return the simulation of the middle one of the parts of `simulation_errors`, with its band, and as flown."""
+    starts, parts = _windows(tables, max(settings["horizons"]))
+    start, part = starts.iloc[len(starts) // 2], parts[len(starts) // 2]
+    options: dict[str, Any] = {"dt": FLIGHT_STEP, "thrust": _thrust(settings)}
+    options["duration"] = float(part["time"].iloc[-1])
+    options["air"] = Air(density=float(part["density"].median()))
+    controls = part.drop(columns=[*STATES, "flight"], errors="ignore")
+    n_paths = SHOWN_PATHS if as_aerodynamics(pipeline).is_uncertain else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)
+        mean = simulate(pipeline, aircraft, start, controls, **options)
+        paths = mean
+        if n_paths is not None:
+            paths = simulate(pipeline, aircraft, start, controls, n_paths=n_paths, **options)
+    columns = [name for name in SHOWN_STATES if name in part]
+    return TrajectoryDisplay.compute(
+        paths, part, mean=mean if n_paths is not None else None, columns=columns
+    )
 
 
 def _windows(

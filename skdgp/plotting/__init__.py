@@ -9,7 +9,7 @@ matplotlib: ``pip install "skdgp[plot]"``.
 Options that the displays share:
 
 ax : Axes, Figure, SubFigure or array of Axes, optional
-    Where to draw; default: a new pyplot figure. One Axes is divided when there are several panels.
+    Where to draw; default: a new pyplot figure.
 outputs : str or list of str, optional
     Names of the outputs to draw, default all.
 level : float, default=0.95
@@ -25,10 +25,10 @@ time_span : (begin, end), optional
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._flights import FlightDisplay, TrajectoryDisplay
-from skdgp.plotting._model import BuildUpDisplay, CouplingDisplay, DerivativeDisplay, EffectsDisplay
+from skdgp.plotting._model import DerivativeDisplay, EffectsDisplay
 from skdgp.plotting._time_histories import CoefficientDisplay, StateDisplay
 
 __all__ = [
-    "BuildUpDisplay", "CalibrationDisplay", "CoefficientDisplay", "CouplingDisplay", "DerivativeDisplay",
-    "EffectsDisplay", "EnvelopeDisplay", "FlightDisplay", "StateDisplay", "TrajectoryDisplay",
+    "CalibrationDisplay", "CoefficientDisplay", "DerivativeDisplay", "EffectsDisplay",
+    "EnvelopeDisplay", "FlightDisplay", "StateDisplay", "TrajectoryDisplay",
 ]  # fmt: skip

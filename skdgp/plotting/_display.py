@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from skdgp._compute.predicting import predict_with_noise
-from skdgp._compute.typing import ArrayLike, Indices, Mask, Matrix, Vector
+from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
 from skdgp._display.style import check_matplotlib, legend_above, tidy
-from skdgp._flight.clock import true_runs
 
 Names: TypeAlias = "str | Sequence[str] | None"
 GAP = 5.0  # usual steps; no line is drawn across a longer one
@@ -61,38 +61,25 @@ def panels(
 ) -> np.ndarray:
     """Return an ``(n_rows, n_cols)`` array of axes.
 
-    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), an array of as many axes
-    as panels, or one Axes, which is divided when there are several panels.
+    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), one Axes for one panel, or
+    an array of as many axes as panels.
     """
     check_matplotlib("skdgp.plotting")
     from matplotlib.axes import Axes
 
-    shape = (n_rows, n_cols)
     if ax is None:
         import matplotlib.pyplot as plt
 
-        return plt.subplots(
-            *shape, figsize=figsize, layout="constrained", squeeze=False, **subplots
-        )[1]
+        ax = plt.figure(figsize=figsize, layout="constrained")
     if hasattr(ax, "subplots"):
-        return ax.subplots(*shape, squeeze=False, **subplots)
-    if isinstance(ax, Axes) and shape != (1, 1):
-        ax.set_axis_off()
-        if (spec := ax.get_subplotspec()) is None:
-            raise ValueError(
-                f"Got one free-standing Axes for {n_rows} x {n_cols} panels, but expected one "
-                f"made by subplots, "
-                "which can be divided: give a Figure instead."
-            )
-        return spec.subgridspec(*shape).subplots(squeeze=False, **subplots)
+        return ax.subplots(n_rows, n_cols, squeeze=False, **subplots)
     given = np.asarray(ax, dtype=object)
     if given.size != n_rows * n_cols or not all(isinstance(one, Axes) for one in given.flat):
         raise ValueError(
-            f"Got {given.size} axes, but expected {n_rows * n_cols} (or one Axes, a Figure, or "
-            f"None): "
-            f"use fig, axes = plt.subplots({n_rows}, {n_cols})."
+            f"Got {given.size} axes, but expected {n_rows * n_cols}: use fig, axes = "
+            f"plt.subplots({n_rows}, {n_cols}), or give a Figure."
         )
-    return given.reshape(shape)
+    return given.reshape(n_rows, n_cols)
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:
@@ -173,32 +160,20 @@ def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
     return np.flatnonzero(np.concatenate([[True], cut]))
 
 
-def _slices(
-    time: Vector, finite: Mask, starts: Indices | None, n_bins: int
-) -> tuple[Indices, Indices, Indices]:
-    """Return indices of finite samples; which of these begin a time slice; and of each the number of its line."""
-    starts = segment_starts(time) if starts is None else starts
-    sample = np.flatnonzero(finite)
-    t = time[sample]
-    width = (t.max() - t.min()) / n_bins if t.size else 0.0
-    segment = np.cumsum(np.bincount(starts, minlength=len(time)))[sample]
-    # A missing value breaks the line only if the hole is wide enough to be visible.
-    broken = (np.diff(segment) != 0) | ((np.diff(sample) > 1) & (np.diff(t) > width))
-    new_line = np.concatenate([[True], broken])[: len(sample)]
-    if len(sample) <= 2 * n_bins or width == 0.0:
-        first = np.arange(len(sample))
-    else:
-        column = np.floor((t - t.min()) / width)
-        first = np.flatnonzero(new_line | (np.diff(column, prepend=np.nan) != 0))
-    return sample, first, np.cumsum(new_line)
+def _slices(time: Vector, n_bins: int, starts: Indices | None) -> Indices:
+    """Return the number of each sample's slice of a record; it jumps by two where a line breaks."""
+    new = np.zeros(len(time), dtype=int)
+    new[:: max(1, len(time) // n_bins)] = 1
+    new[segment_starts(time) if starts is None else starts] = 2
+    return np.cumsum(new)
 
 
 def line_points(
     time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None
 ) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest sample of each of ``n_bins`` time slices, with NaN where the line breaks.
+    """Return the lowest and the highest sample of each of ``n_bins`` slices, with NaN where the line breaks.
 
-    It breaks at ``starts``, by default after gaps in time, and at values that are not finite.
+    It breaks at ``starts``, by default after gaps in time, and at slices without a finite value.
 
     >>> t = np.arange(10_000) / 100.0
     >>> v = np.sin(t); v[5000] = 7.0
@@ -206,43 +181,34 @@ def line_points(
     >>> len(few_t) < 210, float(few_v.max())
     (True, 7.0)
     """
-    sample, first, line = _slices(time, np.isfinite(values) & np.isfinite(time), starts, n_bins)
-    if sample.size == 0:
-        return np.empty(0), np.empty(0)
-    time, values = time[sample], values[sample]
-    ends = np.flatnonzero(np.diff(line))
-    kept = [ends, ends + 1, np.array([0, len(values) - 1])]
-    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))  # of the slice
-    for extreme in (np.minimum, np.maximum):
-        hits = np.flatnonzero(values == extreme.reduceat(values, first)[number])
-        kept.append(hits[np.unique(number[hits], return_index=True)[1]])  # one in each slice
-    points = np.unique(np.concatenate(kept))
-    gaps = np.flatnonzero(np.diff(line[points])) + 1
-    return np.insert(time[points], gaps, np.nan), np.insert(values[points], gaps, np.nan)
+    number = _slices(time, n_bins, starts)
+    known = pd.Series(values)[np.isfinite(values)]
+    slices = known.groupby(number[known.index])
+    rows = np.unique(np.concatenate([slices.idxmin(), slices.idxmax()])).astype(int)
+    gaps = np.flatnonzero(np.diff(number[rows]) > 1) + 1
+    return np.insert(time[rows], gaps, np.nan), np.insert(values[rows], gaps, np.nan)
 
 
 def band_points(
     time: Vector, lower: Vector, upper: Vector, *, n_bins: int, starts: Indices | None = None
 ) -> tuple[Vector, Vector, Vector]:
-    """Return times, lower and upper edge of a band that looks the same, with NaN where it breaks.
-
-    In each slice the band is the union of the samples' intervals.
-    """
-    finite = np.isfinite(time) & np.isfinite(lower) & np.isfinite(upper)
-    sample, first, line = _slices(time, finite, starts, n_bins)
-    if sample.size == 0:
-        return np.empty(0), np.empty(0), np.empty(0)
-    low, high = np.minimum.reduceat(lower[sample], first), np.maximum.reduceat(upper[sample], first)
-    last = np.append(first[1:], len(sample)) - 1
-    ends = (
-        first[:, None] if np.array_equal(first, last) else np.column_stack([first, last])
-    )  # of each slice
-    n = ends.shape[1]
-    gaps = n * (np.flatnonzero(np.diff(line[first])) + 1)
-    edges = time[sample][ends.ravel()], np.repeat(low, n), np.repeat(high, n)
-    return tuple(np.insert(edge, gaps, np.nan) for edge in edges)  # type: ignore[return-value]
+    """Return times, lower and upper edge of a band: in each slice the union of the samples' intervals."""
+    number = _slices(time, n_bins, starts)
+    band = pd.DataFrame({"time": time, "lower": lower, "upper": upper, "number": number})
+    slices = band[np.isfinite(band).all(axis=1)].groupby("number")
+    edges = slices.agg({"lower": "min", "upper": "max"})
+    both = pd.concat(
+        [edges.assign(time=slices["time"].first()), edges.assign(time=slices["time"].last())]
+    )
+    both = both.drop_duplicates().sort_index(kind="stable")
+    gaps = np.flatnonzero(np.diff(both.index) > 1) + 1
+    columns = (
+        np.insert(both[name].to_numpy(float), gaps, np.nan) for name in ("time", "lower", "upper")
+    )
+    return tuple(columns)  # type: ignore[return-value]
 
 
 def isolated(values: Vector) -> list[int]:
     """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
-    return [run.start for run in true_runs(np.isfinite(values)) if run.stop - run.start == 1]
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:]).tolist()

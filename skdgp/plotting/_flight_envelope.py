@@ -8,8 +8,6 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import gaussian_filter
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
@@ -34,22 +32,18 @@ PAIRS = (
 )
 """Default panels; a rate may be the non-dimensional one."""
 LEVELS = (0.25, 0.5, 0.75)
-"""Relative standard deviations of the contour lines; the panel is hatched above the middle one."""
-SHARES = (0.95, 0.5)  # shares of the samples inside the light and the dark area
+"""Relative standard deviations at which contours are drawn."""
 MARGIN = 0.2  # margin of the panels around the flown range, relative to it
 MAX_ROWS = 500  # samples for the variance of the function as flown
-N_BINS = 48
-N_CELLS = (
-    64  # cells along an axis, each with one dot of another flight, so that isolated samples remain
-)
+N_CELLS = 64  # cells along an axis, each with at most one dot of a flight
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class EnvelopeDisplay(Display):
     r"""Pairs of regressors: the training samples, the uncertainty of the model there, and another flight.
 
-    Grey areas hold 95 % and 50 % of the training samples. Lines and hatches show the relative
-    uncertainty, the posterior standard deviation over that of the function as it was flown,
+    Contours show the relative uncertainty, the posterior standard deviation over that of the
+    function as it was flown,
 
     .. math::
         \rho(s) = \sqrt{\frac{1}{P} \sum_i \frac{\operatorname{var} f_i(s)}{V_i}}, \quad
@@ -60,7 +54,7 @@ class EnvelopeDisplay(Display):
     function is known; at 1 the expected normalised RMSE is 1, as of predicting the mean. Regressors
     that a panel does not show have their medians.
 
-    The artists are ``density_``, ``contours_``, ``hatches_``, ``paths_`` and ``legend_``.
+    The artists are ``contours_``, ``flown_``, ``paths_`` and ``legend_``.
 
     Parameters
     ----------
@@ -108,60 +102,29 @@ class EnvelopeDisplay(Display):
         unknown = [pair for pair in wanted if pair not in self.pairs]
         if unknown or not wanted:
             raise ValueError(f"Got the pairs {unknown}, but expected some of {self.pairs}.")
-        chosen = [self.pairs.index(pair) for pair in wanted]
         relative = self.relative_std(outputs)
-        artists = self._draw_panels(
-            ax,
-            lambda a, k: self._draw_panel(a, k, relative[k]),
-            chosen,
-            min(len(chosen), 3),
-            (3.3, 2.9),
-        )
-        self.density_, self.contours_, self.hatches_, self.paths_ = artists
-        self.legend_ = _legend(self.axes_.flat[0], self.path is not None) if legend else None
-        return self
 
-    def _draw_panel(self, ax, k, relative):
-        names = self.pairs[k]
-        factors = np.array([display_unit(name)[0] for name in names])
-        x, y = (factor * values for factor, values in zip(factors, self.points[k], strict=True))
-        density = _draw_density(ax, factors * self.flown[list(names)].to_numpy(), (x, y))
-        # Variances of smooth functions are smooth: cubic splines to a grid as fine as the picture.
-        spline = RectBivariateSpline(y, x, relative, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))
-        x, y = (np.linspace(axis[0], axis[-1], N_BINS) for axis in (x, y))
-        relative = spline(y, x)
-        top = max(relative.max(), 1.0)
-        hatches = ax.contourf(
-            x, y, relative, levels=[LEVELS[1], top + 1], colors="none", hatches=["////"]
-        )
-        hatches.set(edgecolor=PALETTE["grey"], linewidth=0.0)
-        lines = ax.contour(
-            x, y, relative, levels=LEVELS, colors=PALETTE["blue"], linewidths=(0.7, 1.3, 0.7)
-        )
-        ax.clabel(lines, fmt="%.2g", fontsize="small", inline_spacing=2)
-        path = None
-        if self.path is not None:
-            dots, low, high = (
-                factors * self.path[list(names)].to_numpy(),
-                (x[0], y[0]),
-                (x[-1], y[-1]),
-            )
-            cells = np.floor(N_CELLS * (dots - low) / np.subtract(high, low))
-            one_per_cell = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-            (path,) = ax.plot(
-                *dots[one_per_cell].T,
-                ".",
-                color=PALETTE["vermillion"],
-                markersize=1.8,
-                markeredgewidth=0,
-            )
-        ax.set(
-            xlabel=axis_label(names[0]),
-            ylabel=axis_label(names[1]),
-            xlim=(x[0], x[-1]),
-            ylim=(y[0], y[-1]),
-        )
-        return density, lines, hatches, path
+        def draw(ax, k):
+            names = list(self.pairs[k])
+            factors = np.array([display_unit(name)[0] for name in names])
+            axes = [factor * axis for factor, axis in zip(factors, self.points[k], strict=True)]
+            levels = [0.0, *LEVELS, max(1.0, relative[k].max())]
+            contours = ax.contourf(*axes, relative[k], levels, cmap="Blues", alpha=0.6)
+            lines = ax.contour(*axes, relative[k], LEVELS, colors=PALETTE["blue"], linewidths=0.8)
+            ax.clabel(lines, fmt="%.2g", fontsize="small")
+            dots = [
+                None if table is None else _dots(ax, factors * table[names].to_numpy(), axes, style)
+                for table, style in ((self.flown, FLOWN), (self.path, PATH))
+            ]
+            ax.set(xlabel=axis_label(names[0]), ylabel=axis_label(names[1]))
+            ax.set(xlim=axes[0][[0, -1]], ylim=axes[1][[0, -1]])
+            return contours, *dots
+
+        chosen = [self.pairs.index(pair) for pair in wanted]
+        artists = self._draw_panels(ax, draw, chosen, min(len(chosen), 3), (3.3, 2.9))
+        self.contours_, self.flown_, self.paths_ = artists
+        self.legend_ = legend_of_figure(self.axes_.flat[0]) if legend else None
+        return self
 
     @classmethod
     def from_estimator(
@@ -202,44 +165,47 @@ class EnvelopeDisplay(Display):
         if not all(hasattr(table, "columns") for table in (flown, path) if table is not None):
             raise ValueError(
                 "Got regressors without names, but expected a DataFrame: put "
-                "RegressorSelector([...]) into the "
-                "pipeline, or give X as a DataFrame of regressors."
+                "RegressorSelector([...]) into the pipeline, or give X as a DataFrame."
             )
         pairs = _check_pairs(pairs, list(flown.columns))
-        points = [(_grid(flown, path, x, n_grid), _grid(flown, path, y, n_grid)) for x, y in pairs]
+        both = pd.concat([flown, path])
+        points = [(_grid(both[x], n_grid), _grid(both[y], n_grid)) for x, y in pairs]
         rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
         variance = _moments(last, scaling, rows)[1]
         means, variances = _moments(last, scaling, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
+        names = getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])
         return cls(
             flown=flown,
             pairs=pairs,
             points=points,
             variance=variance.reshape(len(pairs), n_grid, n_grid, -1),
             flown_variance=means.var(axis=0) + variances.mean(axis=0),
-            output_names=tuple(
-                getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])
-            ),
+            output_names=tuple(names),
             path=path,
         )
+
+
+FLOWN = {"color": "#333333", "marker": ".", "label": "learned from"}
+PATH = {"color": PALETTE["vermillion"], "marker": ".", "label": "other flight"}
+
+
+def _dots(ax: Any, values: Matrix, axes: Any, style: dict) -> Any:
+    """Draw one dot for each occupied cell of a panel, so that isolated samples remain."""
+    low, high = np.transpose([axis[[0, -1]] for axis in axes])
+    values = values[np.isfinite(values).all(axis=1)]
+    cells = np.floor(N_CELLS * (values - low) / (high - low))
+    kept = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return ax.plot(*values[kept].T, linestyle="none", markersize=2, markeredgewidth=0, **style)[0]
 
 
 def _split_steps(estimator: Any) -> tuple[Any, Any, Any]:
     """Return the steps up to the selection of regressors, those before the last step, and the last step."""
     if not hasattr(estimator, "steps"):
         return None, None, estimator
-    place = (
-        max(
-            (k for k, (_, step) in enumerate(estimator.steps) if hasattr(step, "regressors_")),
-            default=-1,
-        )
-        + 1
-    )
-    last = len(estimator.steps) - 1
-    return (
-        estimator[:place] if place else None,
-        estimator[place:-1] if place < last else None,
-        estimator[-1],
-    )
+    chosen = [k for k, (_, step) in enumerate(estimator.steps) if hasattr(step, "regressors_")]
+    place = max(chosen, default=-1) + 1
+    scaling = estimator[place:-1] if place < len(estimator.steps) - 1 else None
+    return estimator[:place] if place else None, scaling, estimator[-1]
 
 
 def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
@@ -256,10 +222,9 @@ def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _grid(flown: pd.DataFrame, path: pd.DataFrame | None, name: str, n_grid: int) -> Vector:
+def _grid(values: pd.Series, n_grid: int) -> Vector:
     """Return points along one regressor, over the flown range and a margin."""
-    values = np.concatenate([table[name] for table in (flown, path) if table is not None])
-    low, high = np.nanmin(values), np.nanmax(values)
+    low, high = values.min(), values.max()
     room = MARGIN * ((high - low) or abs(high) or 1.0)
     return np.linspace(low - room, high + room, n_grid)
 
@@ -269,10 +234,8 @@ def _slice(
 ) -> pd.DataFrame:
     """Return the grid of one panel as rows of regressors, with the medians of the others."""
     grid = np.meshgrid(*points)
-    columns = {name: np.full(grid[0].size, values.median()) for name, values in flown.items()}
-    return pd.DataFrame(
-        columns | {name: values.ravel() for name, values in zip(pair, grid, strict=True)}
-    )
+    rows = pd.DataFrame({name: np.full(grid[0].size, flown[name].median()) for name in flown})
+    return rows.assign(**{name: axis.ravel() for name, axis in zip(pair, grid, strict=True)})
 
 
 def _moments(last: Any, scaling: Any, rows: pd.DataFrame) -> tuple[Matrix, Matrix]:
@@ -282,62 +245,3 @@ def _moments(last: Any, scaling: Any, rows: pd.DataFrame) -> tuple[Matrix, Matri
         rows if scaling is None else scaling.transform(rows), return_std=True, **exact
     )
     return mean.reshape(len(rows), -1), std.reshape(len(rows), -1) ** 2
-
-
-def _draw_density(ax, flown, points):
-    """Fill the smallest areas that hold the shares of the samples (highest density regions, Hyndman 1996)."""
-    edges = [np.linspace(axis[0], axis[-1], N_BINS + 1) for axis in points]
-    counts = gaussian_filter(
-        np.histogram2d(flown[:, 0], flown[:, 1], bins=edges)[0], 1.0, mode="constant"
-    )
-    centres = [0.5 * (edge[1:] + edge[:-1]) for edge in edges]
-    order = np.sort(counts, axis=None)[::-1]
-    held = np.cumsum(order) / order.sum()
-    levels = order[np.searchsorted(held, SHARES)] * (
-        1 - 1e-9 * np.array([2, 1])
-    )  # rising, where both are one cell's
-    filled = ax.contourf(
-        *centres, counts.T, levels=[*levels, np.inf], colors=[PALETTE["grey"]], extend="neither"
-    )
-    filled.set(alpha=[0.3, 0.65])
-    # Above the dots of another flight.
-    ax.contour(
-        *centres,
-        counts.T,
-        levels=levels[:1],
-        colors="#333333",
-        linewidths=0.9,
-        linestyles="--",
-        zorder=2.5,
-    )
-    return filled
-
-
-def _legend(ax, with_path: bool):
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list = [
-        Patch(color=PALETTE["grey"], alpha=0.65, label="half the samples"),
-        Patch(facecolor="#8A8A8A4D", edgecolor="#333333", linestyle="--", label="95 % of them"),
-        Line2D([], [], color=PALETTE["blue"], linewidth=1.3, label="relative uncertainty"),
-        Patch(
-            facecolor="none",
-            edgecolor=PALETTE["grey"],
-            hatch="////",
-            linewidth=0,
-            label="hardly known",
-        ),
-    ]
-    if with_path:
-        handles.append(
-            Line2D(
-                [],
-                [],
-                label="other flight",
-                color=PALETTE["vermillion"],
-                marker=".",
-                linestyle="none",
-            )
-        )
-    return legend_of_figure(ax, handles)

@@ -17,16 +17,16 @@ from skdgp._display.style import (
     PALETTE,
     ROLES,
     axis_label,
+    check_matplotlib,
     display_unit,
     legend_above,
     plain,
-    scale_beside,
     tidy,
 )
 from skdgp._flight.channels import ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_choice, check_columns
 from skdgp._flight.frames import unwrapped_paths
-from skdgp.plotting._display import Display, Names, line_points, panels
+from skdgp.plotting._display import Display, Names, choose, line_points, panels
 
 INPUTS = ("throttle", *SURFACES)
 DEFAULT_COLUMNS = ("airspeed", "altitude", "phi", "theta", "p", "q")
@@ -37,7 +37,7 @@ class FlightDisplay(Display):
     """Inputs against time (the paper's figure 4) or the path over the ground (its figure 5).
 
     Panels are inputs by rows and flights by columns. The artists are ``lines_``, flight by flight,
-    and of paths ``starts_``, the first points, and ``colorbar_``, the scale of altitude or time.
+    and of paths ``starts_``, the first points.
 
     Parameters
     ----------
@@ -73,13 +73,7 @@ class FlightDisplay(Display):
         has, or the elevons where no flight has an elevator.
         """
         names = list(self.flights)
-        channels = (
-            self.inputs
-            if channels is None
-            else [channels]
-            if isinstance(channels, str)
-            else list(channels)
-        )
+        channels = self.inputs if channels is None else list(np.atleast_1d(channels))
 
         def draw(ax, key):
             name, channel = key
@@ -89,87 +83,47 @@ class FlightDisplay(Display):
                 ax.set_title(plain(name), fontsize="medium", loc="left")
             table = self.flights[name]
             if channel not in table.columns:
-                ax.text(
-                    0.5,
-                    0.5,
-                    "not recorded",
-                    transform=ax.transAxes,
-                    ha="center",
-                    va="center",
-                    fontsize="small",
-                )
+                style = {"ha": "center", "va": "center", "fontsize": "small"}
+                ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, **style)
                 return (None,)
             values = display_unit(channel)[0] * table[channel].to_numpy(dtype=float)
             points = line_points(table["time"].to_numpy(dtype=float), values, n_bins=n_bins)
             color = CYCLE[names.index(name) % len(CYCLE)]
             return ax.plot(*points, color=color, linewidth=0.9, label=plain(name))
 
-        keys, size = (
-            [(name, channel) for name in names for channel in channels],
-            (4 + 2 / len(names), 1.3),
-        )
+        keys = [(name, channel) for name in names for channel in channels]
         options = {"xlabel": "time [s]", "by_column": True, "sharex": "col", "sharey": "row"}
+        size = (4 + 2 / len(names), 1.3)
         (self.lines_,) = self._draw_panels(ax, draw, keys, len(names), size, **options)
-        self.colorbar_ = None
         return self
 
-    def plot_path(
-        self, ax: Any = None, *, legend: bool = True, color_by: str | None = None
-    ) -> Self:
+    def plot_path(self, ax: Any = None, *, legend: bool = True) -> Self:
         """Draw the path over the ground, north up, both axes to one scale; see :mod:`skdgp.plotting`.
 
         Positions are the columns ``north`` and ``east``, else integrals of ``v_north`` and
-        ``v_east``. The colour is that of "flight", "altitude" or "time"; by default of the flight
-        when there are several, else of the altitude or the time.
+        ``v_east``. A hollow marker shows where a flight begins.
         """
-        altitude = all("altitude" in table for table in self.flights.values())
-        if color_by is None:
-            color_by = "flight" if len(self.flights) > 1 else "altitude" if altitude else "time"
-        check_choice("color_by", color_by, ("flight", "altitude", "time"))
-        if color_by == "altitude" and not altitude:
-            raise ValueError(
-                "Got color_by='altitude' for a flight without that column: use 'flight' or 'time'."
-            )
-        paths = {name: ground_path(table, name) for name, table in self.flights.items()}
         self.axes_ = panels(ax, 1, 1, figsize=(6.0, 5.4))
-        ax, self.colorbar_ = self.axes_[0, 0], None
+        ax = self.axes_[0, 0]
         self.figure_ = ax.figure
-        if color_by == "flight":
-            self.lines_ = [
-                ax.plot(
-                    path["east"],
-                    path["north"],
-                    color=CYCLE[k % len(CYCLE)],
-                    linewidth=1.2,
-                    label=plain(name),
-                )[0]
-                for k, (name, path) in enumerate(paths.items())
-            ]
-        else:
-            self.lines_ = _draw_coloured(ax, paths, color_by)
+        self.lines_ = []
         self.starts_ = []
-        for k, (name, path) in enumerate(paths.items()):
-            style = {
-                "marker": start_marker(k),
-                "markeredgecolor": "white",
-                "linestyle": "none",
-                "zorder": 3,
-            }
-            style["markersize"] = max(
-                5, 12 - 5 * k
-            )  # so that two markers at one point are both visible
-            first, label = path.iloc[:1], plain(f"{name}: start")
-            self.starts_ += ax.plot(
-                first["east"], first["north"], color=CYCLE[k % len(CYCLE)], label=label, **style
-            )
+        for k, (name, table) in enumerate(self.flights.items()):
+            path = ground_path(table, name)
+            color = CYCLE[k % len(CYCLE)]
+            style = {"color": color, "linewidth": 1.2, "label": plain(name)}
+            self.lines_ += ax.plot(path["east"], path["north"], **style)
+            # Hollow and smaller one after another, so that two at one point are both visible.
+            style = {"marker": start_marker(k), "markerfacecolor": "none", "linestyle": "none"}
+            style |= {"color": color, "markersize": max(5, 13 - 4 * k), "markeredgewidth": 1.6}
+            first = path.iloc[:1]
+            self.starts_ += ax.plot(first["east"], first["north"], zorder=3, **style)
         tidy(ax)
         ax.margins(0.05)
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))
-        if color_by != "flight":
-            self.colorbar_ = scale_beside(ax, self.lines_[0], axis_label(color_by))
         if legend:
-            legend_above(ax, self.lines_ if color_by == "flight" else self.starts_)
+            legend_above(ax)
         return self
 
     @property
@@ -191,35 +145,6 @@ class FlightDisplay(Display):
     ) -> Self:
         """Draw one flight table, divided by its column ``flight``, or several by name; options of :meth:`plot`."""
         return cls(flights=named_flights(flights)).plot(**plot_options)
-
-
-def _draw_coloured(ax, paths, color_by):
-    from matplotlib.collections import LineCollection
-
-    values = np.concatenate([path[color_by].to_numpy() for path in paths.values()])
-    low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
-    lines = []
-    for name, path in paths.items():
-        # The grey edge keeps the dark end of the scale visible on dark pages, and the bright end on
-        # white ones.
-        ax.plot(path["east"], path["north"], color=PALETTE["grey"], linewidth=2.8, zorder=1.9)
-        points, along = path[["east", "north"]].to_numpy(), path[color_by].to_numpy()
-        pieces, shades = (
-            list(np.stack([points[:-1], points[1:]], axis=1)),
-            0.5 * (along[:-1] + along[1:]),
-        )
-        line = LineCollection(
-            pieces,
-            array=shades,
-            cmap="viridis",
-            linewidths=1.6,
-            capstyle="round",
-            label=plain(name),
-        )
-        line.set_clim(low, high)
-        lines.append(ax.add_collection(line))
-    ax.autoscale_view()
-    return lines
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -266,12 +191,15 @@ class TrajectoryDisplay(Display):
     truth: Matrix | None = None
     beyond: Vector | None = None
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
-        """Draw the panels.
+    def plot(
+        self, ax: Any = None, *, level: float = 0.95, legend: bool = True, columns: Names = None
+    ) -> Self:
+        """Draw the panels of some ``columns``, default all.
 
-        See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the share of paths in the band.
+        See :mod:`skdgp.plotting`; of an ensemble, ``level`` is the fraction of paths in the band.
         """
         z = half_width(level)
+        keys = choose(self.names, columns)
 
         def draw(ax, k):
             factor = display_unit(self.names[k])[0]
@@ -299,7 +227,7 @@ class TrajectoryDisplay(Display):
             return line, band, truth, self._mark_beyond(ax)
 
         options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
-        artists = self._draw_panels(ax, draw, range(len(self.names)), 2, (5, 1.7), **options)
+        artists = self._draw_panels(ax, draw, keys, min(2, len(keys)), (5, 1.7), **options)
         self.lines_, self.bands_, self.truth_, self.beyond_ = artists
         if legend:
             first = self.axes_.flat[0]
@@ -324,7 +252,17 @@ class TrajectoryDisplay(Display):
         cls, trajectories: pd.DataFrame, truth: pd.DataFrame | None = None, *, mean: pd.DataFrame | None = None,
         start: Any = None, columns: Any = DEFAULT_COLUMNS, **plot_options: Any,
     ) -> Self:  # fmt: skip
-        """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`.
+        """Draw the result of :func:`skdgp.dynamics.simulate` with the options of :meth:`plot`; see :meth:`compute`."""
+        check_matplotlib(cls.__name__)
+        found = cls.compute(trajectories, truth, mean=mean, start=start, columns=columns)
+        return found.plot(**plot_options)
+
+    @classmethod
+    def compute(
+        cls, trajectories: pd.DataFrame, truth: pd.DataFrame | None = None, *, mean: pd.DataFrame | None = None,
+        start: Any = None, columns: Any = DEFAULT_COLUMNS,
+    ) -> Self:  # fmt: skip
+        """Take what is drawn of the result of :func:`skdgp.dynamics.simulate`, without drawing it.
 
         ``trajectories`` is one trajectory, or the paths of one start (column ``path``); ``start``
         is the one to draw, by default the first. ``truth`` is the recorded flight, interpolated to
@@ -365,7 +303,7 @@ class TrajectoryDisplay(Display):
             truth=None if truth is None else _interpolated(truth, time, names, values[0, 0]),
             beyond=None if beyond is None else beyond.reshape(n_paths, -1).mean(axis=0),
             names=tuple(names),
-        ).plot(**plot_options)
+        )
 
 
 def _interpolated(truth: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -11,10 +12,9 @@ import pandas as pd
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
-from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
+from skdgp._display.style import ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_choice, check_columns
-from skdgp._flight.clock import true_runs
 from skdgp.plotting._display import (
     Display,
     Names,
@@ -30,15 +30,14 @@ from skdgp.plotting._display import (
     segment_starts,
 )
 
-# a band widens the vertical axis by at most this part of the lines' range, so that lines stay
-# readable
+KINDS = {"values": ("values",), "residuals": ("residuals",), "both": ("values", "residuals")}
 MAX_BAND = 0.6
-MAX_MARKS = 150  # restarts; more would be a grey bar
+"""Largest part of the lines' range by which a band widens the vertical axis."""
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class CoefficientDisplay(Display):
-    """Measured and estimated outputs with the band of the estimate, one panel each (the paper's figure 6).
+    """Measured and estimated outputs with the band of the estimate (the paper's figure 6).
 
     The artists are ``measured_``, ``mean_``, ``bands_`` and ``truth_``.
 
@@ -77,20 +76,35 @@ class CoefficientDisplay(Display):
         self, ax: Any = None, *, outputs: Names = None, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
         kind: str = "values", time_span: tuple[float, float] | None = None,
     ) -> Self:  # fmt: skip
-        """Draw the panels: ``kind`` "values" or "residuals", measured minus estimated; see :mod:`skdgp.plotting`."""
-        check_choice("kind", kind, ("values", "residuals"))
-        chosen = choose(self.output_names, outputs)
-        zero, less = (self.mean, " less estimate") if kind == "residuals" else (0.0, "")
-        truth = None if self.truth is None else self.truth - zero
-        columns = self.measured - zero, self.mean - zero, self.std, truth
-        draw = _drawing(
-            self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less=less
-        )
+        """Draw ``kind`` "values", "residuals", measured minus estimated, or "both"; see :mod:`skdgp.plotting`."""
+        check_choice("kind", kind, tuple(KINDS))
+        chosen, kinds = choose(self.output_names, outputs), KINDS[kind]
+        draws = {}
+        for name in kinds:
+            zero = self.mean if name == "residuals" else np.zeros_like(self.mean)
+            truth = None if self.truth is None else self.truth - zero
+            std = self.std
+            if kind == "both":  # the truth above, the band beneath
+                truth, std = (truth, None) if name == "values" else (None, std)
+            columns = self.measured - zero, self.mean - zero, std, truth
+            less = " less estimate" if kind == "residuals" else ""
+            draws[name] = _drawing(
+                self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less
+            )
+
+        def draw(ax, key):
+            artists = draws[key[1]](ax, key[0])
+            if len(kinds) > 1 and key[1] == "residuals":
+                ax.set_ylabel("residual")
+            return artists
+
+        n_cols = grid_columns(len(chosen)) if len(chosen) % 2 == 0 or kind != "both" else 1
+        n_rows = -(-len(chosen) // n_cols)
+        ratios = {"height_ratios": [2.0, 1.2] * n_rows} if kind == "both" else {}
         options = {"xlabel": "time [s]", "legend": legend, "by_column": True, "sharex": True}
-        artists = self._draw_panels(
-            ax, draw, chosen, grid_columns(len(chosen)), (5, 1.7), **options
-        )
-        self.measured_, self.mean_, self.bands_, self.truth_, _ = artists
+        keys = [(k, name) for k in chosen for name in kinds]
+        artists = self._draw_panels(ax, draw, keys, n_cols, (5, 1.7), gridspec_kw=ratios, **options)
+        self.measured_, self.mean_, self.bands_, self.truth_ = artists
         return self
 
     @classmethod
@@ -134,11 +148,10 @@ class CoefficientDisplay(Display):
 class StateDisplay(Display):
     """Measured states and those replayed with estimated coefficients (the paper's figure 7).
 
-    A replay restarts from the measured state every few seconds. Lines break there, and small marks
-    on the upper edge show where. States are given in SI units and drawn in degrees.
+    A replay restarts from the measured state every few seconds, where lines break. States are given
+    in SI units and drawn in degrees.
 
-    The artists are ``measured_``, ``replayed_``, ``bands_`` and ``restarts_``, the marks of at most
-    150 restarts.
+    The artists are ``measured_``, ``replayed_`` and ``bands_``.
 
     Parameters
     ----------
@@ -177,19 +190,13 @@ class StateDisplay(Display):
     ) -> Self:  # fmt: skip
         """Draw the states, one above the other; see :mod:`skdgp.plotting`."""
         columns = self.measured, self.replayed, self.std, None
+        names = self.state_names
         draw = _drawing(
-            self.time,
-            columns,
-            self.state_names,
-            "replayed",
-            level,
-            n_bins,
-            time_span,
-            window=self.window,
+            self.time, columns, names, "replayed", level, n_bins, time_span, window=self.window
         )
         options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
-        artists = self._draw_panels(ax, draw, range(len(self.state_names)), 1, (9, 1.7), **options)
-        self.measured_, self.replayed_, self.bands_, _, self.restarts_ = artists
+        artists = self._draw_panels(ax, draw, range(len(names)), 1, (9, 1.7), **options)
+        self.measured_, self.replayed_, self.bands_, _ = artists
         return self
 
     @classmethod
@@ -210,8 +217,7 @@ class StateDisplay(Display):
         if len(rows) != len(flight):
             raise ValueError(
                 f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
-                f"flight that "
-                "was replayed, with all its rows."
+                f"flight that was replayed, with all its rows."
             )
         bands = [f"{name}_std" for name in states]
         return cls(
@@ -224,101 +230,61 @@ class StateDisplay(Display):
         ).plot(**plot_options)
 
 
-def _drawing(time, columns, names, estimate, level, n_bins, time_span, *, window=None, less=""):
+def _drawing(time, columns, names, estimate, level, n_bins, span, less="", window=None) -> Callable:
     """Return the function that draws panel k of ``columns``: measured, estimate, its deviations and truth, (n, P) each.
 
-    It returns the artists of measured, estimate, band, truth and restarts; None where there is
-    none.
+    It returns the artists of measured, estimate, band and truth, None where there is none.
     """
-    z, rows = half_width(level), slice(None)
-    if time_span is not None:
-        begin, end = time_span
-        rows = (time >= begin) & (time <= end)
+    from matplotlib.colors import to_rgb
+
+    z = half_width(level)
+    rows = slice(None)
+    if span is not None:
+        rows = (time >= span[0]) & (time <= span[1])
         if not rows.any():
             raise ValueError(
-                f"Got time_span {begin:g} to {end:g} s, but the samples run from {time.min():g} "
-                f"to {time.max():g} s: "
-                "choose a span inside."
+                f"Got time_span {span[0]:g} to {span[1]:g} s, but the samples run from "
+                f"{time.min():g} to {time.max():g} s: choose a span inside."
             )
-    time, window = time[rows], None if window is None else window[rows]
-    starts = segment_starts(time, window)
-    width = (
-        1.0 if len(time) <= 4 * n_bins else 0.6
-    )  # thin lines show more where many samples share a pixel
+    time = time[rows]
+    starts = segment_starts(time, None if window is None else window[rows])
 
     def draw(ax, k):
         factor = display_unit(names[k])[0]
-        measured, mean, std, truth = (
-            None if values is None else factor * values[rows, k] for values in columns
-        )
+        shown = [None if values is None else factor * values[rows, k] for values in columns]
+        measured, mean, std, truth = shown
 
         def line(values, **style):
             if values is None:
                 return None
-            t, v = line_points(time, values, n_bins=n_bins, starts=starts)
-            dots = isolated(v)
+            points = line_points(time, values, n_bins=n_bins, starts=starts)
+            alone = isolated(points[1])
             return ax.plot(
-                t, v, marker="." if dots else None, markersize=3, markevery=dots, **style
+                *points, marker="." if alone else None, markersize=3, markevery=alone, **style
             )[0]
 
-        # The thin measured line lies over the broad estimate, so both are visible where they agree.
-        thin = line(
-            measured, color=ROLES["measured"], linewidth=0.5 * width, zorder=2.2, label="measured"
-        )
+        thick = line(measured, color=ROLES["measured"], linewidth=1.4, label="measured")
         band = None
         if std is not None:
             half = z * std
             edges = band_points(time, mean - half, mean + half, n_bins=n_bins, starts=starts)
-            band = _draw_band(ax, *edges, f"{level:.0%} band")
-        known = line(truth, color=ROLES["truth"], linewidth=0.7 * width, zorder=2.1, label="truth")
-        broad = line(mean, color=ROLES["mean"], linewidth=1.8 * width, label=estimate)
-        _limit(ax, [values for values in (measured, mean, truth) if values is not None])
+            # Above the measured values, which may fill the band.
+            style = {"facecolor": (*to_rgb(ROLES["band"]), 0.35), "edgecolor": ROLES["edge"]}
+            style |= {"linewidth": 0.6, "zorder": 2.2, "label": f"{level:.0%} band"}
+            band = ax.fill_between(*edges, **style)
+        known = line(truth, color=ROLES["truth"], linewidth=0.9, linestyle="--", label="truth")
+        thin = line(mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3, label=estimate)
+        _limit(ax, np.concatenate([one for one in (measured, mean, truth) if one is not None]))
         ax.set_ylabel(axis_label(names[k]) + less)
-        return thin, broad, band, known, _mark_restarts(ax, time, window)
+        return thick, thin, band, known
 
     return draw
 
 
-def _draw_band(ax: Any, t: Vector, lower: Vector, upper: Vector, label: str) -> Any:
-    """Draw one patch around all pieces of a band, so that the picture has few elements."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
-    edges = [
-        (np.column_stack([t[k], upper[k]]), np.column_stack([t[k], lower[k]])[::-1])
-        for k in true_runs(~np.isnan(t))
-    ]
-    outlines = [
-        Path(np.concatenate([forth, back, forth[:1]]), closed=True) for forth, back in edges
-    ]
-    # The edge keeps a band of one sample, which has no width, visible.
-    style = {"color": ROLES["band"], "alpha": 0.5, "linewidth": 0.4, "label": label}
-    band = ax.add_artist(PathPatch(Path.make_compound_path(*outlines), **style))
-    if t.size:
-        # The corners suffice; add_patch would search the whole outline.
-        ax.update_datalim([(np.nanmin(t), np.nanmin(lower)), (np.nanmax(t), np.nanmax(upper))])
-    return band
-
-
-def _limit(ax: Any, lines: list[Vector]) -> None:
+def _limit(ax: Any, shown: Vector) -> None:
     """Fit the vertical axis to the lines; a much wider band is cut off."""
-    shown = np.concatenate(lines)
     shown = shown[np.isfinite(shown)]
-    if shown.size == 0 or np.ptp(shown) == 0:
-        return
-    room = MAX_BAND * np.ptp(shown)
-    low, high = ax.get_ylim()
-    ax.set_ylim(max(low, shown.min() - room), min(high, shown.max() + room))
-
-
-def _mark_restarts(ax: Any, time: Vector, window: np.ndarray | None) -> Any:
-    restarts = time[:0] if window is None else time[1:][window[1:] != window[:-1]]
-    if not 0 < len(restarts) <= MAX_MARKS:
-        return None
-    style = {
-        "color": PALETTE["grey"],
-        "markersize": 5,
-        "label": "restart",
-        "transform": ax.get_xaxis_transform(),
-    }
-    return ax.plot(restarts, np.ones(len(restarts)), "|", **style)[0]
+    if shown.size and np.ptp(shown) > 0:
+        room = MAX_BAND * np.ptp(shown)
+        low, high = ax.get_ylim()
+        ax.set_ylim(max(low, shown.min() - room), min(high, shown.max() + room))

@@ -15,8 +15,8 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
-from skdgp.report._tables import HONEST, SCORES
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TrajectoryDisplay
+from skdgp.report._tables import HONEST, SCORES, STATISTICS
 
 
 class Thresholds(NamedTuple):
@@ -114,6 +114,8 @@ class FlightMechanics:
     simulation : DataFrame, optional
         By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
         ``horizon`` [s].
+    simulated : TrajectoryDisplay, optional
+        A part of a test flight, simulated with its bands, and as flown.
     note, simulation_note : str
         Why derivatives, or the simulation, are missing.
     """
@@ -123,6 +125,7 @@ class FlightMechanics:
     least_squares: pd.DataFrame | None = None
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
+    simulated: TrajectoryDisplay | None = None
     note: str = ""
     simulation_note: str = ""
 
@@ -166,9 +169,8 @@ class FlightResult:
         Noise-free coefficients of a simulation.
     table : DataFrame, optional
         The flight table, for the inputs and the path.
-    replay, replay_errors : DataFrame, optional
-        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons, and
-        `skdgp.dynamics.replay_errors`.
+    replay : DataFrame, optional
+        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons.
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
     metrics : mapping, optional
@@ -185,7 +187,6 @@ class FlightResult:
     truth: Matrix | None = None
     table: pd.DataFrame | None = None
     replay: pd.DataFrame | None = None
-    replay_errors: pd.DataFrame | None = None
     baseline: Matrix | None = None
     metrics: Mapping[str, Mapping[str, object]] | None = None
 
@@ -228,16 +229,6 @@ class FlightResult:
                 )
         return rows
 
-    def horizons(self) -> list[float]:
-        """Return the horizons of the replay, of those that the flight is too short for only the first."""
-        replay = cast("pd.DataFrame", self.replay)
-        every = sorted(float(horizon) for horizon in replay["horizon"].unique())
-        if "elapsed" not in replay:
-            return every
-        longest = replay.groupby("horizon")["elapsed"].max()
-        too_long = [horizon for horizon in every if not longest[horizon] >= 0.98 * horizon]
-        return [horizon for horizon in every if horizon not in too_long[1:]]
-
     @property
     def noisy_std(self) -> Matrix:
         """Standard deviations to compare measured values with."""
@@ -251,23 +242,19 @@ class FlightResult:
             given = {"measured": self._scores(self.measured, self.noisy_std)}
             if self.truth is not None:
                 given["truth"] = self._scores(self.truth, self.std)
+        columns = [*SCORES, *STATISTICS]
         return {
-            against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)).reindex(columns=list(SCORES))
+            against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)).reindex(columns=columns)
             for against, of in {"measured": {}, **given}.items()
         }
 
     def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
         found = {}
-        for name, one in SCORES.items():
-            predicted = (
-                [self.baseline]
-                if one.of_baseline
-                else [self.mean, std]
-                if one.of_band
-                else [self.mean]
-            )
-            if predicted[0] is not None:
-                found[name] = one.function(values, *predicted, multioutput="raw_values")
+        for name, score in (SCORES | STATISTICS).items():
+            mean = self.baseline if score.of_baseline else self.mean
+            if mean is not None:
+                moments = (mean, std) if score.of_band else (mean,)
+                found[name] = score.function(values, *moments, multioutput="raw_values")
         return found
 
 
@@ -289,8 +276,6 @@ class ModelSummary:
         Time of the fit [s].
     noise_std : (6,)
         Standard deviation of the measurement noise that was learned.
-    correlation : (6, 6) or Bunch
-        Coupling of the outputs, as of ``output_correlation()``.
     versions, extra : mappings of str to str
         Software and its version; further lines for the table of what was done.
     """
@@ -309,7 +294,6 @@ class ModelSummary:
     converged: bool = True
     fit_seconds: float | None = None
     noise_std: Sequence[float] | None = None
-    correlation: object = None
     versions: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, str] = field(default_factory=dict)
 
@@ -334,8 +318,10 @@ class ReportContent:
         What the model is good enough for; trim, derivatives and modes.
     envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
         As from ``compute``.
+    air : str
+        The air that was flown: steady wind and gusts.
     sections : sequence of str
-        Further sections, HTML.
+        Further sections, HTML, such as what to fly next.
     assumed, messages : sequences of str
         What was assumed where nothing was told; warnings that arose.
     units : mapping of str to str
@@ -353,6 +339,7 @@ class ReportContent:
     mechanics: FlightMechanics | None = None
     envelope: EnvelopeDisplay | None = None
     effects: EffectsDisplay | None = None
+    air: str = ""
     sections: Sequence[str] = ()
     assumed: Sequence[str] = ()
     messages: Sequence[str] = ()

@@ -1,22 +1,17 @@
-"""Figures: pictures by matplotlib, for paper, and data of the charts that the page's script makes of them."""
+"""Figures of the report: panels drawn by the displays of `skdgp.plotting`."""
 
 from __future__ import annotations
 
-import base64
-import json
-import zlib
-from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
-from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
-from skdgp._display.flights import START_MARKERS, ground_path, named_flights
-from skdgp._display.page import THIN, WIDTH, figure, number, picture, strip, symbol, text
-from skdgp._display.style import display_unit, draw_curve, mark_samples, tidy
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._display.flights import START_MARKERS, named_flights, start_marker
+from skdgp._display.page import MARGINS, THIN, WIDTH, figure, number, picture, strip, symbol, text
+from skdgp._display.style import CYCLE, PALETTE, display_unit, tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import (
     CalibrationDisplay,
@@ -25,23 +20,26 @@ from skdgp.plotting import (
     EnvelopeDisplay,
     FlightDisplay,
     StateDisplay,
+    TrajectoryDisplay,
 )
-from skdgp.report._content import FlightResult, ReportContent
-from skdgp.report._tables import state
+from skdgp.report._content import FlightResult
+from skdgp.report._tables import regressor
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
-N_BINS = 350
+CHAPTER = 60.0
+"""Shortest length of the parts in which a long flight is shown whole [s]."""
+MOST_CHAPTERS = 6
+"""Parts that the figures of one page are divided into at most, which keeps it small."""
+N_BINS = 300
 """Slices that a line over time is drawn with: as many as a screen shows."""
-TICK = 1e-4
-"""Resolution of time [s]."""
-LEVELS = 65_534
-"""Steps between the smallest and the largest value of a column: 0.002 % of its range."""
-START_SIGNS = dict(
-    zip(START_MARKERS, "●■▲◆▼★", strict=True)
-)  # letters that look like markers of paths
-MOST_VALUES = 1_500_000
-"""Values that the charts of one page hold: those of an hour at 40 Hz take some three megabytes."""
+N_EFFECTS = 4
+"""Regressors shown for each coefficient: those whose effects vary most over the samples."""
+SIGNS = dict(zip(START_MARKERS, "○□△◇▽☆", strict=True))
+"""Letters that look like the markers of paths."""
+KEY = [("grey", "measured", ""), ("blue", "estimated", ""), ("sky", "95 % band", "area")]
+TRUTH = ("vermillion", "truth", "")
+SMALL: dict[str, Any] = {"size": (2.9, 1.75), "margins": (0.6, 0.08, 0.42, 0.08)}
 
 
 def busiest_span(
@@ -62,323 +60,191 @@ def busiest_span(
     return first, first + length
 
 
-def coefficient_figure(result: FlightResult, span, every: int, draw: bool) -> str:
-    """Return measured and estimated coefficients: a chart of the flight, with ``draw`` pictures of the span, too."""
-    band = "95 % band" if result.measured_std is None else "95 % band of a measurement"
-    panels = []
-    for k, name in enumerate(COEFFICIENTS):
-        mean, truth = result.mean[:, k], None if result.truth is None else result.truth[:, k]
-        series = _compared(
-            "estimated", mean, result.measured[:, k], band, result.noisy_std[:, k], truth
-        )
-        title = f"{name} against time: {', '.join(one.name for one in series)}"
-        panels.append(Panel(title, symbol(name), "", series, base=mean))
-    caption = f"Measured and estimated coefficients of {text(result.name)}."
-    if span is not None and draw:
-        seconds = number(span[1] - span[0], "g")  # of the pictures, where no chart is
-        caption += (
-            f'<span class="still"> The {seconds}{THIN}s in which the estimates move most.</span>'
-        )
-    made = chart("Coefficients", result.name, result.time, panels, span=span, every=every)
-    shown = {name: getattr(result, name) for name in ("time", "measured", "mean", "truth")}
-    display = CoefficientDisplay(**shown, std=result.noisy_std, output_names=COEFFICIENTS)
+def coefficient_figure(result: FlightResult, span: Any, caption: str) -> str:
+    """Return measured and estimated coefficients over a span, with residuals and their band beneath each."""
+    display = CoefficientDisplay(
+        time=result.time, measured=result.measured, mean=result.mean, truth=result.truth,
+        std=result.noisy_std, output_names=COEFFICIENTS,
+    )  # fmt: skip
 
-    def drawn(ax, name):
-        display.plot(ax, outputs=name, time_span=span, n_bins=N_BINS, legend=False)
+    def draw(figure, name):
+        options = {"time_span": span, "n_bins": N_BINS, "legend": False}
+        display.plot(figure, outputs=name, kind="both", **options)
+        figure.align_ylabels()
 
-    pictures = (
-        _strips(COEFFICIENTS, drawn, "measured, and estimated with its 95 % band") if draw else []
-    )
-    return figure(pictures, caption, _key(panels[0].series), made)
-
-
-def state_figure(result: FlightResult, horizon: float, span, every: int, draw: bool) -> str:
-    """Return the lateral states that were replayed and measured, likewise; empty where there is none."""
-    rows, states = result.replay_over(horizon), result.measured_states
-    if not states:
-        return ""
-    time = rows["time"].to_numpy(dtype=float)
-    span = span if span is not None and rows["time"].between(*span).any() else None
-    panels = []
-    for name, measured in states.items():
-        factor, unit = display_unit(name)
-        replayed = factor * rows[name].to_numpy(dtype=float)
-        std = factor * rows[f"{name}_std"].to_numpy(dtype=float) if f"{name}_std" in rows else None
-        series = _compared("replayed", replayed, factor * measured, "95 % band", std)
-        panels.append(Panel(f"{name} against time", state(name), unit, series))
-    window = rows["window"].to_numpy(dtype=float) if "window" in rows else None
-    title = f"States restarted every {horizon:g} s"
-    made = chart(title, result.name, time, panels, span=span, window=window, every=every)
-    caption = (
-        f"States of {text(result.name)}, integrated from the estimated coefficients, restarted "
-        f"from the measured state "
-        f"every {number(horizon, 'g')}{THIN}s; lines break there. Bands end where they are wider "
-        f"than the motion."
-    )
-    table = cast("pd.DataFrame", result.table)
-
-    def drawn(ax, name):
-        StateDisplay.from_replay(
-            rows, table, states=[name], ax=ax, time_span=span, n_bins=N_BINS, legend=False
-        )
-
-    pictures = _strips(list(states), drawn, "measured, and replayed with its band") if draw else []
-    return figure(pictures, caption, _key(panels[0].series), made)
-
-
-def input_figure(table: pd.DataFrame, name: str, link: str, color: str, every: int) -> str:
-    """Return the chart of the inputs of one flight, in that flight's colour."""
-    panels = []
-    for channel in FlightDisplay(flights={name: table}).inputs:
-        factor, unit = display_unit(channel)
-        values = factor * table[channel].to_numpy(dtype=float)
-        words = channel.replace("_", " ")
-        panels.append(
-            Panel(f"{words} against time", text(words), unit, [Series(words, color, values)])
-        )
-    made = chart(
-        f"Inputs of {name}", link, table["time"].to_numpy(dtype=float), panels, every=every
-    )
-    return figure([], f"Inputs of {text(name)}.", chart=made)
-
-
-def _compared(
-    estimate: str, mean: Array, measured: Array, band: str, std: Any, truth: Any = None
-) -> list[Series]:
-    """Return the lines of a panel.
-
-    What is thin lies over what is broad: so all are seen where they agree.
-    """
-    series = [] if std is None else [Series(band, "sky", mean, std=std)]
-    series.append(Series(estimate, "blue", mean, width=2.5))
-    series += [] if truth is None else [Series("truth", "vermillion", truth, dashed=True)]
-    return [*series, Series("measured", "measured", measured, width=0.8)]
-
-
-def _key(series: Sequence[Series]) -> list[tuple[str, str, str]]:
-    """Return the key of a panel: measured, estimate, band, truth."""
-    order = sorted(
-        series, key=lambda one: ("measured", "blue", "sky", "vermillion").index(one.color)
-    )
-    return [(one.color, one.name, "" if one.std is None else "area") for one in order]
-
-
-def _strips(names: Sequence[str], draw: Callable, words: str) -> list[str]:
-    """Return a strip for each name, two side by side."""
-    return [
-        strip(
+    panels = [
+        picture(
             partial(draw, name=name),
-            label=f"{name} against time: {words}",
-            bottom=name in names[-2:],
+            label=f"{name} against time: measured and estimated with its 95 % band, and residuals",
+            size=(WIDTH, 2.25),
         )
-        for name in names
+        for name in COEFFICIENTS
     ]
+    key = KEY + ([] if result.truth is None else [TRUTH])
+    return figure(panels, caption, key)
 
 
-def calibration_panel(values, mean, std) -> str:
-    """Return one square panel: nominal against observed coverage."""
-    return picture(
-        lambda ax: CalibrationDisplay.from_predictions(
-            values, mean, std, output_names=COEFFICIENTS, ax=ax
+def chapters(result: FlightResult, length: float) -> str:
+    """Return the coefficients of a long flight in parts of ``length`` [s], to be opened by hand."""
+    begin, end = result.time[[0, -1]]
+    parts = ""
+    for first in np.arange(begin, end, length) if end - begin > 1.5 * CHAPTER else ():
+        last = min(first + length, end)
+        if np.any((result.time >= first) & (result.time <= last)):
+            words = f"{number(first, '.0f')} to {number(last, '.0f')}{THIN}s"
+            caption = f"Coefficients of {text(result.name)}, {words}."
+            body = coefficient_figure(result, (first, last), caption)
+            parts += f"<details><summary>{words}</summary>{body}</details>"
+    return parts
+
+
+def state_figure(result: FlightResult, horizon: float, span: Any) -> str:
+    """Return the lateral states that were replayed and measured; empty where there is none."""
+    if not result.measured_states:
+        return ""
+    rows = result.replay_over(horizon)
+    table = cast("pd.DataFrame", result.table)
+    span = span if span is not None and rows["time"].between(*span).any() else None
+
+    def draw(ax, name):
+        options = {"time_span": span, "n_bins": N_BINS, "legend": False}
+        StateDisplay.from_replay(rows, table, states=[name], ax=ax, **options)
+
+    panels = [
+        strip(partial(draw, name=name), label=f"{name} against time: measured and replayed")
+        for name in result.measured_states
+    ]
+    caption = (
+        f"Coefficients of {text(result.name)} in motion (the paper's figure 7): states integrated "
+        f"from the coefficients estimated at the measured states, restarted from the measured state "
+        f"every {number(horizon, 'g')}{THIN}s. No control or stability of the aircraft corrects "
+        f"their drift, so this is not a simulation."
+    )
+    key = [KEY[0], ("blue", "integrated", ""), KEY[2]]
+    return figure(panels, caption, key)
+
+
+def simulation_figure(display: TrajectoryDisplay, caption: str) -> str:
+    """Return a simulated flight with its bands beside the flown one."""
+    panels = []
+    for k, name in enumerate(display.names):
+        panels.append(
+            strip(
+                partial(display.plot, legend=False, columns=[name]),
+                label=f"{name} against time: simulated with its 95 % band, and flown",
+                bottom=k >= len(display.names) - 2,
+            )
+        )
+    key = [("blue", "simulated", ""), ("sky", "95 % band", "area"), ("vermillion", "flown", "")]
+    return figure(panels, caption, key)
+
+
+def input_figure(name: str, table: pd.DataFrame, color: str) -> str:
+    """Return the inputs of one flight."""
+    display = FlightDisplay(flights={name: table})
+
+    def draw(ax, channel):
+        display.plot_inputs(ax, channels=channel, n_bins=N_BINS)
+        display.lines_[0].set_color(color)
+        ax.set_title("")
+
+    channels = display.inputs
+    panels = [
+        strip(partial(draw, channel=channel), label=f"{channel} against time", bottom=True)
+        for channel in channels
+    ]
+    return figure(panels, f"Inputs of {text(name)}.")
+
+
+def path_figure(flights: dict[str, pd.DataFrame]) -> str:
+    """Return the ground paths, coloured by flight."""
+    display = FlightDisplay(flights=named_flights(flights))
+    panel = picture(
+        partial(display.plot_path, legend=False),
+        label="Path over the ground, coloured by flight",
+        size=(WIDTH, 4.0),
+    )
+    names = {color: name for name, color in PALETTE.items()}
+    key = [
+        (names[CYCLE[k % len(CYCLE)]], name, SIGNS[start_marker(k)])
+        for k, name in enumerate(flights)
+    ]
+    caption = "Path over the ground, north up; the flight's marker shows where it begins."
+    if any("north" not in table.columns for table in flights.values()):
+        caption += " Without recorded positions: integrated from the velocities, from the origin."
+    return figure([panel], caption, key, "single")
+
+
+def calibration_figure(values: Matrix, mean: Matrix, std: Matrix) -> str:
+    """Return nominal against observed coverage."""
+    panel = picture(
+        lambda figure: CalibrationDisplay.from_predictions(
+            values, mean, std, output_names=COEFFICIENTS, ax=figure
         ),
         label="Observed against nominal coverage of measured coefficients",
         size=(4.0, 3.85),
-        margins=(0.14, 0.97, 0.13, 0.97),
     )
-
-
-def effect_panels(display: EffectsDisplay, output: str, names: Sequence[str]) -> list[str]:
-    """Return one panel for each regressor named: its effect on an output; all have the same vertical scale."""
-    k = list(display.importance).index(output)
-    curves = {name: display.curves[name] for name in names}
-    top = 1.08 * max(
-        np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves.values()
+    caption = (
+        "How often intervals, with the noise, hold the measured values of all test flights. On the "
+        "dotted line they hold as often as they say."
     )
-
-    def draw(ax, name):
-        tidy(ax)
-        curve, (factor, unit) = curves[name], display_unit(name)
-        draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], 0.95, "effect")
-        mark_samples(ax, factor * display.samples[name])
-        edges = factor * curve.at[[0, -1]]
-        digits = max(0, 1 - int(np.floor(np.log10(np.ptp(edges) or 1.0))))
-        ax.set_xticks(edges, [f"{edge:z.{digits}f}".replace("-", "−") for edge in edges])
-        ax.set(ylim=(-top, top), xlim=edges)
-        ax.locator_params(axis="y", nbins=4)
-        ax.get_xticklabels()[0].set_horizontalalignment("left")
-        ax.get_xticklabels()[-1].set_horizontalalignment("right")
-        ax.set_xlabel(unit, labelpad=-7)
-
-    place: dict[str, Any] = {"size": (2.0, 1.35), "margins": (0.23, 0.98, 0.19, 0.97)}
-    return [
-        picture(partial(draw, name=name), label=f"Effect of {name} on {output}", **place)
-        for name in names
-    ]
+    return figure([panel], caption, layout="single")
 
 
-def envelope_panels(display: EnvelopeDisplay) -> list[str]:
-    """Return one panel for each pair of regressors: density of the samples, relative uncertainty, another flight."""
-    words = "where samples were flown, and how uncertain the model is there"
-    place: dict[str, Any] = {"size": (2.9, 2.45), "margins": (0.21, 0.97, 0.18, 0.98)}
-    return [
+def effect_figures(display: EffectsDisplay) -> str:
+    """Return for each output its largest effects, on one scale, and its strongest interactions."""
+    parts = []
+    for output in map(str, display.importance):
+        names = list(display.importance.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
+        k = list(display.importance).index(output)
+        curves = [display.curves[name] for name in names]
+        tops = [np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves]
+        top = 1.08 * max(tops, default=1.0)
+
+        def draw_effect(figure, name, output=output, top=top):
+            ax = figure.subplots()
+            tidy(ax)
+            display.draw_effect(ax, output, name)
+            ax.set_ylim(-top, top)
+            ax.set_xlabel(display_unit(name)[1])
+
+        def draw_interaction(figure, number, output=output):
+            ax = figure.subplots()
+            tidy(ax)
+            display.draw_interaction(ax, output, number)
+
+        titles = [f"{symbol(output)} by {regressor(name)}" for name in names]
+        panels = [
+            picture(partial(draw_effect, name=name), label=f"Effect of {name} on {output}", **SMALL)
+            for name in names
+        ]
+        for n, found in enumerate(display.interactions.get(output, ())):
+            first, second = found.regressors
+            titles.append(f"{symbol(output)} by {regressor(first)}, at two {regressor(second)}")
+            label = f"Effect of {first} on {output} at two values of {second}"
+            panels.append(picture(partial(draw_interaction, number=n), label=label, **SMALL))
+        cells = [f"<div><p>{a}</p>{b}</div>" for a, b in zip(titles, panels, strict=True)]
+        parts.append(figure(cells, f"Effects on {symbol(output)}.", layout="trio"))
+    return "".join(parts)
+
+
+def envelope_figure(display: EnvelopeDisplay) -> str:
+    """Return a panel for each pair of regressors: samples, relative uncertainty, another flight."""
+    left, right, below, above = MARGINS
+    panels = [
         picture(
             partial(display.plot, pairs=[pair], legend=False),
-            label=f"{pair[1]} against {pair[0]}: {words}",
-            **place,
+            label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
+            size=(2.9, 2.45), margins=(left - 0.1, right, below + 0.05, above),
         )
         for pair in display.pairs
-    ]
-
-
-def path_panel(flights: dict) -> str:
-    """Return the ground paths, coloured by flight."""
-    display = FlightDisplay(flights=named_flights(flights))
-    return picture(
-        lambda ax: display.plot_path(ax, color_by="flight", legend=False),
-        label="Path over the ground, coloured by flight",
-        size=(WIDTH, 4.0),
-        margins=(0.145, 0.985, 0.13, 0.97),
-        located=True,
+    ]  # fmt: skip
+    key = [("#333333", "learned from", "•"), ("blue", "relative uncertainty", "")]
+    key += [] if display.path is None else [("vermillion", "test flights", "•")]
+    caption = (
+        "Pairs of regressors; those that a panel does not show are at their medians. Contours: the "
+        "standard deviation of the coefficients, over how much they vary where samples were flown: "
+        "0 where they are known, 1 where any value flown is as likely. Where a test flight, or a "
+        "simulation, leaves the dots for darker blue, coefficients are extrapolated."
     )
-
-
-class Series(NamedTuple):
-    """One quantity of a panel: a line, with a band if ``std`` is given."""
-
-    name: str
-    color: str
-    values: Array
-    std: Array | None = None
-    width: float = 1.0
-    dashed: bool = False
-
-
-class Panel(NamedTuple):
-    """One vertical axis: ``title`` is for screen readers, ``label`` is HTML; values may be relative to ``base``."""
-
-    title: str
-    label: str
-    unit: str
-    series: Sequence[Series]
-    base: Array | None = None
-
-
-def thinning(content: ReportContent) -> int:
-    """Return of how many samples a chart keeps one, so that the page stays light."""
-    n_values = sum(5 * len(table) for table in content.train.values())
-    for result in content.test:
-        horizons = 0 if result.replay is None else result.replay["horizon"].nunique()
-        n_values += len(result.time) * (24 + 10 * horizons + 5)
-    return max(1, -(-n_values // MOST_VALUES))
-
-
-def flight_tracks(flights: Mapping[str, pd.DataFrame], links: Mapping[str, str]) -> str:
-    """Return where the flights were, for the script that marks the cursor on the maps; of those it is known of."""
-    paths = {
-        links[name]: ground_path(table, name)[["time", "east", "north"]]
-        for name, table in flights.items()
-    }
-    return _data([
-        {"link": link, **path.round(2).to_dict("list")} for link, path in paths.items()
-        if path.notna().all(axis=None) and path["time"].is_monotonic_increasing
-    ])  # fmt: skip
-
-
-def chart(
-    title: str, link: str, time: Array, panels: Sequence[Panel], *, span=None, window=None, every=1
-) -> str:
-    """Return the element that the script makes a chart of; empty where time does not increase.
-
-    Charts of one ``link`` show the same seconds. A button leads to ``span``, begin and end [s];
-    lines break where ``window`` changes. Of each ``2 * every`` samples the lowest and the highest
-    are kept (`thinned`).
-    """
-    rows = slice(0, len(time) // every * every, every)
-    n = len(time[rows])
-    if n < 2 or not (np.diff(time) > 0).all():
-        return ""
-    packs = [pack(time[rows], step=max(TICK, np.ptp(time) / 2**30))]
-    numbers: dict[int, int] = {}
-
-    def column(values: Array | None) -> int | None:
-        """Pack a column once, however many series refer to it, and return its number."""
-        if values is not None and id(values) not in numbers:
-            numbers[id(values)] = len(numbers)
-            packs.append(pack(values[rows] if values is window else thinned(values, every)[:n]))
-        return None if values is None else numbers[id(values)]
-
-    spec = {
-        "title": title,
-        "link": link,
-        "spans": [] if span is None else [span],
-        "window": column(window),
-        "level": norm.ppf(0.975),
-        "every": every,
-        "n": n,
-        "panels": [
-            panel._asdict()
-            | {
-                "base": column(panel.base),
-                "series": [
-                    one._asdict() | {"values": column(one.values), "std": column(one.std)}
-                    for one in panel.series
-                ],
-            }
-            for panel in panels
-        ],
-        "columns": [scale for scale, _ in packs],
-        "data": base64.b64encode(zlib.compress(b"".join(data for _, data in packs), 9)).decode(),
-    }
-    return _data(spec)
-
-
-def _data(content: Any) -> str:
-    # A "<" in a name must not end the element.
-    return f'<script type="application/json">{json.dumps(content).replace("<", chr(92) + "u003c")}</script>'
-
-
-def pack(values: ArrayLike, *, step: float | None = None) -> tuple[list[float], bytes]:
-    """Return the smallest value, the step and the bytes of a count; and a column as bytes that compress well.
-
-    Values are counted in steps from the smallest, 1 on; 0 is a hole. Differences of neighbouring
-    counts are stored, little-endian, modulo 2^16 (2^32 where the step is given), all first bytes
-    first.
-
-    Examples
-    --------
-    >>> scale, data = pack(np.array([1.0, np.nan, 3.0]), step=0.5)
-    >>> scale, list(data)
-    ([1.0, 0.5, 4], [1, 255, 5, 0, 255, 0, 0, 255, 0, 0, 255, 0])
-    """
-    values = np.asarray(values, dtype=float)
-    known = np.isfinite(values)
-    low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
-    dtype = np.dtype("<u2" if step is None else "<u4")
-    step = step or (high - low) / LEVELS or 1.0
-    count = np.where(known, np.rint((np.where(known, values, low) - low) / step) + 1, 0).astype(
-        dtype
-    )
-    change = np.diff(count, prepend=dtype.type(0)).astype(dtype)
-    return [float(low), float(step), dtype.itemsize], change.view(np.uint8).reshape(
-        -1, dtype.itemsize
-    ).T.tobytes()
-
-
-def thinned(values: Array, every: int) -> Array:
-    """Return a column with one value for ``every`` samples: of each pair of such groups both extremes, in their order.
-
-    Examples
-    --------
-    >>> thinned(np.array([0.0, 5.0, 1.0, -3.0, 2.0, 2.0, 2.0, 9.0]), 2)
-    array([ 5., -3.,  2.,  9.])
-    """
-    if every == 1:
-        return values
-    whole = len(values) // (2 * every) * 2 * every
-    groups = values[:whole].reshape(-1, 2 * every)
-    low = np.argmin(np.where(np.isfinite(groups), groups, np.inf), axis=1)
-    high = np.argmax(np.where(np.isfinite(groups), groups, -np.inf), axis=1)
-    places = np.sort(np.column_stack([low, high]), axis=1)
-    return np.concatenate(
-        [np.take_along_axis(groups, places, axis=1).ravel(), values[whole::every]]
-    )
+    return figure(panels, caption, key, "trio")

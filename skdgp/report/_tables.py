@@ -6,15 +6,12 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
 
-from skdgp._display.page import THIN, number, percent, symbol, table, text
-from skdgp._display.style import display_unit
+from skdgp._display.page import number, percent, symbol, table, text
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.metrics import (
     interval_coverage,
-    median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
 )
@@ -22,6 +19,11 @@ from skdgp.metrics import (
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 HONEST = (0.90, 0.99)
 """Coverage of a 95 % interval that is not marked."""
+REGRESSORS = {
+    "alpha": "α", "beta": "β", "alpha_dot": "dα/dt", "beta_dot": "dβ/dt",
+    "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V",
+}  # fmt: skip
+"""Regressors in a heading; others stand as they are."""
 
 
 def coverage(value: float) -> str:
@@ -32,13 +34,6 @@ def coverage(value: float) -> str:
     if value > HONEST[1]:
         return f'<span class="off" title="too wide">▲ {shown}</span>'
     return shown
-
-
-REGRESSORS = {
-    "alpha": "α", "beta": "β", "alpha_dot": "dα/dt", "beta_dot": "dβ/dt",
-    "p_hat": "pb/2V", "q_hat": "qc/2V", "r_hat": "rb/2V",
-}  # fmt: skip
-"""Regressors in a heading; others stand as they are."""
 
 
 def regressor(name: str) -> str:
@@ -69,91 +64,52 @@ SCORES = {
     "least_squares_normalized_rmse": Score(
         normalized_rmse, "NRMSE of<br>least squares", _thousandths, of_baseline=True
     ),
-    "median_relative_error": Score(median_relative_error, "median rel.<br>error [%]", percent),
-    "negative_log_predictive_density": Score(
-        negative_log_predictive_density, "NLPD", number, of_band=True
-    ),
     "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
 }
-"""By the names in metrics.json, those of skdgp.metrics; one more line is one more column of the
-report.
-"""
+"""Columns of the tables of errors, by the names in metrics.json, those of skdgp.metrics."""
+STATISTICS = {
+    "negative_log_predictive_density": Score(
+        negative_log_predictive_density, "NLPD", number, of_band=True
+    )
+}
+"""Further columns, for the statistician."""
 
 
-def error_table(
-    scores: pd.DataFrame, noise_std=None, *, against: str, with_bands: bool = True
-) -> str:
+def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) -> str:
     """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
     columns = {
         name: score for name, score in SCORES.items()
         if (with_bands or not score.of_band) and (not score.of_baseline or scores[name].notna().any())
     }  # fmt: skip
-
-    def cells(row):
-        return [score.show(row[name]) for name, score in columns.items()]
-
-    head = ["", *(score.head for score in columns.values())]
-    noise = {} if noise_std is None else dict(zip(COEFFICIENTS, noise_std, strict=True))
-    head += ["noise σ<br>[10<sup>−3</sup>]"] if noise else []
     rows = []
     for group, members in GROUPS.items():
         rows.append([group])
-        for name in members:
-            last = (
-                [number(1e3 * noise[name], "#.2g" if noise[name] < 0.0995 else ".0f")]
-                if noise
-                else []
-            )
-            rows.append([symbol(name), *cells(scores.loc[name]), *last])
-        rows.append(
-            ["<em>mean</em>", *cells(scores.loc[list(members)].mean()), *([""] if noise else [])]
-        )
+        values = {symbol(name): scores.loc[name] for name in members}
+        values["<em>mean</em>"] = scores.loc[list(members)].mean()
+        for name, row in values.items():
+            rows.append([name, *(score.show(row[key]) for key, score in columns.items())])
+    head = ["", *(score.head for score in columns.values())]
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
 
 
-_REPLAY_COLUMNS = {
-    "median": "median<br>error",
-    "at_end": "error at the<br>window's end",
-    "spread": "spread in<br>the flight",
-    "relative": "at the end,<br>over spread",
-    "coverage": "95 %<br>coverage [%]",
-}
-"""Headings by column of `skdgp.dynamics.replay_errors`."""
-
-
-def replay_table(errors: pd.DataFrame) -> str:
-    """Return the errors of the replayed states by horizon, in the units shown."""
-    if "spread" in errors:
-        errors = errors.assign(relative=errors["at_end"] / errors["spread"])
-    columns = {name: head for name, head in _REPLAY_COLUMNS.items() if name in errors}
-
-    def show(name, value, factor):
-        if name == "coverage":
-            return percent(value)
-        if name != "relative":
-            return number(factor * value, "#.3g")
-        # Where the error is larger than the spread, a constant would do as well.
-        return f'<span class="off">▼ {number(value)}</span>' if value > 1 else number(value)
-
-    rows = []
-    for horizon in np.unique(errors["horizon"]):
-        rows.append([f"Restarted every {number(horizon, 'g')}{THIN}s"])
-        for _, row in errors[errors["horizon"] == horizon].iterrows():
-            factor, unit = display_unit(row["state"])
-            rows.append(
-                [state(row["state"]), unit, *(show(name, row[name], factor) for name in columns)]
-            )
+def statistics_table(scores: pd.DataFrame, noise_std: Iterable[float] | None) -> str:
+    """Return by coefficient the scores of `STATISTICS` and the noise that was learned."""
+    noise = dict(zip(COEFFICIENTS, noise_std, strict=True)) if noise_std is not None else {}
+    rows = [
+        [
+            symbol(name),
+            *(score.show(scores.loc[name, key]) for key, score in STATISTICS.items()),
+            *([number(1e3 * noise[name], ".3g")] if noise else []),
+        ]
+        for name in COEFFICIENTS
+    ]
+    head = ["", *(score.head for score in STATISTICS.values())]
+    head += ["noise, standard<br>deviation [10<sup>−3</sup>]"] if noise else []
     caption = (
-        "Absolute errors of the replayed states: the median over all samples, and the median over "
-        "the windows of the "
-        "error at the end of each; the standard deviation of the state in the flight; ▼ where the "
-        "error is larger than "
-        "that, so that the mean state would do as well. A replay is open loop: between restarts "
-        "no measurement "
-        "corrects it, so small errors of the coefficients add up; compare models by the shortest "
-        "window."
+        "NLPD: negative log predictive density of the measured values of all test flights, in nats "
+        "per value; smaller is better. The noise is that of the measured coefficients."
     )
-    return table(["", "unit", *columns.values()], rows, caption=caption, classes="numbers narrow")
+    return table(head, rows, caption=caption, classes="numbers narrow")
 
 
 def state(name: str) -> str:

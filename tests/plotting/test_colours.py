@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skdgp._display.page import STYLE
-from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, ROLES, dashes
+from skdgp._display.style import CYCLE, MARKERS, QUIET, ROLES, dashes
 
 # Linear RGB as dichromats see it: Machado, Oliveira & Fernandes (2009), severity 1.
 VISION = {
@@ -77,19 +77,11 @@ def test_measured_estimated_and_truth_are_far_apart(vision):
     """A difference of 2.3 is just noticed (Mahy et al. 1994)."""
     lines = [ROLES["measured"], ROLES["mean"], ROLES["truth"]]
     assert min(distances(lines, vision).values()) > 20
-    for page in (LIGHT, DARK):
-        assert (
-            min(distances([page["measured"], page["blue"], page["vermillion"]], vision).values())
-            > 20
-        )
 
 
 @pytest.mark.parametrize("vision", VISION)
 def test_colours_in_turn_are_apart(vision):
     assert min(distances(CYCLE, vision).values()) > 15
-    names = [name for colour in CYCLE for name, value in PALETTE.items() if value == colour]
-    for page in (LIGHT, DARK):
-        assert min(distances([page[name] for name in names], vision).values()) > 15
 
 
 def test_no_colour_stands_alone():
@@ -100,10 +92,10 @@ def test_no_colour_stands_alone():
 
 @pytest.mark.parametrize("page", [LIGHT, DARK], ids=["light", "dark"])
 def test_words_have_contrast(page):
-    for words in ("ink", "quiet", "alert"):
+    for words in ("ink", "quiet", "alert", "yes", "partly"):
         assert contrast(page[words], page["paper"]) >= 4.5  # WCAG 2.1, AA
     for words in ("ink", "alert"):
         assert contrast(page[words], page["tint"]) >= 4.5
-    for line in ("measured", "blue", "vermillion"):
-        assert contrast(page[line], page["paper"]) >= 3
+    for line in ("measured", "mean", "edge", "truth"):
+        assert contrast(ROLES[line], "#ffffff") >= 3
     assert contrast(QUIET, "#ffffff") >= 4.5

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from skdgp import DependentGPRegressor, effects
+from skdgp._effects import interactions
 from skdgp.plotting import EffectsDisplay
 
 
@@ -64,3 +65,28 @@ def test_joint_processes_alone_have_no_curves(model):
     display.figure_.canvas.draw()
     assert display.axes_.shape == (1, 1)
     assert [label.get_text() for label in display.axes_[0, 0].get_xticklabels()] == ["joint"]
+
+
+def test_an_interaction_is_what_effects_do_not_add_up_to(model):
+    X = pd.DataFrame(
+        np.random.default_rng(1).uniform(-0.2, 0.2, (80, 3)), columns=["alpha", "q", "r"]
+    )
+    Y = pd.DataFrame({"CZ": X["r"] + 20 * X["alpha"] * X["q"], "Cm": np.sin(5 * X["r"])})
+    joint = DependentGPRegressor(n_latent=0, max_iter=30, random_state=0).fit(X, Y)
+    found = interactions(joint, n_grid=5)
+    strongest = found["CZ"][0]
+    assert strongest.regressors == ("alpha", "q")
+    products = 20 * (X["alpha"] - X["alpha"].mean()) * (X["q"] - X["q"].mean())
+    assert strongest.share == pytest.approx(np.sqrt((products**2).mean()), rel=0.2)
+    assert found["Cm"][0].share < 0.05 * np.sin(5 * X["r"]).std()
+    # Between the two levels of q the slope by alpha differs by 20 times their distance.
+    slopes = np.ptp(strongest.mean, axis=0) / np.ptp(strongest.at) * np.sign(strongest.mean[-1])
+    assert np.diff(slopes) == pytest.approx(20 * np.diff(strongest.levels), rel=0.15)
+    assert (strongest.std >= 0).all()
+    display = EffectsDisplay.compute(joint)
+    (low, band), (high, _) = display.draw_interaction(Figure().subplots(), "CZ", 0)
+    np.testing.assert_allclose(low.get_ydata(), display.interactions["CZ"][0].mean[:, 0])
+    assert high.get_label().startswith("$q$ = ")
+    assert band is not None
+    sums = interactions(model)  # of functions of single regressors, but for the joint process
+    assert set(sums) == {"CZ", "Cm"}

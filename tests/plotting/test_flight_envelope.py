@@ -68,18 +68,6 @@ def test_the_usual_pairs_and_units_of_flight(display):
         np.testing.assert_allclose(ax.get_xlim(), np.rad2deg(points[0][[0, -1]]))
 
 
-def test_grey_areas_hold_their_shares_of_the_samples(model):
-    table = flown(20_000, 2)
-    display = EnvelopeDisplay.from_estimator(
-        model, table, pairs=[("alpha", "beta")], n_grid=4, ax=Figure((4, 4))
-    )
-    # The light area is drawn around the dark one; a point within the latter is within the outline
-    # of the former.
-    points = np.rad2deg(table[["alpha", "beta"]])
-    inside = [area.contains_points(points).mean() for area in display.density_[0].get_paths()]
-    assert inside == pytest.approx([0.95, 0.5], abs=0.03)
-
-
 def test_no_excursion_of_the_other_flight_is_lost(display):
     for (right, up), line in zip(display.pairs, display.paths_, strict=True):
         rows = display.path[[right, up]].to_numpy()

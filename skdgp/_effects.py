@@ -232,7 +232,8 @@ def interactions(
 def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -> Interaction:
     """Return how an output moves with the first of two regressors at two values of the second."""
     first, second = pair
-    grid = np.linspace(*np.quantile(rows[:, first], RANGE), n_grid)
+    low, high = np.quantile(rows[:, first], RANGE)
+    grid = np.linspace(low, high, n_grid)
     levels = np.quantile(rows[:, second], LEVELS)
     points = np.tile(rows.mean(axis=0), (2, n_grid + 1, 1))
     points[:, 1:, first] = grid  # the first row of each level is the origin of its curve

@@ -20,7 +20,7 @@ def export(run: Run) -> None:
     c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
-    build-up  build_up.json: derivatives and tables with standard deviations; build_up.png: their picture
+    build-up  build_up.json: derivatives and tables with standard deviations
     jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
 
     MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With

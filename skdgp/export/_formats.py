@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import json
 import os
@@ -101,18 +100,9 @@ def _file_bytes(model: PortableModel) -> int:
 
 
 def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    """Write the build-up, and its picture if matplotlib is installed."""
+    """Write the build-up."""
     build, files = build_up(model, aircraft), [folder / "build_up.json"]
     write_build_up(files[0], build)
-    if importlib.util.find_spec("matplotlib"):
-        from matplotlib.figure import Figure
-
-        from skdgp.plotting import BuildUpDisplay
-
-        figure = Figure(figsize=(14.5, 9.0), layout="constrained")
-        BuildUpDisplay.from_build_up(build, ax=figure)
-        files.append(folder / "build_up.png")
-        figure.savefig(files[1], dpi=100)
     return {"files": files, "loss": build.loss.to_dict("index")}
 
 

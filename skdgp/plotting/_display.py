@@ -196,7 +196,7 @@ def band_points(
     number = _slices(time, n_bins, starts)
     band = pd.DataFrame({"time": time, "lower": lower, "upper": upper, "number": number})
     slices = band[np.isfinite(band).all(axis=1)].groupby("number")
-    edges = slices.agg({"lower": "min", "upper": "max"})
+    edges = pd.DataFrame({"lower": slices["lower"].min(), "upper": slices["upper"].max()})
     both = pd.concat(
         [edges.assign(time=slices["time"].first()), edges.assign(time=slices["time"].last())]
     )

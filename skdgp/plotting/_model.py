@@ -121,7 +121,7 @@ class EffectsDisplay(Display):
         ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
         std = curve.std[:, k]
         artists = draw_curve(ax, factor * curve.at, curve.mean[:, k], std, level, "effect")
-        mark_samples(ax, factor * self.samples[regressor])
+        mark_samples(ax, factor * self.samples[regressor].to_numpy())
         ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
         ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
         ax.locator_params(axis="y", nbins=4)

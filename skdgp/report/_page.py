@@ -125,7 +125,7 @@ def _section(title: str, *parts: str, classes: str = "") -> str:
 
 def _with_contents(sections: Iterable[str]) -> str:
     """Return the sections, numbered in a list of contents before them."""
-    links = []
+    links: list[str] = []
 
     def named(match: re.Match) -> str:
         links.append(f'<a href="#s{len(links)}">{match[1]}</a>')
@@ -277,7 +277,7 @@ def _with_std(value: float, std: float | None) -> str:
 
 def _modes(modes: pd.DataFrame) -> str:
     rows = []
-    for name, row in modes.iterrows():
+    for name, row in modes.drop(columns="eigenvalue").iterrows():
         times = number(row["time_constant"], ".3g")
         limits = row.get("time_constant_lower", 1.0) * row.get("time_constant_upper", 1.0)
         if not 0 < limits < np.inf:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -84,7 +84,7 @@ def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) 
     rows = []
     for group, members in GROUPS.items():
         rows.append([group])
-        values = {symbol(name): scores.loc[name] for name in members}
+        values: dict[str, Any] = {symbol(name): scores.loc[name] for name in members}
         values["<em>mean</em>"] = scores.loc[list(members)].mean()
         for name, row in values.items():
             rows.append([name, *(score.show(row[key]) for key, score in columns.items())])
@@ -92,13 +92,13 @@ def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) 
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
 
 
-def statistics_table(scores: pd.DataFrame, noise_std: Iterable[float] | None) -> str:
+def statistics_table(scores: pd.DataFrame, noise_std: Sequence[float] | None) -> str:
     """Return by coefficient the scores of `STATISTICS` and the noise that was learned."""
     noise = dict(zip(COEFFICIENTS, noise_std, strict=True)) if noise_std is not None else {}
     rows = [
         [
             symbol(name),
-            *(score.show(scores.loc[name, key]) for key, score in STATISTICS.items()),
+            *(score.show(float(scores[key][name])) for key, score in STATISTICS.items()),
             *([number(1e3 * noise[name], ".3g")] if noise else []),
         ]
         for name in COEFFICIENTS

@@ -269,7 +269,10 @@ def _drawing(time, columns, names, estimate, level, n_bins, span, less="", windo
             half = z * std
             edges = band_points(time, mean - half, mean + half, n_bins=n_bins, starts=starts)
             # Above the measured values, which may fill the band.
-            style: dict[str, Any] = {"facecolor": (*to_rgb(ROLES["band"]), 0.35), "edgecolor": ROLES["edge"]}
+            style: dict[str, Any] = {
+                "facecolor": (*to_rgb(ROLES["band"]), 0.35),
+                "edgecolor": ROLES["edge"],
+            }
             style |= {"linewidth": 0.6, "zorder": 2.2, "label": f"{level:.0%} band"}
             band = ax.fill_between(*edges, **style)
         known = line(truth, color=ROLES["truth"], linewidth=0.9, linestyle="--", label="truth")

@@ -252,8 +252,8 @@ class TestWords:
     def test_says_what_was_done(self, html):
         words = Page(html).words
         for piece in (
-            "Brumby, six flights", "04 May 2026, 12:30", "755 of 14 400", "alpha, beta",
-            "2 shared, 6 private", "−1 234.5", "12.3 s", "skdgp 0.1.0", "45 kg",
+            "Brumby, six flights", "04 May 2026, 12:30", "755 of 14 400", "alpha, beta",
+            "2 shared, 6 private", "−1 234.5", "12.3 s", "skdgp 0.1.0", "45 kg",
             "The optimiser stopped early.",
         ):  # fmt: skip
             assert piece in words

@@ -8,7 +8,8 @@ the concordance of Lin (1989) about zero, times the ratio of scales: 1 if they a
 has the wrong sign, near 0 if one is in another unit. Other relations are the sign of a slope in
 least squares: lift grows with alpha, a positive aileron rolls right. Their agreement is t /
 sqrt(t^2 + 16), with the t value of the slope. The t values allow for errors that are correlated in
-time.
+time. Slopes of moments are those at the lag of the surfaces that explains most: under feedback a
+servo that is late turns the sign of the slope at lag zero.
 
 A cause is named only if its correction makes signals agree that contradict each other, beyond
 chance, and no other relation worse. Of several causes the one with the largest sum of agreements is
@@ -65,6 +66,10 @@ EXTRA_CHANNEL, TIE = (
     0.01,
 )  # agreement that a correction's next channel must gain; nearer causes are as probable
 CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
+LAGS = (0.0, -0.15, -0.1, -0.05, 0.05, 0.1)  # of the surfaces [s], positive where late
+# a lag is possible that leaves less than 1.5 times the least variance unexplained, and explains more
+# than 0.75 of the largest variance
+UNEXPLAINED, EXPLAINED = 1.5, 0.75
 ENOUGH = 40  # least number of windows
 LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
 MOST = 8  # most findings of one table
@@ -154,6 +159,8 @@ class Relation(NamedTuple):
     contradicts: bool = False
     t: float = 0.0
     pair: tuple[np.ndarray, np.ndarray] | None = None
+    explained: float = 0.0
+    """Explained fraction of the variance of a slope's response."""
 
     @property
     def t_value(self) -> float:
@@ -299,7 +306,7 @@ def _relations(
             for name, words, y, x in _kinematics(windows, signals):
                 found[name] = _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
         if not INERTIAL.issuperset(changed):
-            found |= {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+            found |= _slopes(windows, signals)
     return found
 
 
@@ -382,12 +389,53 @@ def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
                 )
 
 
-def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
+def _slopes(windows: Windows, signals: Signals) -> dict[str, Relation]:
+    """Return the slopes of known sign, those of moments at the lag of the surfaces that explains most.
+
+    Where another possible lag gives a slope of the other sign, its agreement is NaN.
+    """
+    found = {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
+    candidates: dict[str, list[Relation]] = {
+        name: [found[name]] for name in CONTROL if name in found
+    }
+    for lag in LAGS[1:]:
+        shifted = _without_lag(windows, signals, lag)
+        for name, *each in _aerodynamics(windows, shifted, list(candidates)):
+            candidates[name].append(_slope_sign(*each))
+    for name, slopes in candidates.items():
+        best = max(slopes, key=lambda each: each.explained)
+        lag_decides = any(
+            each.t * best.t < 0
+            and 1 - each.explained < UNEXPLAINED * (1 - best.explained)
+            and each.explained > EXPLAINED * best.explained
+            for each in slopes
+        )
+        found[name] = Relation(best.words, np.nan) if lag_decides else best
+    return found
+
+
+def _without_lag(windows: Windows, signals: Signals, lag: float) -> Signals:
+    """Return signals with surfaces corrected for a lag [s], NaN where a segment ends before."""
+    rows = np.arange(len(windows.segment))
+    place = rows + lag / windows.step
+    ends = np.clip([np.floor(place), np.ceil(place)], 0, rows[-1]).astype(int)
+    inside = (windows.segment[ends] == windows.segment).all(axis=0)
+    inside &= (place >= 0) & (place <= rows[-1])
+    return signals | {
+        name: np.where(inside, np.interp(place, rows, signals[name]), np.nan)
+        for name in ALL_SURFACES
+        if name in signals
+    }
+
+
+def _aerodynamics(
+    windows: Windows, signals: Signals, wanted: Iterable[str] | None = None
+) -> Iterator[tuple]:
     """Yield name, words, change of the response, its regressors, and the expected sign of the first one's slope.
 
-    Responses over V^2 are linear in angles, rates over V and surfaces. Both sides are integrated,
-    which needs no derivative of a noisy signal. Without alpha or beta, az / V^2 or ay / V^2 stands
-    for it.
+    Only those that are wanted, if given. Responses over V^2 are linear in angles, rates over V and
+    surfaces. Both sides are integrated, which needs no derivative of a noisy signal. Without alpha
+    or beta, az / V^2 or ay / V^2 stands for it.
     """
     if "airspeed" not in signals:
         return
@@ -421,6 +469,8 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
         ("Cn", "r", "rudder beta p r aileron", -1, "a positive rudder yaws left", windows.change),
     )
     for name, response, regressors, sign, words, growth in tables:
+        if wanted is not None and name not in wanted:
+            continue
         first, *others = regressors.split()
         if response in signals and first in terms and (first not in stand_in or first in signals):
             columns = [
@@ -430,7 +480,7 @@ def _aerodynamics(windows: Windows, signals: Signals) -> Iterator[tuple]:
             ]
             X = windows.integral(np.stack(columns, axis=-1), SHORT)
             yield name, words, growth(signals[response], SHORT), X, sign
-    if "v_down" in signals and "throttle" in signals:
+    if wanted is None and "v_down" in signals and "throttle" in signals:
         drag = [signals["az"] ** 2 / speed**2] if "az" in signals else []
         X = windows.integral(
             np.stack([signals["v_down"] / speed, speed**2, terms["throttle"], *drag], axis=-1),
@@ -480,7 +530,8 @@ def _slope_sign(words: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation
         return Relation(words, np.nan)
     residual = y - X @ (covariance @ (X.T @ y))
     t = sign * _t_value(own @ y, own * residual)
-    return Relation(words, t / np.hypot(t, LEAST_T), t < -LEAST_T, t)
+    explained = 1 - float(residual @ residual / (y @ y)) if y.any() else 0.0
+    return Relation(words, t / np.hypot(t, LEAST_T), t < -LEAST_T, t, explained=explained)
 
 
 def _t_value(total: float, products: np.ndarray) -> float:

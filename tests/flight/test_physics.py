@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import signal
 
 from skdgp._flight.frames import gravity_in_body_axes
 from skdgp._flight.physics import G, find_contradictions
@@ -126,6 +127,19 @@ def test_a_fault_is_named(flight, fault):
 def test_several_faults_are_all_named(flight):
     found = find_contradictions(scaled(DEGREES, "alpha")(opposite("p", "rudder")(flight)))
     assert {name for each in found for name in each.channels} == {"alpha", "p", "rudder"}
+
+
+def test_a_late_servo_is_no_wrong_sign():
+    """Rudder of 2 to 3 Hz, servo 0.15 s late, a third of a period: the slope at lag zero has the wrong sign."""
+    step, late = 0.025, 6
+    time = step * np.arange(6000)
+    band = signal.butter(2, (2.0, 3.0), "band", fs=1 / step, output="sos")
+    rudder = signal.sosfilt(band, np.random.default_rng(0).normal(size=time.size))
+    acceleration = -8.0 * np.roll(rudder, late)
+    r = signal.lfilter([step], [1.0, 0.5 * step - 1.0], acceleration)
+    log = pd.DataFrame({"time": time, "airspeed": 15.0, "r": r, "rudder": rudder})[late:]
+    assert find_contradictions(log) == []
+    assert len(find_contradictions(log.assign(rudder=-log["rudder"]))) == 1
 
 
 def test_good_flights_have_none():

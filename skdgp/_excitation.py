@@ -1,75 +1,42 @@
-"""Inputs that excite an aircraft, as functions of time; `skdgp.design` shows them to users.
-
-Steps and sweeps of one axis and its limits; multisines: sums of harmonics, orthogonal between axes,
-with phases of low peaks; wavetrains: inputs of several axes in a sequence, as tables that
-autopilots and simulations fly.
-"""
+"""Inputs that excite an aircraft, as functions of time: steps, multisines, and sequences of them."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
-from typing import Literal, Self, TypeVar
+from numbers import Real
+from typing import Self, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, rfft
-from scipy.optimize import brentq, minimize
-from scipy.signal import lfilter
-from sklearn.utils import check_random_state
+from scipy.optimize import minimize
 
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._compute.typing import Array, Vector
 from skdgp._flight.checks import check_names
 
-# time by which a sample may lie before a step and yet count as after it [s]: clocks are rounded
-EDGE = 1e-5
-ROUNDING = 1e-9  # relative excess of a limit that is rounding
-RMS_SAMPLES = 10_000  # samples of a signal, for its root mean square
-RATE_SAMPLES, MOST_RATE_SAMPLES = 2000, 4_000_000
-"""For the bound of the rate of a sweep: samples in a period of its highest frequency, and samples
-at most.
-"""
-MOST_PERIODS = RMS_SAMPLES // 2
-"""Largest number of periods of a signal, with two samples in each: 100 s at 50 Hz, ten minutes at 8
-Hz.
-"""
-AnySignal = TypeVar("AnySignal", bound="Signal")
-POWERS = (
-    4,
-    8,
-    16,
-    32,
-    64,
-    128,
-    256,
-)  # powers p of the norms that approach the peak in the search for phases
-SEARCH_SAMPLES, PEAK_SAMPLES = 32, 200
-"""Samples per period of the highest harmonic: in the search for phases, and for a peak."""
-MOST_STEPS, MOST_SAMPLES, MOST_STARTS = 200, 30_000_000, 1000
-"""Steps of a search for one norm, samples in all its steps together (some seconds), searches for
-one signal.
-"""
-# share of a band that evenly spaced harmonics must cover; else they are spread over it unevenly
-LEAST_COVERAGE = 0.7
-AXES = (
-    "elevator",
-    "aileron",
-    "rudder",
-    "throttle",
-    "elevon_left",
-    "elevon_right",
-    "propeller_speed",
-    "thrust",
+EDGE = 1e-5  # a sample this little before a step counts as after it [s]: clocks are rounded
+ROUNDING = 1e-9  # relative excess over a limit that is rounding
+RMS_SAMPLES = 10_000  # samples of a signal for its root mean square
+MOST_PERIODS = 5000  # periods of a multisine: 100 s at 50 Hz
+POWERS = (4, 8, 16, 32, 64, 128, 256)  # norms that approach the peak in the search for phases
+SEARCH_SAMPLES = 32  # samples per period of the highest harmonic in the search for phases
+PEAK_SAMPLES = 200  # samples per period of the highest harmonic for a peak
+MOST_STEPS = 200  # steps of the search for phases at each norm
+LEAST_COVERAGE = (
+    0.7  # fraction of a band that evenly spaced harmonics cover, or else they are uneven
 )
-MOST_ROWS = 1_000_000  # largest number of rows of a table: five hours at 50 Hz
-SAMPLES_PER_PERIOD = 10
-"""Least number of samples in the shortest period of a signal: held for one, it is late by a
-twentieth of it.
-"""
+MOST_ROWS = 1_000_000  # of a table: five hours at 50 Hz
+SAMPLES_PER_PERIOD = (
+    10  # in the shortest period: held for one, a signal is late by a twentieth of it
+)
+AXES = (
+    "elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust",
+)  # fmt: skip
+AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
 class Signal(ABC):
@@ -113,19 +80,14 @@ class Signal(ABC):
 
 @dataclass(frozen=True)
 class Limits:
-    """What an axis allows around its trim; raises ValueError if a limit is not > 0, or the lag is negative or infinite.
+    """Largest deviation of an axis from trim, and its largest rate; raises ValueError if one is not > 0.
 
     Parameters
     ----------
     amplitude : float
-        Largest deviation [rad, or 1 of the throttle].
-    rate : float
-        Largest rate of change [1/s]. Steps become ramps of this rate.
-    rms : float
-        Largest root mean square of one input, the limit of its power.
-    lag : float
-        Time constant of the servo [s]: `plan` flies surfaces that follow the inputs with a
-        first-order lag.
+        [rad, or 1 of the throttle].
+    rate : float, default=inf
+        [1/s]. Steps become ramps of this rate.
 
     Examples
     --------
@@ -139,50 +101,34 @@ class Limits:
 
     amplitude: float
     rate: float = np.inf
-    rms: float = np.inf
-    lag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("amplitude", "rate", "rms"):
-            if not (isinstance(value := getattr(self, name), Real) and float(value) > 0):
+        for name in ("amplitude", "rate"):
+            value = getattr(self, name)
+            if not (isinstance(value, Real) and float(value) > 0):
                 raise ValueError(
                     f"Got a limit {name}={value!r}, which forbids every input, but expected a "
                     f"number > 0."
                 )
-        if not (isinstance(self.lag, Real) and 0 <= self.lag < np.inf):
-            raise ValueError(
-                f"Got lag={self.lag!r}, but expected the time constant of the servo [s], 0 or more."
-            )
 
     def check(self, signal: AnySignal, axis: str = "") -> AnySignal:
         """Return an input, or raise ValueError if it exceeds a limit; ``axis`` is its name in the error."""
-        for what, name, limit in (
-            ("peak", "peak", self.amplitude), ("rate", "speed", self.rate), ("rms", "rms", self.rms)
-        ):  # fmt: skip
-            if np.isfinite(limit) and (has := getattr(signal, name)) > limit * (1.0 + ROUNDING):
-                remedy = "give its steps ramps (limits=...)" if np.isinf(has) else "make it smaller"
+        pairs = {"peak": (signal.peak, self.amplitude), "rate": (signal.speed, self.rate)}
+        for name, (value, limit) in pairs.items():
+            if value > limit * (1.0 + ROUNDING):
+                remedy = "give its steps ramps" if np.isinf(value) else "make it smaller"
                 raise ValueError(
-                    f"Got an input{axis and ' of the ' + axis} with a {what} of {has:.4g}, but "
-                    f"the limit is {limit:g}: "
-                    f"{remedy} or raise the limit."
+                    f"Got an input{axis and ' of the ' + axis} with a {name} of {value:.4g}, but "
+                    f"the limit is {limit:g}: {remedy} or raise the limit."
                 )
         return signal
 
-    def followed(self, values: Vector, step: float) -> Vector:
-        """Return what the servo makes of deviations from trim that are set every ``step`` seconds."""
-        if not self.lag:
-            return values
-        kept = np.exp(-step / self.lag)
-        return np.asarray(lfilter([0.0, 1.0 - kept], [1.0, -kept], values))
-
     def largest(self, signal: AnySignal) -> AnySignal:
-        """Return an input scaled to the largest that the limits allow; raise ValueError if its steps are no ramps."""
+        """Return an input scaled to the limits; raise ValueError if it is zero, or its steps are no ramps."""
         if not signal.peak > 0:
             raise ValueError("Got an input that is zero, but expected one to scale.")
         by_rate = self.rate / signal.speed if np.isfinite(signal.speed) else np.inf
-        return self.check(
-            signal.scaled(min(self.amplitude / signal.peak, self.rms / signal.rms, by_rate))
-        )
+        return self.check(signal.scaled(min(self.amplitude / signal.peak, by_rate)))
 
 
 UNLIMITED = Limits(np.inf)
@@ -275,61 +221,16 @@ class Steps(Signal):
     def period(self) -> float:
         return 2.0 * min(self.durations)
 
-    def levels_in(self, detent: float) -> list[float]:
-        """Return the levels, each as the next smaller multiple of a detent."""
-        return (detent * np.trunc(np.divide(self.levels, detent) * (1.0 + ROUNDING))).tolist()
-
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor, the rate of its ramps too."""
         levels = [factor * level for level in self.levels]
         return replace(self, levels=levels, rate=abs(factor) * self.rate)
 
 
-@dataclass(frozen=True)
-class Chirp(Signal):
-    """Sine of a frequency that moves through a band: see `chirp`, which makes it."""
-
-    duration: float
-    band: tuple[float, float]
-    amplitude: float
-    logarithmic: bool
-    fade: float
-
-    def __call__(self, time: ArrayLike) -> Array:
-        since = np.asarray(time, dtype=float)
-        x = np.clip(since / self.duration, 0.0, 1.0)
-        low, high = self.band
-        if self.logarithmic:
-            ratio = np.log(high / low)
-            cycles = low * self.duration * np.expm1(ratio * x) / ratio
-        else:
-            cycles = self.duration * (low * x + 0.5 * (high - low) * x**2)
-        envelope = np.sin(0.5 * np.pi * np.minimum(1.0, np.minimum(x, 1.0 - x) / self.fade)) ** 2
-        return self.amplitude * envelope * np.sin(2.0 * np.pi * cycles)
-
-    @property
-    def peak(self) -> float:
-        return abs(self.amplitude)
-
-    @property
-    def speed(self) -> float:
-        n = min(int(RATE_SAMPLES * self.duration * self.band[1]) + 1, MOST_RATE_SAMPLES)
-        values, step = self(np.linspace(0.0, self.duration, n + 1)), self.duration / n
-        fastest = np.pi * (2.0 * self.band[1] + 0.5 / (self.fade * self.duration))
-        return float(np.abs(np.diff(values)).max() / step + 0.5 * step * self.peak * fastest**2)
-
-    @property
-    def period(self) -> float:
-        return 1.0 / self.band[1]
-
-    def scaled(self, factor: float) -> Self:
-        return replace(self, amplitude=factor * self.amplitude)
-
-
 def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
     """Return a doublet: a pulse up and one down, each ``width`` seconds long; down first if the amplitude is < 0.
 
-    Its spectrum peaks at 2.33 / width [rad/s]; see `input_bands`. The rate of ``limits`` is that of
+    Its spectrum peaks at 2.33 / width [rad/s]. The rate of ``limits`` is that of
     its ramps. Raises ValueError if a limit is exceeded, or the ramps do not fit into the width.
 
     Examples
@@ -364,87 +265,10 @@ def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits
     return allowed.check(Steps([unit * width for unit in units], levels, allowed.rate))
 
 
-def chirp(
-    duration: float, band: tuple[float, float], amplitude: float, *,
-    spacing: Literal["logarithmic", "linear"] = "logarithmic", fade: float = 0.1, limits: Limits | None = None,
-) -> Chirp:  # fmt: skip
-    r"""Return a frequency sweep: a sine whose frequency moves through a band, fading in and out.
-
-    The frequency is :math:`f_0 (f_1 / f_0)^{t/T}`, the same time in each octave, or linear in time
-    (Klein & Morelli, Aircraft System Identification, 2006, chapter 9; Tischler & Remple, Aircraft
-    and Rotorcraft System Identification, 2012, chapter 5). Raises ValueError if the duration is too
-    short for the band, or a limit is exceeded.
-
-    Parameters
-    ----------
-    duration : float
-        T [s], at least a period of the lowest frequency.
-    band : tuple of float
-        First and last frequency f0, f1 [Hz].
-    amplitude : float
-    spacing : {"logarithmic", "linear"}
-    fade : float, default=0.1
-        Share of the duration over which the amplitude rises, and falls again, as sin^2; at most
-        0.5.
-    limits : Limits, optional
-
-    Returns
-    -------
-    Chirp
-
-    Examples
-    --------
-    >>> from skdgp.design import chirp
-    >>> signal = chirp(20.0, (0.2, 2.0), 0.05)
-    >>> signal([0.0, 5.0, 8.0]).round(4)
-    array([ 0.    ,  0.0401, -0.0357])
-    """
-    low, high = checked_band(band, duration)
-    if not duration * low >= 1.0 - ROUNDING:
-        raise ValueError(
-            f"Got a sweep of {duration:g} s, but a period of {low:g} Hz lasts {1.0 / low:.3g} s: "
-            f"fly longer."
-        )
-    if spacing not in ("logarithmic", "linear") or not (0 < fade <= 0.5 and np.isfinite(amplitude)):
-        raise ValueError(
-            f"Got amplitude={amplitude!r}, spacing={spacing!r}, fade={fade!r}, but expected a "
-            f"number, 'logarithmic' or "
-            "'linear', and a share in (0, 0.5]."
-        )
-    signal = Chirp(
-        float(duration), (low, high), float(amplitude), spacing == "logarithmic", float(fade)
-    )
-    return (limits or UNLIMITED).check(signal)
-
-
 def freeze(signal: Signal, kind: Callable, *names: str) -> None:
     """Make the sequences of a frozen signal tuples, so that it compares and pickles by value."""
     for name in names:
         object.__setattr__(signal, name, tuple(map(kind, getattr(signal, name))))
-
-
-def checked_band(band: tuple[float, float], duration: float) -> tuple[float, float]:
-    """Return lowest and highest frequency [Hz]; raise ValueError if they are no band, or as of `check_duration`."""
-    low, high = map(float, band)
-    if not 0 < low < high < np.inf:
-        raise ValueError(
-            f"Got a band of {low:g} to {high:g} Hz, but expected 0 < lowest < highest."
-        )
-    check_duration(duration, high * duration)
-    return low, high
-
-
-def check_duration(duration: float, periods: float) -> None:
-    """Raise ValueError if a duration [s] is none, or has more than `MOST_PERIODS` of the highest frequency."""
-    if not 0 < duration < np.inf:
-        raise ValueError(f"Got a duration of {duration} s, but expected one > 0.")
-    if periods > MOST_PERIODS:
-        high = periods / duration
-        raise ValueError(
-            f"Got {duration:g} s of up to {high:g} Hz, {periods:.3g} periods, but expected at "
-            f"most {MOST_PERIODS}: at "
-            f"most {MOST_PERIODS / high:.3g} s, or up to {MOST_PERIODS / duration:.3g} Hz."
-        )
 
 
 @dataclass(frozen=True)
@@ -456,8 +280,8 @@ class Multisine(Signal):
     System Identification, 2006, chapter 9).
 
     The duration, T [s], is the period; phases are in radians. Raises ValueError if harmonics are
-    not distinct integers > 0, the numbers of harmonics, amplitudes and phases differ, or one is not
-    finite.
+    not distinct integers > 0, there are more than 5000 periods, the numbers of harmonics,
+    amplitudes and phases differ, or one is not finite.
 
     Examples
     --------
@@ -465,7 +289,7 @@ class Multisine(Signal):
     >>> signal = multisine(10.0, range(2, 12), rms=0.03)
     >>> best = signal.optimized()
     >>> print(f"{signal.relative_peak_factor:.1f} {best.relative_peak_factor:.1f}, from {abs(best(0.0)):.3f}")
-    1.3 1.0, from 0.000
+    1.3 1.1, from 0.000
     """
 
     duration: float
@@ -475,25 +299,22 @@ class Multisine(Signal):
 
     def __post_init__(self) -> None:
         given = np.asarray(self.harmonics)
-        if not (
-            len(given)
-            and (given == given.astype(int)).all()
-            and given.min() > 0
-            and len({*given}) == len(given)
-        ):
+        is_whole = len(given) > 0 and bool((given == given.astype(int)).all())
+        if not (is_whole and given.min() > 0 and given.max() <= MOST_PERIODS):
             raise ValueError(
-                f"Got harmonics {list(self.harmonics)}, but expected distinct integers > 0."
+                f"Got harmonics {list(self.harmonics)}, but expected integers from 1 to "
+                f"{MOST_PERIODS}: choose a shorter signal or lower frequencies."
             )
-        check_duration(self.duration, int(given.max()))
-        if not len(given) == len(self.amplitudes) == len(self.phases):
+        if not len({*given}) == len(given) == len(self.amplitudes) == len(self.phases):
             raise ValueError(
                 f"Got {len(self.amplitudes)} amplitudes and {len(self.phases)} phases of "
-                f"{len(given)} harmonics, but "
-                "expected one for each."
+                f"{len({*given})} distinct harmonics, but expected one for each."
             )
-        if not np.isfinite([*self.amplitudes, *self.phases]).all():
+        numbers = np.array([self.duration, *self.amplitudes, *self.phases])
+        if not (np.isfinite(numbers).all() and self.duration > 0):
             raise ValueError(
-                "Got amplitudes or phases that are NaN or infinite, but expected finite numbers."
+                "Got a duration, amplitudes or phases that are NaN or infinite, but expected a "
+                "duration > 0 and finite numbers."
             )
         freeze(self, int, "harmonics")
         freeze(self, float, "amplitudes", "phases")
@@ -501,9 +322,7 @@ class Multisine(Signal):
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
         total = np.zeros(x.shape)
-        for k, amplitude, phase in zip(
-            self.harmonics, self.amplitudes, self.phases, strict=True
-        ):  # for memory
+        for k, amplitude, phase in zip(self.harmonics, self.amplitudes, self.phases, strict=True):
             total += amplitude * np.sin(2.0 * np.pi * k * x + phase)
         return total * ((x >= 0) & (x < 1))
 
@@ -533,51 +352,28 @@ class Multisine(Signal):
     def scaled(self, factor: float) -> Self:
         return replace(self, amplitudes=[factor * amplitude for amplitude in self.amplitudes])
 
-    def optimized(self, *, n_starts: int = 8, random_state: Seed = 0) -> Multisine:
-        r"""Return it with the phases of the lowest relative peak factor that is found, beginning and ending at zero.
+    def optimized(self) -> Multisine:
+        r"""Return it with phases of a low relative peak factor, beginning and ending at zero.
 
         The range of the signal is the limit of :math:`\|s_+\|_p + \|s_-\|_p`, which is smooth; p
-        grows step by step (Guillaume, Schoukens, Pintelon & Kollar, IEEE Trans. Instrum. Meas. 40,
-        1991). Then time is shifted to a zero. One of ``n_starts`` searches, 1 to 1000, begins at
-        Schroeder's phases, the others at random ones. Long signals of high frequencies get fewer
-        steps in each, so that all take some seconds at most.
+        grows step by step, from Schroeder's phases (Guillaume, Schoukens, Pintelon & Kollar, IEEE
+        Trans. Instrum. Meas. 40, 1991). Then time is shifted to a zero.
         """
-        if not (isinstance(n_starts, Integral) and 1 <= n_starts <= MOST_STARTS):
-            raise ValueError(
-                f"Got n_starts={n_starts!r}, but expected a whole number from 1 to {MOST_STARTS}."
-            )
-        amplitudes = np.array(self.amplitudes)
-        random = check_random_state(random_state)
-        steps = MOST_SAMPLES // (SEARCH_SAMPLES * max(self.harmonics) * len(POWERS) * n_starts)
-        steps = min(max(steps, 1), MOST_STEPS)
-        others = random.uniform(0.0, 2.0 * np.pi, (n_starts - 1, len(amplitudes)))
+        power = np.square(self.amplitudes)
         with one_blas_thread():
-            found = [
-                replace(self, phases=_flattest(self.harmonics, amplitudes, start, steps).tolist())
-                for start in (_schroeder(amplitudes**2), *others)
-            ]
-        return min(found, key=lambda one: one.relative_peak_factor)._from_zero()
-
-    def _from_zero(self) -> Multisine:
-        """Return it shifted in time to the zero crossing of least slope, so that it begins and ends at zero."""
-        harmonics, amplitudes = np.array(self.harmonics), np.array(self.amplitudes)
-
-        def value(x: float) -> float:
-            return float(np.sin(2.0 * np.pi * x * harmonics + self.phases) @ amplitudes)
-
-        signal = _sampled(self.harmonics, amplitudes, self.phases, PEAK_SAMPLES)
+            phases = _flattest(self.harmonics, np.sqrt(power / power.sum()), _schroeder(power))
+        # to the crossing of zero of least slope
+        signal = _sampled(self.harmonics, self.amplitudes, phases, PEAK_SAMPLES)
         following = np.roll(signal, -1)
         crossings = np.flatnonzero(signal * following <= 0)
         k = int(crossings[np.argmin(np.abs(following - signal)[crossings])])
-        low, high = k / len(signal), k / len(signal) + 1.0 / len(signal)
-        crosses = value(low) * value(high) < 0  # else one of them is the zero
-        at = (
-            brentq(value, low, high, xtol=1e-16)
-            if crosses
-            else min(low, high, key=lambda x: abs(value(x)))
-        )
-        phases = np.mod(self.phases + 2.0 * np.pi * harmonics * at, 2.0 * np.pi)
-        return replace(self, phases=phases.tolist())
+        fraction = signal[k] / (signal[k] - following[k]) if signal[k] != following[k] else 0.0
+        turn = 2.0 * np.pi * np.array(self.harmonics)
+        at = (k + fraction) / len(signal)
+        for _ in range(3):  # Newton's steps
+            value = np.sin(turn * at + phases) @ self.amplitudes
+            at -= value / ((turn * np.cos(turn * at + phases)) @ self.amplitudes)
+        return replace(self, phases=np.mod(phases + turn * at, 2.0 * np.pi).tolist())
 
 
 def multisine(
@@ -585,9 +381,9 @@ def multisine(
 ) -> Multisine:
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
-    With the shares :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE
-    Trans. Inf. Theory 16, 1970). `Multisine.optimized` finds better ones. Raises ValueError if
-    harmonics are not distinct integers > 0, the rms is not > 0, or a limit is exceeded.
+    With the fractions :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE
+    Trans. Inf. Theory 16, 1970). `Multisine.optimized` finds better ones. Raises ValueError as of
+    `Multisine`, if the rms is not > 0, or a limit is exceeded.
 
     Parameters
     ----------
@@ -612,23 +408,24 @@ def multisine(
     if not 0 < rms < np.inf:
         raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
     amplitudes = [rms * float(np.sqrt(2.0 / len(harmonics))) for _ in harmonics]
-    signal = Multisine(
-        duration, harmonics, amplitudes, _schroeder(np.ones(len(harmonics))).tolist()
-    )
-    return (limits or UNLIMITED).check(signal)
+    phases = _schroeder(np.ones(len(harmonics))).tolist()
+    return (limits or UNLIMITED).check(Multisine(duration, harmonics, amplitudes, phases))
 
 
 def orthogonal_multisines(
-    limits: Mapping[str, Limits | float], duration: float, band: tuple[float, float], *, n_tones: int | None = None,
-    n_starts: int = 8, random_state: Seed = 0,
-) -> dict[str, Multisine]:  # fmt: skip
+    limits: Mapping[str, Limits | float],
+    duration: float,
+    band: tuple[float, float],
+    *,
+    n_tones: int | None = None,
+) -> dict[str, Multisine]:
     """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band
     (Morelli, AIAA 2003-5700); those of an axis are evenly spaced where that covers most of the
     band, since peaks are then lower. Phases are those of `Multisine.optimized`: each input begins
-    and ends at zero. Raises ValueError if there are fewer harmonics in the band than tones, or no
-    axis.
+    and ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or
+    there is no axis.
 
     Parameters
     ----------
@@ -640,8 +437,6 @@ def orthogonal_multisines(
         Lowest and highest frequency [Hz].
     n_tones : int, optional
         Of each axis, spread over the band; by default all there are.
-    n_starts, random_state
-        As of `Multisine.optimized`.
 
     Returns
     -------
@@ -654,30 +449,25 @@ def orthogonal_multisines(
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
-    low, high = checked_band(band, duration)
-    if not limits:
+    low, high = map(float, band)
+    if not (limits and 0 < low < high and 0 < high * duration <= MOST_PERIODS):
         raise ValueError(
-            "Got no axis, but expected limits of at least one, such as {'elevator': 0.05}."
+            f"Got {len(limits)} axes, {duration:g} s and a band of {low:g} to {high:g} Hz, but "
+            f"expected an axis, 0 < lowest < highest and at most {MOST_PERIODS} periods."
         )
-    found = np.arange(
-        int(np.ceil(low * duration - ROUNDING)), int(np.floor(high * duration + ROUNDING)) + 1
-    )
-    each = len(found) // len(limits) if n_tones is None else n_tones
-    if each < 1 or each * len(limits) > len(found):
+    first = int(np.ceil(low * duration - ROUNDING))
+    found = np.arange(first, int(np.floor(high * duration + ROUNDING)) + 1)
+    n_each = len(found) // len(limits) if n_tones is None else n_tones
+    if n_each < 1 or n_each * len(limits) > len(found):
         raise ValueError(
             f"Got {len(limits)} axes with {n_tones or 'at least 1'} tones each, but there are "
-            f"{len(found)} harmonics "
-            f"of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: fly longer, widen the "
-            f"band or use fewer "
-            "tones."
+            f"{len(found)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
+            f"fly longer, widen the band or use fewer tones."
         )
     inputs = {}
-    for (axis, limit), harmonics in zip(
-        limits.items(), _dealt(found, len(limits), each), strict=True
-    ):
-        signal = multisine(duration, harmonics.tolist(), rms=1.0)
-        best = signal.optimized(n_starts=n_starts, random_state=random_state)
-        inputs[axis] = as_limits(limit).largest(best)
+    for axis, harmonics in zip(limits, _dealt(found, len(limits), n_each), strict=True):
+        signal = multisine(duration, harmonics.tolist(), rms=1.0).optimized()
+        inputs[axis] = as_limits(limits[axis]).largest(signal)
     return inputs
 
 
@@ -714,37 +504,32 @@ def _bound(harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike) -
 
 def _schroeder(power: Vector) -> Vector:
     """Return Schroeder's phases."""
-    shares = power / power.sum()
-    return -2.0 * np.pi * np.array([np.arange(k, 0, -1) @ shares[:k] for k in range(len(shares))])
+    fractions = power / power.sum()
+    order = [np.arange(k, 0, -1) @ fractions[:k] for k in range(len(fractions))]
+    return -2.0 * np.pi * np.array(order)
 
 
-def _flattest(harmonics: Sequence[int], amplitudes: Vector, phases: Vector, most: int) -> Vector:
-    """Return the phases of a local minimum of the range of a multisine, found in ``most`` steps for each norm."""
-    weights = amplitudes / np.linalg.norm(amplitudes)
+def _flattest(harmonics: Sequence[int], weights: Vector, phases: Vector) -> Vector:
+    """Return the phases of a local minimum of the range of a multisine with amplitudes ``weights``."""
 
     def size(phases: Vector, p: int) -> tuple[float, Vector]:
         """Return the sum of the p-norms of the positive and the negative part, and its gradient."""
         signal = _sampled(harmonics, weights, phases, SEARCH_SAMPLES)
-        total, by_signal = 0.0, np.zeros_like(signal)
+        total = 0.0
+        by_signal = np.zeros_like(signal)
         for sign in (1.0, -1.0):
             part = np.maximum(sign * signal, 0.0)
             ratio = part / part.max()
             mean = np.mean(ratio**p)
             total += part.max() * mean ** (1.0 / p)
             by_signal += sign * mean ** (1.0 / p - 1.0) * ratio ** (p - 1) / len(signal)
-        return total, weights * np.real(
-            np.exp(1j * phases) * np.conj(rfft(by_signal)[list(harmonics)])
-        )
+        spectrum = np.conj(rfft(by_signal)[list(harmonics)])
+        return total, weights * np.real(np.exp(1j * phases) * spectrum)
 
+    options = {"maxiter": MOST_STEPS, "maxfun": 2 * MOST_STEPS}
     for p in POWERS:
-        phases = minimize(
-            size,
-            phases,
-            args=(p,),
-            jac=True,
-            method="L-BFGS-B",
-            options={"maxiter": most, "maxfun": 2 * most},
-        ).x
+        found = minimize(size, phases, args=(p,), jac=True, method="L-BFGS-B", options=options)
+        phases = found.x
     return phases
 
 
@@ -783,8 +568,7 @@ class Wavetrain:
         for axis, limit in self.limits.items():
             if not isinstance(limit, Limits):
                 raise ValueError(
-                    f"Got {limit!r} as limits of the {axis}, but expected Limits(amplitude, rate, "
-                    f"rms)."
+                    f"Got {limit!r} as limits of the {axis}, but expected Limits(amplitude, rate)."
                 )
         for axis, start, signal in self.events():
             if not 0 <= start < np.inf:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,18 +18,15 @@ from skdgp._excitation import AXES
 from skdgp.design import (
     Envelope,
     Limits,
-    Pilot,
     Plan,
     ardupilot_script,
     surface_mixes,
-    write_csv,
     write_flight_card,
 )
 from skdgp.design import plan as plan_flight
-from skdgp.io import read_servos, servo_outputs
+from skdgp.dynamics import trim
 
-DETENTS = dict.fromkeys(AXES, float(np.deg2rad(1.0))) | {"throttle": 0.1}
-"""Of a pilot's controls [rad, or 1 of the throttle]."""
+RATE = 50.0  # of the rows of tables, and of the script [Hz]
 
 
 def plan(run: Run) -> None:
@@ -43,14 +41,13 @@ def plan(run: Run) -> None:
 
     Writes into DIR, all or none, and removes tables and scripts there that an earlier plan wrote
     and this one does not:
-      plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1]; plan_1.csv, plan_2.csv ... of
-                     several airspeeds
-      plan_servos.csv  with --servos, what the channels of the servos send: trims and inputs together
+      plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz; plan_1.csv,
+                     plan_2.csv ... of several airspeeds
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
-      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, what it teaches
+      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, what it promises
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trims, manoeuvres, risks, standard errors before and after; validate --plan compares them with
-                     the flight
+      plan.json      trims, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
+                     with those of a model learned from this flight too
       config.toml    all options of this run
 
     For example:
@@ -58,45 +55,43 @@ def plan(run: Run) -> None:
       skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
-    options, console = run.options, run.console
-    axes, limits, full = (
-        list(dict.fromkeys(options.axes)),
-        _limits(options),
-        opt.by_axis(options.full),
-    )
-    if options.servos:
-        read_servos(options.servos)
+    options = run.options
+    console = run.console
+    axes = list(dict.fromkeys(options.axes))
+    full = opt.by_axis(options.full)
+    limits = _limits(options)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    detents = (
-        None
-        if options.pilot is None
-        else {one: DETENTS[one] for one in axes} | opt.by_axis(options.pilot)
-    )
-    asked = {
+    asked: dict[str, Any] = {
         name: getattr(options, option[2:].replace("-", "_"))
         for name, option in Envelope.command_options.items()
     }
-    chosen = {
-        "growth": float(options.growth),
-        "risk": options.risk,
-        "margin": options.margin,
-        "n_paths": options.paths,
-    }
+    asked |= {"growth": float(options.growth), "risk": options.risk, "margin": options.margin}
+    envelope = Envelope(**asked, n_paths=options.paths, gusts=opt.none_of(options.gusts))
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
+    altitude = options.altitude
+    if altitude is None:  # the highest that was flown
+        altitude = envelope.altitudes(model.pipeline)[1]
+    climb = None if thrust is None else 0.0
+    trims = trim(
+        model.pipeline,
+        model.aircraft,
+        sorted(set(options.airspeed)),
+        altitude=altitude,
+        climb=climb,
+        thrust=thrust,
+    )
     with listening(console.progress), console.counting_interrupts():
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            airspeeds=sorted(set(options.airspeed)),
+            trims,
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,
             limits=limits,
-            envelope=Envelope(**asked, **chosen, gusts=opt.none_of(options.gusts)),
-            altitude=options.altitude,
-            pilot=Pilot(options.pause or "auto", options.rate, detents),
+            envelope=envelope,
             thrust=thrust,
             random_state=options.seed,
         )
@@ -107,40 +102,26 @@ def plan(run: Run) -> None:
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
     amplitudes = opt.by_axis(options.limits)
-    more = {"rate": opt.by_axis(options.rates), "lag": opt.by_axis(options.servo_lags)}
-    for option, values in zip(("--rates", "--servo-lags"), more.values(), strict=True):
-        if lacking := sorted({*values} - {*amplitudes}):
-            raise ValueError(
-                f"Got {option} of {', '.join(lacking)} without --limits, but expected both: add "
-                f"--limits."
-            )
-    return {
-        axis: Limits(
-            amplitude, **{name: values[axis] for name, values in more.items() if axis in values}
+    rates = opt.by_axis(options.rates)
+    if lacking := sorted({*rates} - {*amplitudes}):
+        raise ValueError(
+            f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add "
+            f"--limits."
         )
-        for axis, amplitude in amplitudes.items()
-    }
+    return {axis: Limits(size, rates.get(axis, np.inf)) for axis, size in amplitudes.items()}
 
 
 def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[str, Writer]:
     files: dict[str, Writer] = {}
-    rate, full = options.rate, opt.by_axis(options.full)
+    full = opt.by_axis(options.full)
     for number, train in enumerate(planned.trains, start=1):
         name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
-        files[f"{name}.csv"] = partial(write_csv, train=train, rate=rate)
+        files[f"{name}.csv"] = table_writer(train.table(RATE), ".csv")
         if full:
             try:
-                files[f"{name}.lua"] = text_writer(ardupilot_script(train, rate, full))
+                files[f"{name}.lua"] = text_writer(ardupilot_script(train, RATE, full))
             except ValueError as error:  # the plan is kept
                 warnings.warn(f"No script for ArduPilot: {error}", stacklevel=2)
-        if options.servos:
-            try:
-                table = train.table(rate, trim=planned.trims[number - 1].controls)
-                files[f"{name}_servos.csv"] = table_writer(
-                    servo_outputs(table, options.servos), ".csv"
-                )
-            except ValueError as error:
-                warnings.warn(f"No outputs of servos: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": table_writer(planned.flight, ".csv"),
@@ -151,54 +132,30 @@ def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[
 def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     rows = planned.manoeuvres
     width = max(map(len, rows["name"])) + 2
-    lines = [f"{'start':>7}  {'manoeuvre':<{width}}{'of limits':>10}{'risk':>8}{'errors':>9}"]
-    for number, trim in enumerate(planned.trims):
-        lines.append(
-            f"{trim.airspeed:g} m/s: " + ", ".join(f"{k} {v:.4g}" for k, v in trim.controls.items())
-        )
-        for _, row in rows[rows["train"] == number].iterrows():
-            risk = "-" if np.isnan(row["risk"]) else f"{row['risk']:.1%}"
-            lines.append(
-                f"{row['start']:>5.1f} s  "
-                f"{row['name']:<{width}}{row['scale']:>10.0%}{risk:>8}{-row['gain']:>9.0%}"
-            )
-    flown = {trim.airspeed for trim in planned.trims}
+    lines = [f"{'start':>7}  {'manoeuvre':<{width}}{'of limits':>10}{'risk':>8}"]
+    for number, point in enumerate(planned.trims):
+        controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
+        lines.append(f"{point.airspeed:g} m/s: {controls}")
+        for row in rows[rows["train"] == number].itertuples():
+            risk = "-" if np.isnan(row.risk) else f"{row.risk:.1%}"
+            lines.append(f"{row.start:>5.1f} s  {row.name:<{width}}{row.scale:>10.0%}{risk:>8}")
+    flown = {point.airspeed for point in planned.trims}
     if not np.isnan(planned.risk):
-        lines.append(
-            f"{'':<7}  {'risk of the flight, of any of these':<{width + 10}}{planned.risk:>8.1%}"
-        )
-    lines += [
-        f"{speed:g} m/s: nothing planned there" for speed in sorted({*options.airspeed} - flown)
-    ]
-    limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="est")
+        words = "risk of the flight, of any of these"
+        lines.append(f"{'':<7}  {words:<{width + 10}}{planned.risk:>8.1%}")
+    lines += [f"{speed:g} m/s: nothing planned there" for speed in {*options.airspeed} - flown]
+    limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="_expected")
     until = f"expected, up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
-    lines += [
-        "",
-        f"{'limits, SI units':<18}{'low':>10}{'high':>10}{'lowest':>10}{'highest':>10} {until}",
-    ]
-    lines += [
-        f"{name:<18}"
-        + "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source"))
-        + f" {row['source']}"
-        for name, row in limits.iterrows()
-    ] or ["none, not even a floor: set them by --growth, --max-bank, --floor ..."]
-    errors = planned.errors.rename(columns={"std": "std now"})
-    lines += ["", f"{'standard error of':<18}" + "".join(f"{name:>10}" for name in errors)]
-    lines += [
-        f"{name:<18}" + "".join(f"{one:>10.2g}" for one in row) for name, row in errors.iterrows()
-    ]
-    if planned.merged:
-        lines += [
-            "before: std_unmerged of derivatives; std now: its std, with what alpha_dot and "
-            "beta_dot may hold"
-        ]
-    if len(planned.confounded):
-        pairs = planned.confounded.head(5).itertuples()
-        shown = [
-            f"{one.first} and {one.second} in {one.coefficient} ({one.correlation:.2f})"
-            for one in pairs
-        ]
-        lines += ["", f"errors that are still correlated: {', '.join(shown)}"]
+    heads = ("low", "high", "lowest", "highest")
+    lines += ["", f"{'limits, SI units':<18}{''.join(f'{name:>10}' for name in heads)} {until}"]
+    for name, row in limits.iterrows():
+        numbers = "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source"))
+        lines.append(f"{name:<18}{numbers} {row['source']}")
+    if limits.empty:
+        lines.append("none, not even a floor: set them by --growth, --max-bank, --floor ...")
+    lines += ["", f"{'standard deviation':<20}{'before':>10}{'promised':>10}"]
+    for name, row in planned.errors.iterrows():
+        lines.append(f"{name:<20}{row['before']:>10.2g}{row['promised']:>10.2g}")
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])
@@ -218,33 +175,13 @@ PLAN = opt.Command(
             opt.option("--axes", "controls to move", choices=AXES, nargs="+", required=True),
             opt.option(
                 "--goal NAME",
-                "function (over what was flown), free-flight (2 s), derivatives such as Cm_q "
-                "Cn_rudder (default: all)",
+                "derivatives such as Cm_q Cn_rudder (default: all)",
                 str,
                 nargs="+",
             ),
             opt.option("--altitude M", "[m] (default: the highest that was flown)", opt.number()),
-            opt.option(
-                "--pause S",
-                "after each manoeuvre (default: by the airspeed)",
-                opt.positive("seconds"),
-            ),
-            opt.option(
-                "--rate HZ", "of the autopilot (default: 50)", opt.positive("Hz"), default=50.0
-            ),
-            opt.option(
-                "--pilot AXIS=X",
-                "only steps that a pilot can fly: half seconds, multiples of X [rad] (default: a "
-                "degree, throttle 0.1)",
-                opt.axis_value,
-                nargs="*",
-            ),
             opt.axis_values(
                 "--full", "deflections [rad] at the ends of the servos' ranges, for the script"
-            ),
-            opt.option(
-                "--servos FILE",
-                "TOML, as of identify: also writes what the channels of these servos send",
             ),
             opt.SEED,
             opt.FOLDER,
@@ -255,9 +192,6 @@ PLAN = opt.Command(
             ),
             opt.axis_values(
                 "--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"
-            ),
-            opt.axis_values(
-                "--servo-lags", "time constants [s] of servos of axes with --limits (default: none)"
             ),
             opt.option("--alpha LOW HIGH", "[rad]", opt.number(), nargs=2),
             opt.option("--beta LOW HIGH", "[rad]", opt.number(), nargs=2),
@@ -301,5 +235,5 @@ PLAN = opt.Command(
             ),
         ],
     },
-    outputs=r"plan(_\d+)?(_servos)?\.(csv|lua)",
+    outputs=r"plan(_\d+)?\.(csv|lua)",
 )

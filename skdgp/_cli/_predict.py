@@ -14,7 +14,7 @@ from skdgp._cli import _options as opt
 from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
 from skdgp._compute.progress import listening
-from skdgp.design import flown_plan
+from skdgp.design import PlanCheck
 from skdgp.dynamics import Aircraft
 from skdgp.identification import (
     check_identified,
@@ -137,13 +137,13 @@ def validate(run: Run) -> None:
 
     Its coefficients are compared with the measured ones and replayed: integrated from the measured
     state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html,
-    metrics.json and config.toml into DIR, all or none. With --plan also which of its manoeuvres
-    were flown, their responses, and what they taught.
+    metrics.json and config.toml into DIR, all or none. With --plan also the standard deviations of
+    derivatives that the plan promised, beside those of this model, which learned from its flight.
 
     For example:
       skdgp validate results/model.joblib thursday.csv
       skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
-      skdgp validate results/model.joblib thursday.csv --plan next/plan.json -o validation
+      skdgp validate both/model.joblib thursday.csv --plan next/plan.json -o validation
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
@@ -157,11 +157,11 @@ def validate(run: Run) -> None:
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **known
         )
         if options.plan is not None:
-            tables = [one.table for one in result.evaluations if one.table is not None]
-            result = replace(
-                result,
-                supplements=[flown_plan(options.plan, model.pipeline, result.aircraft, tables)],
+            thrust = None if result.settings["thrust"] in (None, "none") else "auto"
+            check = PlanCheck.from_file(
+                options.plan, model.pipeline, result.aircraft, thrust=thrust
             )
+            result = replace(result, supplements=[check])
         finish(run, replace(result, command=run.command_line))
 
 
@@ -196,7 +196,7 @@ VALIDATE = opt.Command(
             ),
             opt.option(
                 "--plan FILE",
-                "plan.json of the plan that was flown: what it expected beside what was found",
+                "plan.json of a flight that the model learned from: what it promised beside what is found",
             ),
             *opt.loads(None, None, "as of the model's fit"),
         ]

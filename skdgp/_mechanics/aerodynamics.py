@@ -145,6 +145,10 @@ class Aerodynamics:
     """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or
     to None.
     """
+    training_rows: Callable | None = None
+    """() to the regressors (n, d) that the model was learned from, or to None."""
+    training_seconds: float | None = None
+    """Duration of the flights of these rows [s]."""
 
     def __init__(
         self,
@@ -373,6 +377,8 @@ def as_aerodynamics(model: Any) -> Aerodynamics:
             chain.slope_errors,
             chain.function_errors,
         )
+        aerodynamics.training_rows = chain.training_rows
+        aerodynamics.training_seconds = getattr(model, "seconds_", None)
     return aerodynamics
 
 
@@ -397,13 +403,28 @@ class _Chain:
             / self.scale
         )
 
-    def slope_errors(self, X: Array) -> Any:
-        """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known."""
+    def slope_errors(self, X: Array, added: Array | None = None) -> Any:
+        """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known.
+
+        With ``added`` (k, d): expected after these rows are flown too.
+        """
         errors = getattr(
-            getattr(self.regressor, "estimator_", self.regressor), "slope_errors", lambda X: None
+            getattr(self.regressor, "estimator_", self.regressor),
+            "slope_errors",
+            lambda X, added: None,
         )
-        found = errors((X - self.shift) / self.scale)
+        if added is not None:
+            added = (added - self.shift) / self.scale
+        found = errors((X - self.shift) / self.scale, added)
         return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
+
+    def training_rows(self) -> Array | None:
+        """Return the regressors (n, d) that the model was learned from, None where they are not known."""
+        posterior = getattr(
+            getattr(self.regressor, "estimator_", self.regressor), "posterior_", None
+        )
+        data = None if posterior is None else posterior.samples()
+        return None if data is None else data.X[0] * self.scale + self.shift
 
     def function_errors(self) -> Any:
         """Return the errors of the function that the posterior does not contain, None where none are known."""

@@ -441,13 +441,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         mean, variance = self.posterior_.gradient(X, return_variance=True)
         return self._squeeze(mean * scale), self._squeeze(np.sqrt(variance) * scale)
 
-    def slope_errors(self, X: Matrix) -> SlopeErrors | None:
+    def slope_errors(self, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
         """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.
 
         They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random``
         errors, correlated between neighbouring samples and between outputs, and errors of the
-        ``method``. None if the samples are too few. Rows must be in
-        the order of the log.
+        ``method``. None if the samples are too few. Rows must be in the order of the log. With
+        ``added`` (k, d), errors expected after these rows are flown too.
 
         Examples
         --------
@@ -458,7 +458,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         >>> model.slope_errors(x[:1]).random.shape
         (1, 1, 1, 20)
         """
-        errors = slope_errors(self.posterior_, self._check_regressors(X))
+        if added is not None:
+            added = self._check_regressors(added)
+        errors = slope_errors(self.posterior_, self._check_regressors(X), added)
         return None if errors is None else errors.scaled(self.scale_[:, None])
 
     def function_errors(self) -> FunctionErrors | None:

@@ -12,7 +12,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.design._information import regressors_of
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, trajectory_bands
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, trajectory_bands
 
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
@@ -129,6 +129,10 @@ class Envelope:
                 grown = (low, np.inf) if name == "altitude" else (low - more, high + more)
                 found[GROWTH + name] = max(least, grown[0]), min(most, grown[1])
         return found
+
+    def altitudes(self, model: Any) -> tuple[float, float]:
+        """Return the lowest and the highest altitude that a model was learned from [m], 0 and 100 if unknown."""
+        return flown_quantities(as_aerodynamics(model)).get("altitude", (0.0, 100.0))
 
     def unlimited(self, model: Aerodynamics) -> list[str]:
         """Return what is neither given nor known to have been flown."""

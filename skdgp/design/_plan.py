@@ -1,34 +1,31 @@
-"""Planned flights: their manoeuvres, what they will teach, what they risk, and the file that says so."""
+"""Planned flights: their manoeuvres, what they promise, what they risk, and the file that says so."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Array
-from skdgp._excitation import UNLIMITED, Signal, Wavetrain
-from skdgp._flight.channels import HAT
+from skdgp._compute.files import plain
+from skdgp._compute.typing import Matrix
+from skdgp._display.page import number, percent, table, text
+from skdgp._excitation import Signal, Wavetrain
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
-from skdgp.design._information import Information, errors_of
-from skdgp.design._rehearsal import REACTION, RESPONSE, ROW_STEP
-from skdgp.dynamics import Aircraft, Trim
+from skdgp.design._rehearsal import REACTION, RESPONSE
+from skdgp.dynamics import Aircraft, Trim, stability_derivatives
 
-# stored samples of the inputs in the shortest period: a flight beside them is late by a fortieth at
-# most
-SAMPLES = 20
-GEOMETRY = ("wing_area", "span", "chord")
+TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they will teach; `write_flight_card` draws them.
+    """Flights that `plan` has chosen, and what they promise; `write_flight_card` draws them.
 
     Parameters
     ----------
@@ -36,34 +33,24 @@ class Plan:
         The inputs, a wavetrain for each trim that is flown.
     trims : tuple of Trim
         Where each wavetrain begins, and to which the aircraft is returned before each manoeuvre.
-    goal : tuple of str
-        Names of derivatives, such as ``Cm_q``, "function", "free-flight".
-    before, after : Information
-        About the derivatives, without and with the plan.
     manoeuvres : DataFrame
         In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim,
         ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to
         the limits), ``risk`` (predicted probability of leaving the envelope; NaN without
-        posterior), ``gain`` (by which part it reduces the errors of the goal, on geometric average)
-        and ``gain_per_second`` (of the logarithm of these errors).
+        posterior), and ``gain`` (by which part it reduces the standard errors of the goal by linear
+        least squares, on geometric average).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
         Of a model with a posterior also the band of 95 % of the aircraft drawn: ``alpha_low``,
         ``alpha_high`` and so on.
-    parts : tuple of Information
-        Of each manoeuvre, with ``curvature`` the mean over aircraft and entries that are drawn;
-        ``after`` is ``before`` and their sum.
+    errors : DataFrame
+        Standard deviations of the derivatives of the goal at the trims, as of
+        :func:`skdgp.dynamics.stability_derivatives` (root mean square over the trims): ``before``
+        the flight, and ``promised`` of a model learned from this flight too. NaN where the model
+        has no posterior, or does not hold its rows.
     limits : DataFrame
         ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
-    at : dict of str to float
-        Regressors about which derivatives are meant: the mean of all trims that were asked for.
-    weights : dict of str to ndarray (P, 1 + d, 1 + d)
-        Of covariances, for the goals "function" and "free-flight".
-    merged : dict of str to float
-        ``std_merged`` of derivatives at the trims (root mean square), of
-        :func:`skdgp.dynamics.stability_derivatives`: what alpha_dot and beta_dot may hold of them.
-        No flight lowers it without these regressors.
     gusts : tuple of float, optional
         Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm
         air.
@@ -71,23 +58,16 @@ class Plan:
 
     trains: tuple[Wavetrain, ...]
     trims: tuple[Trim, ...]
-    goal: tuple[str, ...]
-    before: Information
-    after: Information
     manoeuvres: pd.DataFrame
     flight: pd.DataFrame
-    parts: tuple[Information, ...]
+    errors: pd.DataFrame
     limits: pd.DataFrame
     aircraft: Aircraft
-    at: Mapping[str, float]
-    weights: Mapping[str, Array] = field(default_factory=dict)
-    merged: Mapping[str, float] = field(default_factory=dict)
     gusts: tuple[float, ...] | None = None
     response: ClassVar[float] = RESPONSE
+    """Time after a manoeuvre in which the flight tells of the aircraft [s]."""
     reaction: ClassVar[float] = REACTION
-    """How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it
-    [s].
-    """
+    """Time after a manoeuvre in which nobody acts, for which its risk counts [s]."""
 
     @property
     def risk(self) -> float:
@@ -101,22 +81,9 @@ class Plan:
         return float(first.sum() + self.manoeuvres[["duration", "pause"]].to_numpy().sum())
 
     @property
-    def errors(self) -> pd.DataFrame:
-        """Standard errors of the goal ``before`` and ``after`` the flight; before is inf where nothing is known.
-
-        They are without ``merged``. With it, ``std`` is the standard deviation before the flight
-        that :func:`skdgp.dynamics.stability_derivatives` returns, whose ``std_unmerged`` is
-        ``before``.
-        """
-        columns = {
-            name: errors_of(getattr(self, name), self.weights) for name in ("before", "after")
-        }
-        found = pd.DataFrame({name: errors[list(self.goal)] for name, errors in columns.items()})
-        if self.merged:
-            found["std"] = np.hypot(
-                found["before"], pd.Series(self.merged, dtype=float).reindex(found.index)
-            )
-        return found
+    def remaining(self) -> float:
+        """Promised standard deviations over those before, their geometric mean."""
+        return float(np.exp(np.log(self.errors["promised"] / self.errors["before"]).mean()))
 
     def inputs(self, k: int) -> dict[str, Signal]:
         """Return the inputs of a row of ``manoeuvres`` by axis."""
@@ -127,163 +94,142 @@ class Plan:
     def expected(self, rows: Sequence[int]) -> pd.DataFrame:
         """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
         flight = self.flight[self.flight["flight"].isin(list(rows))]
-        low, high = (
-            {name: flight.get(f"{name}_{end}", mean) for name, mean in quantities(flight).items()}
+        means = quantities(flight)
+        ends = {
+            end: pd.DataFrame({name: flight.get(f"{name}_{end}", means[name]) for name in means})
             for end in ("low", "high")
-        )
-        return pd.DataFrame({"low": pd.DataFrame(low).min(), "high": pd.DataFrame(high).max()})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a check after the flight needs, as plain values; inputs are what surfaces do, every ``step``."""
-        names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-        step = min(
-            ROW_STEP,
-            *(signal.period / SAMPLES for train in self.trains for _, _, signal in train.events()),
-        )
-        rows = []
-        for k, row in enumerate(self.manoeuvres.to_dict("records")):
-            limits = self.trains[int(row["train"])].limits
-            lag = max((limit.lag for limit in limits.values()), default=0.0)
-            time = np.arange(0.0, row["duration"] + 3 * lag + step, step)
-            inputs = {
-                axis: limits.get(axis, UNLIMITED).followed(signal(time), step).round(6).tolist()
-                for axis, signal in self.inputs(k).items()
-            }
-            rows.append(row | {"inputs": inputs, "expected": self.expected([k]).to_dict("index")})
-        return {
-            "curvature": self.after.fisher.shape[1] > 1 + len(self.before.regressors),
-            "aircraft": self.aircraft.to_dict(),
-            "trims": [{name: getattr(one, name) for name in names} for one in self.trims],
-            "at": dict(self.at), "step": step, "manoeuvres": rows, "risk": self.risk, "gusts": self.gusts,
-            "limits": self.limits.to_dict("index"), "errors": self.errors.to_dict("index"),
-            "confounded": self.confounded.to_dict("records"),
-            "weights": {name: value.tolist() for name, value in self.weights.items()},
-            "known": {name: np.asarray(value).tolist() for name, value in vars(self.before).items()},
-        }  # fmt: skip
+        }
+        return pd.DataFrame({"low": ends["low"].min(), "high": ends["high"].max()})
 
     @property
     def abort_limits(self) -> pd.DataFrame:
         """``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
-        both = self.limits.groupby(lambda name: name.removeprefix(GROWTH)).agg(
-            {"low": "max", "high": "min"}
-        )
-        found = both.loc[list(QUANTITIES)]
-        found["low"] = found["low"].mask(
-            (found.index == "airspeed") & (found["low"] == 0.0), -np.inf
-        )
-        finite, names = found.where(np.isfinite(found)), found.index
         sources = {"asked": "", "flown": GROWTH}
-        same = {
-            word: finite.eq(self.limits.reindex(start + names).set_axis(names))
+        tables = {
+            word: self.limits.reindex([start + name for name in QUANTITIES]).set_axis(QUANTITIES)
             for word, start in sources.items()
         }
+        low = pd.concat([table["low"] for table in tables.values()], axis=1).max(axis=1)
+        high = pd.concat([table["high"] for table in tables.values()], axis=1).min(axis=1)
+        low["airspeed"] = low["airspeed"] if low["airspeed"] > 0 else -np.inf
+        found = pd.DataFrame({"low": low, "high": high})
+        finite = found.where(np.isfinite(found))
+        is_of = {word: finite.eq(table).any(axis=1) for word, table in tables.items()}
         found["source"] = [
-            ", ".join(word for word, is_of in same.items() if is_of.loc[name].any())
-            for name in names
+            ", ".join(word for word in sources if is_of[word][name]) for name in QUANTITIES
         ]
         return found[found["source"] != ""]
 
-    @property
-    def confounded(self) -> pd.DataFrame:
-        """Pairs with a derivative of the goal that are still not told apart: see :meth:`Information.confounded`."""
-        pairs = self.after.confounded()
-        names = pairs[["first", "second"]].apply(
-            lambda one: pairs["coefficient"] + "_" + one.str.removesuffix(HAT)
-        )
-        return pairs[names.isin(self.goal).any(axis=1)].reset_index(drop=True)
-
-
-class Record(NamedTuple):
-    """What `Plan.to_dict` says of a plan, read again."""
-
-    aircraft: Mapping[str, Any]
-    before: Information
-    at: list[float]  # regressors about which derivatives are meant, in the order of ``before``
-    step: float  # of the inputs [s]
-    curvature: bool
-    weights: dict[str, Array]
-    errors: pd.DataFrame
-    limits: dict[str, tuple[float, float]]  # lowest and highest value; NaN: no limit
-    manoeuvres: list[dict[str, Any]]
-
-
-def read_plan(plan: Plan | str | os.PathLike[str]) -> Record:
-    """Return the record of a plan, or of the plan.json of ``skdgp plan``; errors are as of `flown_plan`."""
-    if isinstance(plan, Plan):
-        return record_of(plan.to_dict())
-    if not Path(plan).is_file():
-        raise FileNotFoundError(f"Got {plan} as the plan, but there is no such file.")
-    try:
-        found = json.loads(Path(plan).read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):  # no JSON, too deep, or no text
-        found = None
-    return record_of(found, str(plan))
-
-
-def record_of(plan: Any, source: str = "a dictionary") -> Record:
-    """Return the record of what `Plan.to_dict` returns; raise ValueError if a part is missing or damaged."""
-    part = "aircraft"
-    try:
-        aircraft = plan[part]
-        _finite([aircraft[name] for name in GEOMETRY])
-        part = "known"
-        known = plan[part]
-        before = Information(
-            _finite(known["fisher"]), tuple(known["coefficients"]), tuple(known["regressors"])
-        )
-        errors_of(before)
-        part = "at"
-        at = _finite([plan[part][name] for name in before.regressors]).tolist()
-        part = "step"
-        if (step := float(_finite(plan[part]))) <= 0:
-            raise ValueError
-        part = "curvature"
-        curvature = bool(plan[part])
-        part = "weights"
-        weights = {name: np.asarray(value, dtype=float) for name, value in plan[part].items()}
-        told = errors_of(before, weights)
-        part = "errors"
-        errors = (
-            pd.DataFrame.from_dict(plan[part], orient="index")[["before", "after"]]
-            .astype(float)
-            .fillna(np.inf)
-        )
-        told[[*errors.index]]
-        part = "limits"
-        pairs = {
-            name: np.array([limit["low"], limit["high"]], dtype=float)
-            for name, limit in plan[part].items()
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plan as plain values, SI units and radians."""
+        return {
+            "aircraft": self.aircraft.name,
+            "trims": [{name: plain(getattr(one, name)) for name in TRIM} for one in self.trims],
+            "manoeuvres": self.manoeuvres.to_dict("records"),
+            "risk": self.risk,
+            "gusts": self.gusts,
+            "limits": self.limits.to_dict("index"),
+            "errors": self.errors.to_dict("index"),
         }
-        limits = {name: (float(low), float(high)) for name, (low, high) in pairs.items()}
-        part = "manoeuvres"
-        for one in plan[part]:
-            expected = [
-                one["expected"][name][end] for name in QUANTITIES for end in ("low", "high")
-            ]
-            _finite([len(one["name"]), one["duration"], one["pause"], len(expected)])
-            for values in one["inputs"].values():
-                _finite(values)
-        if not (plan[part] and all(one["inputs"] for one in plan[part])):
-            raise ValueError
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-        what = (
-            f"whose {part!r} is missing or damaged"
-            if isinstance(plan, dict) and plan
-            else "which is none"
+
+
+def std_at(
+    model: Any,
+    aircraft: Aircraft,
+    trims: Sequence[Mapping[str, Any]],
+    thrust: Any,
+    added: Matrix | None = None,
+) -> pd.Series:
+    """Return the standard deviations of `stability_derivatives` by name, root mean square over trims.
+
+    Trims have "state" and "controls". The result is empty for a model without a posterior.
+    """
+    states = np.array([one["state"] for one in trims], dtype=float)
+    names = trims[0]["controls"]
+    controls = {name: np.array([one["controls"][name] for one in trims]) for name in names}
+    found = stability_derivatives(model, aircraft, states, controls, thrust=thrust, added=added)
+    if "std" not in found:
+        return pd.Series(dtype=float)
+    return np.sqrt((found["std"] ** 2).groupby(level=1).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class PlanCheck:
+    """Standard deviations of derivatives that a plan promised, and those of a model learned after its flight.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        By derivative of the goal: ``before`` and ``promised``, of the plan; ``found``, of the
+        model, at the trims of the plan.
+    """
+
+    name: ClassVar[str] = "plan"
+    errors: pd.DataFrame
+
+    @classmethod
+    def from_file(
+        cls, path: str | os.PathLike[str], model: Any, aircraft: Aircraft, *, thrust: Any = "auto"
+    ) -> PlanCheck:
+        """Compare a model with the plan.json of ``skdgp plan``.
+
+        Raises FileNotFoundError if there is no such file, ValueError if it is no plan, or the model
+        has no standard deviations of a derivative of its goal.
+
+        Parameters
+        ----------
+        path : path-like
+        model, aircraft, thrust
+            As for :func:`skdgp.dynamics.stability_derivatives`; the model has learned from the
+            planned flight too.
+
+        Returns
+        -------
+        PlanCheck
+        """
+        try:
+            plan = json.loads(Path(path).read_text(encoding="utf-8"))
+            errors = pd.DataFrame.from_dict(plan["errors"], orient="index").astype(float)
+            errors = errors[["before", "promised"]]
+            found = std_at(model, aircraft, plan["trims"], thrust)
+        except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError):
+            raise ValueError(
+                f"Got {path} as the plan, but expected the plan.json that skdgp plan "
+                f"writes: copy it again, or plan again."
+            ) from None
+        if lacking := [name for name in errors.index if name not in found]:
+            raise ValueError(
+                f"Got a plan for {lacking}, but the model has no standard deviations of them: "
+                f"judge a model with the regressors that the plan was made with."
+            )
+        return cls(errors.assign(found=found.reindex(errors.index)))
+
+    @property
+    def remaining(self) -> dict[str, float]:
+        """Geometric mean of ``promised`` and ``found`` over ``before``."""
+        ratios = self.errors[["promised", "found"]].div(self.errors["before"], axis=0)
+        return {str(name): float(value) for name, value in np.exp(np.log(ratios).mean()).items()}
+
+    def summary(self) -> list[str]:
+        """Return what was promised and found, in one line."""
+        words = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
+        return [f"standard deviations of the plan's goal, of those before it: {words}"]
+
+    def section(self) -> str:
+        """Return its section of the report, HTML."""
+        rows = [
+            [text(name), *(number(value, ".2g") for value in row)]
+            for name, row in self.errors.iterrows()
+        ]
+        words = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
+        caption = (
+            f"Standard deviations of derivatives at the trims of the plan: before its flight, "
+            f"promised by the plan, and found in this model. Geometric mean, of those before: "
+            f"{words}."
         )
-        raise ValueError(
-            f"Got {source} as the plan, {what}, but expected the plan.json that skdgp "
-            f"plan writes: copy it "
-            "again, or plan again."
-        ) from None
-    return Record(
-        aircraft, before, at, step, curvature, weights, errors, limits, plan["manoeuvres"]
-    )
+        shown = table(["derivative", *self.errors], rows, caption=caption, classes="narrow")
+        return f"<section><h2>The plan and this model</h2>{shown}</section>"
 
-
-def _finite(values: Any) -> Array:
-    """Return numbers; raise ValueError if there is none, or one that is not finite."""
-    found = np.asarray(values, dtype=float)
-    if not (found.size and np.isfinite(found).all()):
-        raise ValueError
-    return found
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {"remaining": self.remaining, "errors": self.errors.to_dict("index")}

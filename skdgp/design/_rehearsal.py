@@ -13,22 +13,16 @@ import pandas as pd
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._excitation import ROUNDING, Limits, Steps, Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
-from skdgp.design._library import MULTISINES, Inputs
+from skdgp.design._library import MULTISINES, RATE, Inputs
 from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
 
-ROW_STEP = 0.04  # time between rows of a simulation, which count as independent measurements [s]
-ENTRY = {
-    "phi": 0.035,
-    "theta": 0.035,
-}  # standard deviations of the angles from trim in which a manoeuvre begins [rad]
-ENTRY_SPEED, ENTRY_CONTROLS = 0.02, 0.02
-"""Standard deviations of the airspeed, relative to it, and of held controls, relative to their
-limits.
-"""
-LEAST = 0.2  # part of the limits below which a manoeuvre is left out
-RESPONSE, REACTION = 3.0, 1.0
-"""How long the flight after a manoeuvre tells of the aircraft, and how long nobody acts in it [s].
-"""
+ROW_STEP = 0.04  # time between rows of a simulation [s]
+ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of angles of entry from trim [rad]
+ENTRY_SPEED = 0.02  # standard deviation of the airspeed of entry, relative to it
+ENTRY_CONTROLS = 0.02  # standard deviation of held controls, relative to their limits
+LEAST = 0.2  # fraction of the limits below which a manoeuvre is left out
+RESPONSE = 3.0  # time after a manoeuvre in which the flight tells of the aircraft [s]
+REACTION = 1.0  # time after a manoeuvre in which nobody acts [s]
 
 
 class Hold(NamedTuple):
@@ -76,7 +70,6 @@ class Rehearsal:
     point: Trim
     limits: Mapping[str, Limits]
     envelope: Envelope
-    rate: float
     pause: float  # at the trim before and after each manoeuvre [s]
     thrust: Any
     seed: int
@@ -131,20 +124,16 @@ class Rehearsal:
         return self._cut(self._simulated([self.point], controls, time[-1], **options), train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
-        """Return manoeuvres, and what their surfaces do: they follow the autopilot with the lags of their servos."""
+        """Return manoeuvres, and the controls of their flights."""
         trains = [
             Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
             for inputs in several
         ]
         longest = max(train.duration for train in trains) + self.response
-        trimmed = self.point.controls
         tables = [
-            train.table(self.rate, trim=trimmed, pause=longest - train.duration) for train in trains
+            train.table(RATE, trim=self.point.controls, pause=longest - train.duration)
+            for train in trains
         ]
-        for table in tables:
-            for axis, limit in self.limits.items():
-                deviation = table[axis].to_numpy() - trimmed[axis]
-                table[axis] = trimmed[axis] + limit.followed(deviation, 1.0 / self.rate)
         return trains, tables
 
     def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:

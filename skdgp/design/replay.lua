@@ -20,17 +20,6 @@ function signals.Steps(s, t)
   return value
 end
 
-function signals.Chirp(s, t)
-  local x, low, high = t / s.duration, s.band[1], s.band[2]
-  local cycles = s.duration * (low * x + 0.5 * (high - low) * x * x)
-  if s.logarithmic then
-    local ratio = math.log(high / low)
-    cycles = low * s.duration * (math.exp(ratio * x) - 1.0) / ratio
-  end
-  local envelope = math.sin(0.5 * math.pi * math.min(1.0, x / s.fade, (1.0 - x) / s.fade)) ^ 2
-  return s.amplitude * envelope * math.sin(2.0 * math.pi * (cycles % 1.0))
-end
-
 function signals.Multisine(s, t)
   local value = 0.0
   for k, harmonic in ipairs(s.harmonics) do

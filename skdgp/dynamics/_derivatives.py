@@ -39,6 +39,7 @@ def stability_derivatives(
     random_state: Seed = 0,
     thrust: Thrust = "auto",
     air: Any = None,
+    added: ArrayLike | None = None,
 ) -> pd.DataFrame:
     r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
@@ -51,7 +52,7 @@ def stability_derivatives(
 
     Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and
     the rates p and r are in them. Raises ValueError if axes are unknown, or the model is not
-    defined there.
+    defined there, or rows are added to a model that does not hold its own.
 
     Parameters
     ----------
@@ -70,6 +71,9 @@ def stability_derivatives(
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the
         loads.
+    added : array-like of shape (k, d), optional
+        Regressors of rows that are flown next, as :func:`skdgp.design.plan` chooses them. Standard
+        deviations are then those expected of a model learned from these rows too.
 
     Returns
     -------
@@ -134,7 +138,7 @@ def stability_derivatives(
         )
     parts: dict[str, Array] = {}
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
-        parts = _deviations(motion, now, frame, n_paths, random_state)
+        parts = _deviations(motion, now, frame, n_paths, random_state, added)
     tables = [
         frame.table(values[k], {name: part[k] for name, part in parts.items()})
         for k in range(len(states))
@@ -150,27 +154,50 @@ def stability_derivatives(
 
 
 def _deviations(
-    motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed
+    motion: Motion,
+    now: Instant,
+    frame: _Frame,
+    n_paths: int,
+    random_state: Seed,
+    added: ArrayLike | None,
 ) -> dict[str, Array]:
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     X, model = now.regressors, motion.aerodynamics
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
     posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    errors = None if model.slope_errors is None else model.slope_errors(X)
+    if added is not None:
+        if errors is None:
+            raise ValueError(
+                "Got rows that are added to a model without its own, but expected one that holds "
+                "the rows it was learned from: give a pipeline of identify."
+            )
+        now_white = frame.errors(_each_output(errors.white))
+        errors = model.slope_errors(X, np.asarray(added, dtype=float))
+        then_white = frame.errors(_each_output(errors.white))
+        is_known = now_white > 0
+        # a posterior narrows as least squares does
+        posterior = posterior * np.divide(
+            then_white, now_white, out=np.ones_like(now_white), where=is_known
+        )
     if model.slope_errors is None:
         return {"std_posterior": posterior}
-    errors = model.slope_errors(X)
     scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
     lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)
     source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
     if errors is None:
         return parts
-    random, white = (
-        frame.errors(part) for part in (errors.random, errors.white[..., None] * np.eye(6)[:, None])
-    )
+    random = frame.errors(errors.random)
+    white = frame.errors(_each_output(errors.white))
     share = np.divide(white, random, out=np.full_like(white, np.nan), where=random > 0) ** 2
     parts |= {"std_random": random, "std_method": frame.errors(errors.method)}
     return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
+
+
+def _each_output(std: Array) -> Array:
+    """Return errors (n, 6, d, 6) of slopes that are independent between outputs, of standard deviations (n, 6, d)."""
+    return std[..., None] * np.eye(6)[:, None]
 
 
 def _add_errors_of_aircraft(

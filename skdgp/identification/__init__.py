@@ -8,7 +8,6 @@ from skdgp.identification._model_file import ModelFileError, load_model, save_mo
 from skdgp.identification._pipeline import (
     FlightPipeline,
     default_regressor,
-    flight_noise,
     flight_regressors,
     make_identification_pipeline,
     predict_flight,
@@ -22,7 +21,6 @@ __all__ = [
     "ModelFileError",
     "check_identified",
     "default_regressor",
-    "flight_noise",
     "flight_regressors",
     "identify",
     "load_model",

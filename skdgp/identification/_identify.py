@@ -20,7 +20,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _assumed, _evaluation, _flights
 from skdgp.identification._identification import Identification
-from skdgp.identification._pipeline import make_identification_pipeline, noise_of_motion
+from skdgp.identification._pipeline import make_identification_pipeline
 from skdgp.io import reversed_of
 from skdgp.model_selection import thin_targets
 
@@ -176,7 +176,6 @@ def identify(
         model.control_units_ = _assumed.control_units(servos)
         began = time.monotonic()
         X = model.fit_regressors(table, targets)
-        model.noise_ = noise_of_motion(X, Y, table)
         seconds = time.monotonic() - began
         aircraft = _assumed.with_vane_errors(aircraft, model)
         sources = _evaluation.thrust_sources(loads["thrust"], train.values())

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import orth
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import HAT, RATES, SENSOR_GUST, VANES
-from skdgp._flight.clock import flight_segments
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft, Turbulence, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, Turbulence
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -211,10 +208,8 @@ class FlightPipeline(Pipeline):
     control_units_ : dict of str to str
         Set by :func:`identify`: units of controls that are not those of docs/notation.md, such as
         "full throw".
-    noise_ : DataFrame or None
-        Set by :func:`identify`, used by the plan of flights: :func:`flight_noise`, which needs the
-        mass and the loads that ``fit`` does not get. Set it yourself: ``pipeline.noise_ =
-        flight_noise(pipeline, flights, aircraft)``.
+    seconds_ : float or None
+        Duration of the flights of the fit [s], without gaps; None without ``time``.
     """
 
     steps: list[tuple[str, Any]]
@@ -244,6 +239,12 @@ class FlightPipeline(Pipeline):
         return own
 
     def _learn_turbulence(self, X):
+        self.seconds_ = None
+        if "time" in X:
+            steps = np.diff(X["time"].to_numpy(float))
+            self.seconds_ = (
+                float(len(X) * np.median(steps[steps > 0])) if (steps > 0).any() else None
+            )
         rates = next(
             (step for _, step in self.steps if getattr(step, "in_simulation", None) == "rates"),
             None,
@@ -278,104 +279,6 @@ class FlightPipeline(Pipeline):
             return super().predict(X, **params)
         check_is_fitted(self)
         return _predict(self[-1], *flight_regressors(self, X), params)
-
-
-def flight_noise(
-    pipeline: Pipeline,
-    flights: pd.DataFrame,
-    aircraft: Aircraft,
-    *,
-    step: float = 0.04,
-    **loads: Any,
-) -> pd.DataFrame | None:
-    r"""Return the noise of measured coefficients at the frequencies of the motion: what decides errors of derivatives.
-
-    A smoother leaves noise at the frequencies of the motion, where it has its full effect on the
-    derivatives, and where the fit takes up a part of it. With an orthonormal basis Q of a
-    polynomial of second order, :math:`Q_1` of its linear part, the residuals :math:`r = (I - Q Q^T)
-    y` of a coefficient, and Fourier transforms over n rows, the variance of one row is
-
-    .. math:: \sigma^2 = \frac{\sum_\omega |\hat Q_1|^2 |\hat r|^2}{\sum_\omega |\hat Q_1|^2 (n - |\hat Q|^2)}
-
-    (squares are summed over columns), which is right for white noise.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Fitted.
-    flights : DataFrame (n, ...)
-        One or more flights at their full rate; the first 20,000 rows are used.
-    aircraft : Aircraft
-    step : float, default=0.04
-        Interval between the rows that the noise is for [s]. White noise of the same power per
-        frequency is larger in rows that are closer together.
-    **loads
-        As for :func:`skdgp.dynamics.aerodynamic_coefficients`: ``thrust``, for example.
-
-    Returns
-    -------
-    DataFrame or None
-        Of each coefficient the standard deviation ``white``, a ``drift`` of zero and its ``memory``
-        [s], for :func:`skdgp.design.expected_information`; None if there are less than five rows
-        for each term.
-
-    Examples
-    --------
-    >>> from skdgp import DependentGPRegressor
-    >>> from skdgp.datasets import load_example_flights
-    >>> from skdgp.dynamics import aerodynamic_coefficients
-    >>> flights = load_example_flights()
-    >>> train = flights.train[flights.train["time"] < 60]
-    >>> model = make_identification_pipeline(flights.aircraft, regressors=["alpha", "q_hat", "elevator"],
-    ...                                      reconstruction="passthrough",
-    ...                                      regressor=DependentGPRegressor(structure="trend", max_iter=2))
-    >>> model = model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-    >>> flight_noise(model, train, flights.aircraft).round(4).loc["Cm"].to_dict()
-    {'white': 0.0016, 'drift': 0.0, 'memory': 1.0}
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the fit has told them
-        X, Y = (
-            pipeline[:-1].transform(flights),
-            aerodynamic_coefficients(flights, aircraft, **loads),
-        )
-    return noise_of_motion(np.asarray(X, dtype=float), Y, flights, step)
-
-
-def noise_of_motion(
-    X: Matrix, targets: pd.DataFrame, flights: pd.DataFrame, step: float = 0.04
-) -> pd.DataFrame | None:
-    """Return `flight_noise` of regressors (n, d) and coefficients of flights."""
-    Y, terms = targets.to_numpy(), PolynomialFeatures(2)
-    known = np.flatnonzero(np.isfinite(np.column_stack([X, Y])).all(axis=1))[:MOST_ROWS]
-    if len(known) < LEAST_ROWS * terms.fit(np.zeros((1, X.shape[1]))).n_output_features_:
-        return None
-    X, Y, time = (
-        StandardScaler().fit_transform(X[known]),
-        Y[known],
-        flights["time"].to_numpy(float)[known],
-    )
-    whole, linear = (
-        orth(terms.transform(X)),
-        orth(np.column_stack([np.ones(len(X)), X])),
-    )  # Q and Q_1
-    residuals = Y - whole @ (whole.T @ Y)
-    total, share = np.zeros(Y.shape[1]), 0.0
-    segments = flight_segments(time, flights["flight"].iloc[known] if "flight" in flights else None)
-    for rows in segments:
-        moved, taken = (_power(basis[rows]).sum(axis=1) for basis in (linear, whole))
-        total, share = (
-            total + moved @ _power(residuals[rows]),
-            share + moved @ (len(time[rows]) - taken),
-        )
-    steps = np.concatenate([np.diff(time[rows]) for rows in segments])
-    white = np.sqrt(total / share * np.median(steps) / step)
-    return pd.DataFrame({"white": white, "drift": 0.0, "memory": 1.0}, index=list(targets))
-
-
-def _power(values: Matrix) -> Matrix:
-    """Return the squared Fourier transform of each column, (n // 2 + 1, k)."""
-    return np.abs(np.fft.rfft(values, axis=0)) ** 2
 
 
 def _predict(last, regressors, ratio, params):

@@ -116,7 +116,7 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
 
 
 @one_blas_thread()
-def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
+def slope_errors(posterior: Any, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
     The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of
@@ -138,8 +138,13 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     (bounds by direct and reverse regression: Frisch 1934; Klepper & Leamer 1984). Its error is
     :math:`g / \sqrt 3`, the root mean square of what lies anywhere between. Slopes by other
     regressors follow as the weights correlate.
+
+    With the regressors ``added`` (k, d) of rows that may be flown next, errors are those expected
+    after them: their targets are the means of the posterior and the residuals of the samples.
     """
     data = posterior.samples()
+    if added is not None:
+        data = _extended(data, posterior, added)
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]
     if any(part is None for part in parts):
         return None
@@ -147,7 +152,12 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     n_blocks = max(error.shape[-1] for error in errors)
     random = [np.pad(error, [(0, 0), (0, 0), (0, n_blocks - error.shape[-1])]) for error in errors]
     instrumented, std, third = np.moveaxis(np.stack(polynomials, axis=1), -1, 0)
-    flat = posterior.gradient(X) - instrumented
+    if added is None:
+        gradient = posterior.gradient(X)
+    else:
+        pairs = zip(slopes, fits, strict=True)
+        gradient = np.stack([terms @ fit.weights for terms, fit in pairs], axis=1)
+    flat = gradient - instrumented
     share = np.divide(np.abs(flat), np.hypot(flat, std), out=np.zeros_like(flat), where=flat != 0)
     noisy = [
         D @ moved for D, moved in zip(slopes, _noise_of_regressors(data, fits, rests), strict=True)
@@ -158,6 +168,16 @@ def slope_errors(posterior: Any, X: Matrix) -> SlopeErrors | None:
     return SlopeErrors(
         np.stack(random, axis=1), method, np.stack(white, axis=1), max(map(len, data.y))
     )
+
+
+def _extended(data: Data, posterior: Any, added: Matrix) -> Data:
+    """Return the data with the rows ``added``, whose residuals are those of the data, in their order."""
+    means = posterior.predict(added)
+    targets = []
+    for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        residuals = y - posterior.predict(x)[:, k]
+        targets.append(np.concatenate([y, means[:, k] + np.resize(residuals, len(added))]))
+    return Data([np.concatenate([x, added]) for x in data.X], targets)
 
 
 def _of_output(x, y, X):

@@ -99,8 +99,7 @@ class TestRepeat:
             ["simulate", "m.joblib", "--trim", "35", "--wind", "-3", "1e-3", "0", "--bank", "-.1"],
             ["derivatives", "m.joblib", "--airspeed", "30", "35.5", "--json"],
             shlex.split(
-                "plan m --airspeed 30 --seconds 9 --axes rudder --full rudder=1 --beta -.1 .1 "
-                "--pilot"
+                "plan m --airspeed 30 --seconds 9 --axes rudder --full rudder=1 --beta -.1 .1"
             ),
         ],
         ids=lambda words: words[0],

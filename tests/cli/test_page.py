@@ -15,9 +15,7 @@ QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
     "simulate": ["--duration", ".2", "--paths", "2"],
     "derivatives": ["--paths", "4"],
-    "plan": shlex.split(
-        "--seconds 10 --rate 25 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"
-    ),
+    "plan": shlex.split("--seconds 10 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"),
 }
 
 

@@ -7,7 +7,6 @@ from skdgp.design import (
     Limits,
     Multisine,
     Steps,
-    chirp,
     doublet,
     multisine,
     orthogonal_multisines,
@@ -20,76 +19,57 @@ SIGNALS = {
     "doublet": doublet(0.8, 0.1, limits=LIMITS),
     "3-2-1-1": three_two_one_one(0.5, -0.08, limits=LIMITS),
     "steps": Steps([1.0, 0.5, 2.0], [0.02, 0.1, -0.04], rate=0.5),
-    "chirp": chirp(20.0, (0.1, 1.0), 0.1, limits=LIMITS),
-    "linear chirp": chirp(20.0, (0.1, 1.0), 0.1, spacing="linear", fade=0.02),
-    "multisine": multisine(20.0, range(3, 20, 2), rms=0.05).optimized(n_starts=1),
+    "multisine": multisine(20.0, range(3, 20, 2), rms=0.05).optimized(),
 }
 
 
 @pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
 def test_a_signal_keeps_its_stated_peak_rate_and_duration(signal):
     time = np.linspace(-0.1, signal.duration + 0.1, 200_001)
-    values, step = signal(time), time[1] - time[0]
-    outside = (time < 0) | (time >= signal.duration)
-    assert (values[time < 0] == 0).all()
-    assert abs(values[time >= signal.duration]).max() < 1e-15
+    values = signal(time)
+    inside = (time >= 0) & (time < signal.duration)
+    assert abs(values[~inside]).max() < 1e-15
     assert abs(values).max() <= signal.peak <= 1.001 * abs(values).max()
-    rate = abs(np.diff(values)).max() / step
+    rate = abs(np.diff(values)).max() / (time[1] - time[0])
     assert rate <= signal.speed * (1 + 1e-9)
     assert signal.speed <= 1.005 * rate
-    assert signal.rms == pytest.approx(np.sqrt(np.mean(values[~outside] ** 2)), rel=1e-3)
+    assert signal.rms == pytest.approx(np.sqrt(np.mean(values[inside] ** 2)), rel=1e-3)
 
 
 @pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
-def test_a_scaled_signal_is_the_signal_times_the_factor(signal):
+def test_a_scaled_signal_is_the_signal_times_the_factor_and_the_largest_meets_a_limit(signal):
     scaled = signal.scaled(-0.3)
     np.testing.assert_allclose(scaled(TIME), -0.3 * signal(TIME), atol=1e-16)
     assert scaled.speed == pytest.approx(0.3 * signal.speed)
-
-
-@pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
-def test_the_largest_signal_meets_one_limit_and_exceeds_none(signal):
-    limits = Limits(0.06, rate=0.3, rms=0.03)
-    largest = limits.largest(signal)
-    limits.check(largest)
-    used = largest.peak / 0.06, largest.speed / 0.3, largest.rms / 0.03
-    assert max(used) == pytest.approx(1.0)
+    limits = Limits(0.06, rate=0.3)
+    largest = limits.check(limits.largest(signal))
+    assert max(largest.peak / 0.06, largest.speed / 0.3) == pytest.approx(1.0)
 
 
 def test_ramps_leave_the_mean_of_steps_as_it_was():
-    steps, ramps = three_two_one_one(0.5, 0.1), three_two_one_one(0.5, 0.1, limits=LIMITS)
     time = np.arange(0.0, 5.0, 1e-4)
-    assert ramps(time).sum() * 1e-4 == pytest.approx(steps(time).sum() * 1e-4, abs=1e-5)
-    assert doublet(0.5, 0.1, limits=LIMITS)(time).sum() * 1e-4 == pytest.approx(0.0, abs=1e-5)
+    for make in (three_two_one_one, doublet):
+        steps, ramps = make(0.5, 0.1), make(0.5, 0.1, limits=LIMITS)
+        assert ramps(time).mean() == pytest.approx(steps(time).mean(), abs=2e-6)
 
 
 def test_three_two_one_one_is_three_two_one_one():
     middles = 0.5 * (np.arange(8) + 0.5)
-    np.testing.assert_array_equal(
-        three_two_one_one(0.5, 0.1)(middles), [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0]
-    )
+    levels = [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0]
+    np.testing.assert_array_equal(three_two_one_one(0.5, 0.1)(middles), levels)
 
 
 def test_steps_are_not_late_by_the_rounding_of_a_clock():
-    rows = np.arange(200) * 0.1
-    values = doublet(0.3, 1.0)(rows - 0.7)
+    values = doublet(0.3, 1.0)(np.arange(200) * 0.1 - 0.7)
     np.testing.assert_array_equal(np.flatnonzero(values == 1.0), [7, 8, 9])
     np.testing.assert_array_equal(np.flatnonzero(values == -1.0), [10, 11, 12])
-
-
-def test_the_frequency_of_a_sweep_goes_through_its_band():
-    time = np.arange(0.0, 60.0, 1e-3)
-    for spacing, middle in (("logarithmic", np.sqrt(0.2 * 3.2)), ("linear", 1.7)):
-        values = chirp(60.0, (0.2, 3.2), 1.0, spacing=spacing, fade=0.01)(time)
-        rises = time[1:][(values[:-1] < 0) & (values[1:] >= 0)]
-        frequency = np.interp(30.0, 0.5 * (rises[1:] + rises[:-1]), 1 / np.diff(rises))
-        assert frequency == pytest.approx(middle, rel=0.02)
 
 
 def test_a_multisine_has_its_power_in_its_harmonics_alone():
     harmonics = np.arange(10, 60, 5)
     power = np.linspace(1.0, 3.0, 10)
-    signal = Multisine(20.0, harmonics, 0.03 * np.sqrt(2 * power / power.sum()), np.arange(10.0))
+    amplitudes = 0.03 * np.sqrt(2 * power / power.sum())
+    signal = Multisine(20.0, harmonics, amplitudes, np.arange(10.0))
     found = abs(np.fft.rfft(signal(np.arange(2000) * 0.01))) ** 2 / 2000**2
     np.testing.assert_allclose(2 * found[harmonics], 0.03**2 * power / power.sum(), rtol=1e-9)
     assert np.delete(found, harmonics).max() < 1e-20
@@ -97,21 +77,17 @@ def test_a_multisine_has_its_power_in_its_harmonics_alone():
 
 def test_schroeders_phases_are_those_of_his_paper_for_equal_power():
     order = np.arange(1, 13)
-    phases = multisine(10.0, order, rms=1.0).phases
-    np.testing.assert_allclose(
-        np.exp(1j * np.array(phases)), np.exp(-1j * np.pi * order * (order - 1) / 12)
-    )
+    phases = np.array(multisine(10.0, order, rms=1.0).phases)
+    expected = np.exp(-1j * np.pi * order * (order - 1) / 12)
+    np.testing.assert_allclose(np.exp(1j * phases), expected)
 
 
-@pytest.mark.parametrize(
-    ("duration", "band"), [(20.0, (0.1, 1.65)), (20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))]
-)
+@pytest.mark.parametrize(("duration", "band"), [(20.0, (0.4, 1.95)), (10.0, (0.1, 8.0))])
 def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band):
     axes = ("elevator", "aileron", "rudder", "throttle")
-    inputs = orthogonal_multisines(dict.fromkeys(axes, 0.1), duration, band, n_tones=8, n_starts=2)
+    inputs = orthogonal_multisines(dict.fromkeys(axes, 0.1), duration, band, n_tones=8)
     tones = np.array([one.harmonics for one in inputs.values()])
     assert len({*tones.ravel()}) == 32
-    assert (np.diff(tones, n=2) == 0).all()
     assert band[0] * duration - 1e-9 <= tones.min() < tones.max() <= band[1] * duration + 1e-9
     assert np.ptp(tones) >= 0.85 * np.ptp(band) * duration
     values = np.array([one(np.arange(4000) * duration / 4000) for one in inputs.values()])
@@ -125,32 +101,15 @@ def test_four_orthogonal_multisines_of_eight_tones_have_low_peaks(duration, band
         assert one.relative_peak_factor == pytest.approx(spread, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("axes", "tones", "more"), [(1, 1, 0), (1, 7, 6), (2, 2, 1), (3, 1, 30), (3, 2, 0), (3, 7, 2)]
-)
+@pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (2, 2, 1), (3, 1, 30), (3, 7, 2)])
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s
-    names = ("elevator", "aileron", "rudder")[:axes]
-    band = (0.1 - 1e-3, 0.1 * count + 1e-3)
-    inputs = orthogonal_multisines(dict.fromkeys(names, 0.1), 10.0, band, n_tones=tones, n_starts=1)
+    limits = dict.fromkeys(("elevator", "aileron", "rudder")[:axes], 0.1)
+    inputs = orthogonal_multisines(limits, 10.0, (0.1 - 1e-3, 0.1 * count + 1e-3), n_tones=tones)
     found = sorted(k for one in inputs.values() for k in one.harmonics)
     assert len({*found}) == axes * tones
     assert found[0] == 1
-    assert found[-1] <= count
-    if len(found) > 1:
-        assert found[-1] - 1 >= 0.7 * (count - 1)
-
-
-@pytest.mark.parametrize(
-    "signal", [chirp(100.0, (0.1, 50.0), 0.1), multisine(100.0, range(100, 5001, 700), rms=0.1)]
-)
-def test_bounds_of_the_longest_signals_are_as_sure_if_not_as_close(signal):
-    time = np.linspace(0.0, 100.0, 200_001)
-    values = signal(time)
-    rate = abs(np.diff(values)).max() / time[1]
-    assert abs(values).max() <= signal.peak <= 1.01 * abs(values).max()
-    assert rate <= signal.speed <= 1.03 * rate
-    assert signal.rms == pytest.approx(np.sqrt(np.mean(values**2)), rel=0.01)
+    assert 1 + 0.7 * (count - 1) * (len(found) > 1) <= found[-1] <= count
 
 
 @pytest.mark.parametrize(
@@ -158,38 +117,22 @@ def test_bounds_of_the_longest_signals_are_as_sure_if_not_as_close(signal):
     [
         (lambda: Limits(0.0), "forbids every input"),
         (lambda: Limits(0.1, rate=-1.0), "forbids every input"),
-        (lambda: Limits(0.1, lag=-0.1), "Got lag=-0.1, but expected the time constant"),
-        (lambda: Limits(0.1, lag=np.nan), "Got lag=nan, but expected the time constant"),
         (lambda: doublet(0.5, 0.2, limits=LIMITS), "peak of 0.2, but the limit is 0.1"),
         (lambda: doublet(0.1, 0.1, limits=LIMITS), "choose a longer duration"),
-        (lambda: chirp(20.0, (0.1, 5.0), 0.1, limits=LIMITS), "rate of 2"),
-        (lambda: multisine(20.0, [3, 5], rms=0.05, limits=Limits(0.2, rms=0.04)), "rms of 0.05"),
         (lambda: LIMITS.check(doublet(0.5, 0.1)), "ramps"),
-        (lambda: LIMITS.largest(doublet(0.5, 0.1)), "ramps"),
-        (lambda: chirp(2.0, (0.1, 5.0), 0.1), "fly longer"),
-        (lambda: chirp(20.0, (5.0, 0.1), 0.1), "lowest < highest"),
-        (lambda: chirp(20.0, (0.1, 5.0), 0.1, fade=0.0), "share"),
-        (lambda: chirp(20.0, (0.1, 5.0), np.nan), "expected a number"),
         (lambda: LIMITS.largest(doublet(0.5, 0.0)), "is zero"),
         (lambda: multisine(10.0, [1, 2], rms=0.0), "rms=0.0"),
+        (lambda: multisine(10.0, [1, 10**9], rms=0.1), "from 1 to 5000"),
         (lambda: Steps([1.0], [0.1, 0.2]), "one finite level"),
         (lambda: Steps([0.0], [0.1]), "expected all > 0"),
-        (lambda: Multisine(10.0, [1, 1], [1, 1], [0, 0]), "distinct integers"),
+        (lambda: Multisine(10.0, [1, 1], [1, 1], [0, 0]), "1 distinct harmonics"),
         (lambda: Multisine(10.0, [1, 2], [1], [0, 0]), "one for each"),
         (lambda: Multisine(-1.0, [1, 2], [1, 1], [0, 0]), "duration"),
-        (lambda: orthogonal_multisines({"elevator": 0.1, "rudder": 0.1}, 4.0, (0.3, 0.5)), "fly longer"),
-        (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "Got no axis"),
-        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000: at "
-                                                                                "most 100 s"),
-        (lambda: chirp(3600.0, (0.1, 50.0), 0.1), "at most 5000: at most 100 s"),
-        (lambda: multisine(10.0, [1, 10**9], rms=0.1), "at most 5000"),
-        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=10**9), "number from 1 to "
-                                                                             "1000"),
-        (lambda: multisine(10.0, [1, 2], rms=0.1).optimized(n_starts=0), "number from 1 to 1000"),
-        (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.2, 0.5)), "forbids every input"),
-        (lambda: orthogonal_multisines({"elevator": 0.1}, 0.0, (0.2, 0.5)), "duration of 0"),
-        (lambda: chirp(np.inf, (0.1, 1.0), 0.1), "duration of inf"),
         (lambda: Multisine(10.0, [1], [np.nan], [0.0]), "NaN or infinite"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 4.0, (0.3, 0.4)), "fly longer"),
+        (lambda: orthogonal_multisines({}, 4.0, (0.2, 0.5)), "0 axes"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 3600.0, (0.1, 50.0)), "at most 5000"),
+        (lambda: orthogonal_multisines({"elevator": 0.1}, 0.0, (0.2, 0.5)), "0 s and a band"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_flown_is_refused(make, words):

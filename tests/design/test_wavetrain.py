@@ -1,6 +1,4 @@
-"""Sequences of inputs: times, tables, limits, cards; bands from modes."""
-
-from dataclasses import replace
+"""Sequences of inputs: times, tables, limits."""
 
 import numpy as np
 import pytest
@@ -9,13 +7,11 @@ from skdgp.design import (
     Limits,
     Wavetrain,
     doublet,
-    input_bands,
     multisine,
     three_two_one_one,
     wavetrain,
 )
-from skdgp.dynamics import Aerodynamics, linearize, simulate, trim
-from skdgp.dynamics._linearize import Matrices
+from skdgp.dynamics import Aerodynamics, simulate, trim
 
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 
@@ -96,42 +92,3 @@ def test_overlapping_inputs_add_up_within_limits():
 def test_what_cannot_be_flown_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
-
-
-def test_doublets_of_the_suggested_width_have_their_spectrum_at_the_mode(uav, point):
-    bands = input_bands(linearize(MODEL, uav, point))
-    modes = linearize(MODEL, uav, point).modes()
-    time = np.arange(0.0, 2000.0, 0.01)
-    for axis, mode in (("elevator", "short period"), ("rudder", "Dutch roll")):
-        frequency = modes.loc[mode, "frequency"]
-        assert bands.loc[axis, "frequency"] == pytest.approx(frequency)
-        spectrum = abs(np.fft.rfft(doublet(bands.loc[axis, "doublet_width"], 1.0)(time)))
-        assert 2 * np.pi * spectrum.argmax() / 2000.0 == pytest.approx(frequency, rel=0.03)
-        assert (
-            bands.loc[axis, "lowest"] * 2 * np.pi
-            < frequency
-            < bands.loc[axis, "highest"] * 2 * np.pi
-        )
-    assert (
-        bands.loc[["aileron", "rudder"], "highest"] >= modes.loc["roll", "frequency"] / (2 * np.pi)
-    ).all()
-
-
-def test_modes_that_are_missing_are_said(uav, point):
-    half = linearize(MODEL, uav, point, states=["v", "p", "r", "phi"])
-    with pytest.raises(ValueError, match="elevator"):
-        input_bands(half)
-
-
-def test_a_band_is_wider_where_modes_are_uncertain(uav, point):
-    """All rates of a path are those of the mean times a factor: frequencies spread by a tenth."""
-    known = linearize(MODEL, uav, point)
-    paths = Matrices(
-        *(np.stack([f * table.to_numpy() for f in (0.9, 1.0, 1.1)]) for table in known._tables())
-    )
-    sure, unsure = (
-        input_bands(model).loc["elevator"] for model in (known, replace(known, paths=paths))
-    )
-    assert unsure["frequency"] == sure["frequency"]
-    assert unsure["lowest"] == pytest.approx(0.8 * sure["lowest"])
-    assert unsure["highest"] == pytest.approx(1.2 * sure["highest"])

@@ -14,7 +14,6 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import (
     FlightPipeline,
-    flight_noise,
     flight_regressors,
     identify,
     predict_flight,
@@ -46,22 +45,6 @@ def model(flights, cut_short):
 @pytest.fixture(scope="module")
 def test_flight(flights):
     return flights.test.iloc[:400]
-
-
-def test_noise_of_a_sensor_is_found_with_its_power(model, flights):
-    """White noise of an accelerometer has the power per frequency s^2 dt, whatever the smoother leaves of it."""
-    train, s, step = flights.train, 0.5, 0.1
-    draws = np.random.default_rng(0).standard_normal((3, len(train)))
-    noisy = [train.assign(ay=train["ay"] + s * draw) for draw in draws]
-    before, *after = (
-        flight_noise(model, one, flights.aircraft, step=step).loc["CY", "white"] ** 2 * step
-        for one in (train, *noisy)
-    )
-    scale = flights.aircraft.mass / (
-        0.5 * train["density"] * train["airspeed"] ** 2 * flights.aircraft.wing_area
-    )
-    power = (s * scale.mean()) ** 2 * train["time"].diff().median()
-    assert np.mean(after) - before == pytest.approx(power, rel=0.2)  # one has a deviation of 13 %
 
 
 ODD = [
@@ -107,10 +90,6 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
     (mean, std), (mirrored, deviation) = found[1], found[-1]
     assert (np.abs(mean - mirrored * [1, -1, 1, -1, 1, -1]) < 0.05 * std).all()
     np.testing.assert_allclose(deviation, std, rtol=0.05)
-
-
-def test_few_rows_do_not_show_the_noise(model, flights):
-    assert flight_noise(model, flights.train.iloc[:200], flights.aircraft) is None
 
 
 class TestPredict:

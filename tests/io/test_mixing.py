@@ -1,13 +1,10 @@
 """Surfaces that make controls together: by name, by weights, by the parameters of an autopilot, and back to servos."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli._plan import _writers
-from skdgp.design import Wavetrain, doublet, write_ardupilot_lua
+from skdgp.design import Wavetrain, ardupilot_script, doublet
 from skdgp.io import FlightReadError, read_flight, servo_outputs
 from skdgp.io._servos import Mixture, read_servos
 
@@ -171,42 +168,10 @@ def test_what_servos_cannot_do():
         servo_outputs(table, {"aileron": servo(1)})
 
 
-def test_a_plan_for_a_v_tail(tmp_path):
+def test_a_plan_for_a_v_tail():
     """The script moves both halves: elevator alike, rudder against each other, against ArduPilot's outputs, up."""
     train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}, "rudder": {2.0: doublet(0.5, 0.1)}})
-    write_ardupilot_lua(tmp_path / "plan.lua", train, 50.0, {"vtail_left": 0.4, "vtail_right": 0.4})
-    text = (tmp_path / "plan.lua").read_text()
+    text = ardupilot_script(train, 50.0, {"vtail_left": 0.4, "vtail_right": 0.4})
     assert "servo = 79, full = -0.4" in text
     assert "parts = {1.0, 1.0}" in text
     assert "parts = {1.0, -1.0}" in text
-
-
-def test_the_command_plan_writes_what_servos_send(tmp_path):
-    train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}})
-    tail = {"vtail_left": servo(2), "vtail_right": servo(4)}
-    trim = {"elevator": -0.05, "rudder": 0.02}
-    planned = SimpleNamespace(
-        trains=[train], trims=[SimpleNamespace(controls=trim)], flight=pd.DataFrame()
-    )
-    files = _writers(SimpleNamespace(rate=50.0, full=[], servos=tail), planned, {})
-    files["plan_servos.csv"](tmp_path / "plan_servos.csv")
-    sent = pd.read_csv(tmp_path / "plan_servos.csv")
-    pd.testing.assert_frame_equal(sent, servo_outputs(train.table(50.0, trim=trim), tail))
-    options = SimpleNamespace(rate=50.0, full=[], servos={"aileron": servo(1)})
-    with pytest.warns(UserWarning, match=r"No outputs of servos.*aileron"):
-        files = _writers(options, planned, {})
-    assert "plan_servos.csv" not in files
-
-
-def test_reversed_surfaces_of_parameters(tmp_path, dataflash):
-    outputs = pd.DataFrame({"time": np.arange(0.0, 2, 0.02)})
-    outputs = outputs.assign(**{"RCOU.C2": 1600.0, "RCOU.C4": 1700.0})
-    path = logged(outputs, tmp_path, dataflash, SERVO2_FUNCTION=19.0, SERVO4_FUNCTION=21.0)
-    one, other = (
-        read_flight(path, airborne=False, servos=f"full throw{more}").iloc[0]
-        for more in ("", ", reversed rudder")
-    )
-    assert one["rudder"] == -other["rudder"] == pytest.approx(-0.5)
-    assert one["elevator"] == other["elevator"] == pytest.approx(-0.25)
-    with pytest.raises(FlightReadError, match="as reversed, but expected some of"):
-        read_flight(path, servos="full throw, reversed wing")

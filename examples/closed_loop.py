@@ -8,7 +8,7 @@ Close the loop: explore, learn, plan, fly, and learn again::
 
 The truth is the example aircraft, simulated in gusts. After a gentle first flight a linear trend is
 learned, the next flight is planned for derivatives of Cl, Cm and Cn, and flown. The picture shows
-the planned inputs, and the derivatives after each flight with two standard errors, beside the
+the planned inputs, and the derivatives after each flight with two standard deviations, beside the
 truth. What a linear trend cannot tell stays: unseen rates of the air, the effect of alpha_dot,
 curvature. Needs matplotlib: pip install "skdgp[plot]".
 """
@@ -21,14 +21,14 @@ from matplotlib.figure import Figure
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
-from skdgp.design import Envelope, doublet, plan, posterior_information, wavetrain
+from skdgp.design import Envelope, doublet, plan, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
     FlightComputer,
     aerodynamic_coefficients,
-    as_aerodynamics,
     dryden_wind,
     simulate,
+    stability_derivatives,
     trim,
 )
 
@@ -103,32 +103,19 @@ def main(arguments=None):
     for number in range(options.rounds + 1):
         model = learn(flights, aircraft)
         steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
-        at = np.array([steady.alpha, 0.0, 0.0, 0.0, 0.0, *(steady.controls[axis] for axis in AXES)])
-        slopes = pd.DataFrame(
-            as_aerodynamics(model).gradient(at[None])[0],
-            ["CX", "CY", "CZ", "Cl", "Cm", "Cn"],
-            NAMES,
-        )
-        found.append((slopes, posterior_information(model, at).std))
+        found.append(stability_derivatives(model, aircraft, steady).loc[GOAL, ["value", "std"]])
         if number < options.rounds:
             planned = plan(
-                model, aircraft, airspeeds=SPEED, altitude=ALTITUDE, seconds=options.seconds, axes=list(AXES),
-                goal=GOAL, limits=AXES, envelope=ENVELOPE, random_state=number,
+                model, aircraft, trim(model, aircraft, SPEED, altitude=ALTITUDE), seconds=options.seconds,
+                axes=list(AXES), goal=GOAL, limits=AXES, envelope=ENVELOPE, random_state=number,
             )  # fmt: skip
             print(planned.manoeuvres[["start", "name", "scale", "risk", "gain"]].round(2))
             trains.append(planned.trains[0])
             flights.append(fly(truth, aircraft, trains[-1], options.seconds, number + 1))
 
-    exact = pd.DataFrame(truth.gradient(at_of(steady, names)[None])[0], slopes.index, names)
+    exact = stability_derivatives(truth, aircraft, steady)["value"]
     draw(trains, found, exact).savefig(options.output, dpi=120)
     print(options.output)
-
-
-def at_of(steady, names):
-    """Return the regressors of a trim."""
-    return np.array(
-        [steady.alpha if name == "alpha" else steady.controls.get(name, 0.0) for name in names]
-    )
 
 
 def draw(trains, found, exact):
@@ -144,16 +131,10 @@ def draw(trains, found, exact):
         ax.set(title=f"planned flight {k + 1}", xlabel="time [s]", ylabel="from trim [deg]")
     ax.legend(frameon=False, fontsize="small", loc="upper right")
     for ax, name in zip(below.subplots(2, 4).ravel(), GOAL, strict=True):
-        coefficient, _, regressor = name.partition("_")
-        regressor += "_hat" * (regressor in "pqr")
-        values = [slopes.loc[coefficient, regressor] for slopes, _ in found]
-        ax.errorbar(
-            range(len(found)),
-            values,
-            [2 * std.loc[coefficient, regressor] for _, std in found],
-            fmt="o",
-        )
-        ax.axhline(exact.loc[coefficient, regressor], color="black", linewidth=0.8)
+        values = [table.loc[name, "value"] for table in found]
+        deviations = [2 * table.loc[name, "std"] for table in found]
+        ax.errorbar(range(len(found)), values, deviations, fmt="o")
+        ax.axhline(exact[name], color="black", linewidth=0.8)
         ax.set(
             title=name,
             xlabel="planned flights",

@@ -172,9 +172,10 @@ def _limits(plan: Plan) -> str:
         "to abort: inputs off, and back to the trim by hand.</p>"
     )
     expected = plan.expected(range(len(plan.manoeuvres)))
+    ends = limits.reindex(QUANTITIES)[["low", "high"]].astype(float)
     rows = []
     for name in QUANTITIES:
-        low, high = (shown(name, limits[end].get(name, np.inf)) for end in ("low", "high"))
+        low, high = (shown(name, ends.loc[name, end]) for end in ("low", "high"))
         source = limits["source"].get(name, "no limit")
         span = (
             f"{shown(name, expected.loc[name, 'low'])} … {shown(name, expected.loc[name, 'high'])}"

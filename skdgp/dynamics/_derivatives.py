@@ -91,8 +91,7 @@ def stability_derivatives(
           instruments, what third powers change, and how far noise of the regressors may flatten a
           slope,
         - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
-          ``std_unmerged`` is without it: what more flights of the same kind lower, and what
-          :func:`skdgp.design.plan` plans for.
+          ``std_unmerged`` is without it: what more flights of the same kind lower.
 
         ``n_effective`` is the number of independent samples that would determine the slope as well.
         Compact models lack ``std_random``, ``std_method`` and ``n_effective``.

@@ -168,6 +168,7 @@ def flown_rows(n, size, seed):
     rng = np.random.default_rng(seed)
     X = size * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 3)), axis=0)
     noise = 0.01 * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 6)), axis=0)
+    noise[:, [1, 3, 5]] *= 1e-5  # there is a trim
     table = pd.DataFrame(X, columns=["alpha", "q_hat", "elevator"])
     return table, np.column_stack([np.ones(n), X]) @ TABLE[:, [0, 1, 4, 6]].T + noise
 

@@ -30,10 +30,6 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
-LEAST_ROWS, MOST_ROWS = (
-    5,
-    20000,
-)  # fewest rows for each term of the polynomial that is fitted, and most rows in all
 
 
 def make_identification_pipeline(

@@ -21,6 +21,7 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.inference._likelihood import Data
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block

@@ -213,9 +213,8 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
 def test_a_plan_promises_what_its_rows_would_teach(uav, point):
     model = learned(flown_rows(400, 0.02, 1))
     options = {"axes": ["elevator"], "limits": {"elevator": 0.03}, "seconds": 9.0}
-    steady = trim(model, uav, 20.0, altitude=100.0, thrust="auto")
-    found = plan(model, uav, steady, **options, goal=["Cm_q", "Cm_elevator"], envelope=FREE)
-    table = stability_derivatives(model, uav, steady)
+    found = plan(model, uav, point, **options, goal=["Cm_q", "Cm_elevator"], envelope=FREE)
+    table = stability_derivatives(model, uav, point)
     assert found.errors["before"].to_dict() == pytest.approx(
         table.loc[found.errors.index, "std"].to_dict()
     )

@@ -115,6 +115,8 @@ def _writers(trims, table, modes, numbers) -> dict[str, Writer]:
 def _text(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
     controls = ", ".join(f"{name} {value:.4g}" for name, value in one.controls.items())
     head = f"{one.airspeed:g} m/s: alpha {one.alpha / DEGREE:.3g} deg, {controls}"
+    if "std" in table:
+        head += "\nvalues, +- one standard deviation"
     return "\n".join([head, "", *_matrix(table), "", *_mode_rows(modes)])
 
 
@@ -138,19 +140,20 @@ def _matrix(table: pd.DataFrame) -> list[str]:
         ]
         lines += [
             "",
-            *wrap(f"std_unmerged, which plan counts: {', '.join(named) or 'the same'}", WIDTH),
+            *wrap(f"std_unmerged: {', '.join(named) or 'the same'}", WIDTH),
         ]
     if "std_aircraft" in table:
-        known = table[(table["value"].abs() > 0) & (table["regressor"] == "")]
-        words = [f"{name} {100 * row['std_aircraft'] / abs(row['value']):.2g} % ({row['aircraft']})"
-                 for name, row in known.iterrows()]  # fmt: skip
-        lines += [
-            "",
-            *wrap(
-                f"std_aircraft, errors of the aircraft that derivatives share: {', '.join(words)}",
-                WIDTH,
-            ),
+        sizes = table["value"].abs()
+        known = table[(table["regressor"] != "") & (sizes > 2 * table.get("std", 0.0))]
+        parts = (known["std_aircraft"] / sizes[known.index]).groupby(known["coefficient"])
+        largest = [(name, parts.get_group(key)[name]) for key, name in parts.idxmax().items()]
+        words = [
+            f"{name} {100 * part:.2g} % ({table.loc[name, 'aircraft']})" for name, part in largest
         ]
+        sentence = (
+            "std_aircraft, errors of the aircraft that derivatives share, the largest of each"
+        )
+        lines += ["", *wrap(f"{sentence} coefficient: {', '.join(words) or 'none'}", WIDTH)]
     return lines
 
 

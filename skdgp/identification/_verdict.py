@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import COEFFICIENTS, RATES
+from skdgp._flight.channels import COEFFICIENTS, RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp.dynamics import (
@@ -30,6 +31,12 @@ from skdgp.plotting import TrajectoryDisplay
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
+SIGNS = {
+    "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
+    "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
+}  # fmt: skip
+"""Signs of derivatives of a conventional stable aircraft (docs/notation.md)."""
+UNCONVERGED = "did not converge: its sensors"  # of the warning of FlightPathReconstruction
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
 # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
@@ -66,6 +73,9 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table, known = scores(evaluations)["measured"], list(train)
+    unconverged = [one for one in messages if UNCONVERGED in one]
+    other = [one for one in messages if one not in unconverged]
+    faults = _faults(mechanics.derivatives, unconverged)
     means = [
         {"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()}
         for one in evaluations
@@ -88,8 +98,12 @@ def judge(
         least_squares_error=None if linear is None else float(linear.mean()),
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
-        uses=(_prediction(table), _simulation(mechanics, fit["regressors"]), _control(mechanics)),
-        warnings=_warnings(table, flights, fit, messages),
+        uses=(
+            _prediction(table),
+            _simulation(mechanics, fit["regressors"]),
+            _control(mechanics, faults),
+        ),
+        warnings=(*faults.values(), *_warnings(table, flights, fit, other)),
         flights=flights,
     )
 
@@ -147,8 +161,26 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _control(mechanics: FlightMechanics) -> Use:
+def _faults(derivatives: pd.DataFrame, unconverged: Sequence[str]) -> dict[str, str]:
+    """Return by a short name the warnings that forbid the design of a controller."""
+    found = {}
+    if unconverged:
+        found["a reconstruction did not converge"] = " ".join(grouped(unconverged))
+    values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
+    wrong = values[values * pd.Series(SIGNS) < 0]
+    if len(wrong):
+        each = [f"{name} {value:+.2g}" for name, value in wrong.items()]
+        found[f"wrong sign of {', '.join(map(str, wrong.index))}"] = (
+            f"Signs are not those of a conventional stable aircraft: {', '.join(each)}. Look at "
+            f"the signs of the log's surfaces and rates, and at gusts without vanes."
+        )
+    return found
+
+
+def _control(mechanics: FlightMechanics, faults: Iterable[str] = ()) -> Use:
     purpose = "design a controller"
+    if faults:
+        return Use(purpose, "no", "; ".join(faults))
     if mechanics.trim is None:
         return Use(purpose, "no", mechanics.note.partition(":")[0])
     if "std" not in mechanics.derivatives:
@@ -169,7 +201,9 @@ def _control(mechanics: FlightMechanics) -> Use:
             f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
             for name, width in wide.items()
         )
-        return Use(purpose, "no", f"not known well enough: {', '.join(words)}")
+        return Use(
+            purpose, "no", f"not known well enough, half of the 95 % interval: {', '.join(words)}"
+        )
     worst = max(widths, key=lambda name: widths[name])
     reason = f"controls and fast modes are known to {100 * widths[worst]:.0f} % or better ({worst})"
     if mechanics.trim.beyond:
@@ -275,11 +309,32 @@ def flight_mechanics(
     except ValueError as error:
         found["note"] = f"No derivatives: {error}"
     try:
-        found["simulation"] = simulation_errors(pipeline, aircraft, test, settings)
-        found["simulated"] = simulated_flight(pipeline, aircraft, test, settings)
+        flown_states = [reconstructed(pipeline, table) for table in test]
+        found["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
+        found["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
     except ValueError as error:
         found["simulation_note"] = str(error)
     return FlightMechanics(**found)
+
+
+def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight with its reconstructed states and wind, unchanged without a reconstruction."""
+    steps = getattr(pipeline, "named_steps", {})
+    if not getattr(steps.get("flightpathreconstruction"), "used_", False):
+        return table
+    last = list(steps).index("flightpathreconstruction")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the evaluation has shown them
+        return table.assign(**pipeline[: last + 1].transform(table))
+
+
+def _air(parts: Sequence[pd.DataFrame]) -> Air:
+    """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""
+    density = float(np.median(np.concatenate([part["density"] for part in parts])))
+    wind = None
+    if all({*WIND, "psi"} <= {*part} for part in parts):
+        wind = [part[["time", *WIND]] for part in parts]
+    return Air(wind, density=density)
 
 
 def _thrust(settings: dict) -> Any:
@@ -322,7 +377,8 @@ def simulation_errors(
 ) -> pd.DataFrame:
     """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
 
-    It is in still air, and started again every longest horizon. Columns: ``spread``, the standard
+    It flies in the estimated wind and gusts, else in still air, and is started again every longest
+    horizon. Columns: ``spread``, the standard
     deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times
     the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
     time [s] at which the error passes the limit, at most ``horizon``. Raises ValueError if it
@@ -342,11 +398,14 @@ def simulation_errors(
             pipeline,
             aircraft,
             starts,
-            [part.drop(columns=[*STATES, "flight"], errors="ignore") for part in parts],
+            [
+                part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
+                for part in parts
+            ],
             dt=FLIGHT_STEP,
             duration=min(float(part["time"].iloc[-1]) for part in parts),
             thrust=_thrust(settings),
-            air=Air(density=float(np.median(np.concatenate([part["density"] for part in parts])))),
+            air=_air(parts),
         )
     each = (
         [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
@@ -387,8 +446,9 @@ def simulated_flight(
     start, part = starts.iloc[len(starts) // 2], parts[len(starts) // 2]
     options: dict[str, Any] = {"dt": FLIGHT_STEP, "thrust": _thrust(settings)}
     options["duration"] = float(part["time"].iloc[-1])
-    options["air"] = Air(density=float(part["density"].median()))
-    controls = part.drop(columns=[*STATES, "flight"], errors="ignore")
+    air = _air([part])
+    options["air"] = air if air.wind is None else replace(air, wind=air.wind[0])
+    controls = part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
     n_paths = SHOWN_PATHS if as_aerodynamics(pipeline).is_uncertain else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
@@ -411,7 +471,8 @@ def _windows(
     """
     runs = []
     for table in tables:
-        smooth = table.assign(**dict(zip(STATES, unwrapped(table, STATES).T, strict=True)))
+        names = [name for name in (*STATES, "psi") if name in table]
+        smooth = table.assign(**dict(zip(names, unwrapped(table, names).T, strict=True)))
         runs += [
             smooth.iloc[run]
             for run in flight_segments(table["time"].to_numpy(float))
@@ -427,7 +488,8 @@ def _windows(
             part = run[(time >= begin) & (time <= begin + horizon)]
             if len(part) > 2 and np.isfinite(part[list(STATES)].to_numpy(float)).all():
                 first = part["time"].iloc[0]
-                start = run.loc[np.abs(time - first) <= START / 2, list(STATES)].mean()
+                names = [*STATES, *(["psi"] if {*WIND, "psi"} <= {*run} else [])]
+                start = run.loc[np.abs(time - first) <= START / 2, names].mean()
                 found.append((start, part.assign(time=part["time"] - first).reset_index(drop=True)))
     if not found or not horizon > 2 * FLIGHT_STEP:
         raise ValueError(

@@ -203,7 +203,9 @@ def _mechanics(found: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
     parts = [_note(text(found.note))]
     if found.trim is not None:
-        names = ("airspeed", "alpha", "theta", "phi", "climb")
+        names = ["airspeed", "alpha", "theta", "phi"]
+        if "climb" not in found.trim.solved:  # without a thrust it is the model's glide
+            names.append("climb")
         values = {name: getattr(found.trim, name) for name in names} | found.trim.controls
         shown = [(name, _in_words(name, value)) for name, value in values.items()]
         parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))

@@ -5,7 +5,15 @@ import pandas as pd
 import pytest
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, simulate, stability_derivatives, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    dryden_wind,
+    simulate,
+    stability_derivatives,
+    trim,
+)
 from skdgp.identification import Evaluation
 from skdgp.identification._verdict import flight_mechanics, judge, simulation_errors
 from skdgp.report import FlightMechanics
@@ -79,6 +87,7 @@ def mechanics(**changes):
     return FlightMechanics(**found | changes)
 
 
+WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 
 
@@ -163,6 +172,22 @@ class TestSimulation:
         assert wrong.loc["q", "lasts"] < 2
         assert (wrong["error"] >= true["error"]).all()
 
+    def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self, flight):
+        steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
+        wind = dryden_wind(26.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
+        controls = flight[["time", "elevator", "aileron", "rudder"]]
+        options = {"dt": 0.05, "thrust": None}
+        flown = simulate(glider(), AIRCRAFT, steady, controls, air=Air(wind, gusts=None), **options)
+        gusty = flown.drop(columns=["ended", "beyond", "flight"], errors="ignore")
+        gusty = gusty.assign(density=1.225)
+        felt = {name: np.interp(gusty["time"], wind["time"], wind[name]) for name in WIND}
+        still = simulation_errors(
+            glider(), AIRCRAFT, [gusty.drop(columns=WIND, errors="ignore")], SETTINGS
+        )
+        known = simulation_errors(glider(), AIRCRAFT, [gusty.assign(**felt)], SETTINGS)
+        assert still["lasts"].min() < 1
+        assert (known["lasts"] >= 4 * still["lasts"].min()).all()
+
     def test_gaps_are_not_flown_through(self, flight):
         broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))
         found = simulation_errors(glider(), AIRCRAFT, [broken], SETTINGS)
@@ -190,18 +215,45 @@ class TestControl:
     def test_a_wide_band_of_a_control_or_a_mode(self):
         wide = mechanics().derivatives.assign(std=[0.3, 0.01, 0.01])
         fit, reason = use(verdict(mechanics_=mechanics(derivatives=wide)), "design a controller")
-        assert (fit, reason) == ("no", "not known well enough: Cm_elevator ± 59 %")
+        assert (fit, reason) == (
+            "no",
+            "not known well enough, half of the 95 % interval: Cm_elevator ± 59 %",
+        )
         modes = pd.DataFrame(
             {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=["Dutch roll", "phugoid"]
         )
         fit, reason = use(verdict(mechanics_=mechanics(modes=modes)), "design a controller")
-        assert (fit, reason) == ("no", "not known well enough: Dutch roll ± 78 %")
+        assert (fit, reason) == (
+            "no",
+            "not known well enough, half of the 95 % interval: Dutch roll ± 78 %",
+        )
 
     def test_no_steady_flight(self):
         found = verdict(
             mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more.")
         )
         assert use(found, "design a controller") == ("no", "No steady flight was found at 20 m/s")
+
+
+def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
+    table = mechanics().derivatives
+    for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
+        wrong = pd.concat([table, pd.DataFrame({"value": [value], "std": [0.01]}, index=[name])])
+        found = verdict(mechanics_=mechanics(derivatives=wrong), messages=["A gap."])
+        assert "not those of a conventional stable aircraft" in found.warnings[0]
+        assert f"{name} {value:+.2g}" in found.warnings[0]
+        assert use(found, "design a controller") == ("no", f"wrong sign of {name}")
+        right = wrong.assign(value=wrong["value"].mask(wrong.index == name, -value))
+        found = verdict(mechanics_=mechanics(derivatives=right))
+        assert use(found, "design a controller")[0] == "yes"
+        assert found.warnings == ()
+
+
+def test_a_reconstruction_that_did_not_converge_forbids_a_controller():
+    message = "The reconstruction of flight 'a' did not converge: its sensors contradict."
+    found = verdict(messages=["A gap.", message])
+    assert found.warnings == (message, "A gap.")
+    assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
 
 
 def test_warnings_are_ranked():

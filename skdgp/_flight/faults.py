@@ -63,7 +63,7 @@ POSSIBLE = {
 RARE = 0.05
 # missing samples over more seconds are findings of their own, shorter ones one finding together
 LONG_GAP = 1.0
-MOST_SHOWN = 8  # findings that a warning names one by one
+MOST_SHOWN = 8  # kinds of findings that a warning names
 WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
 ENOUGH = 50  # least number of samples from which the usual length of runs is known
 IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
@@ -154,13 +154,20 @@ def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataF
 
 
 def faults_message(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings, each flight named once, that ends with what was ``done`` about them."""
-    by_flight = groupby(findings[:MOST_SHOWN], key=lambda each: str(each.flight))
-    parts = [
-        f"flight {flight}: {'; '.join(each.message for each in group)}"
-        for flight, group in by_flight
-    ]
-    more = len(findings) - MOST_SHOWN
+    """Return one message of many findings: of each kind of each channel the worst, and their number."""
+    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+    for each in findings:
+        kinds.setdefault((str(each.flight), each.channel, each.kind), []).append(each)
+    shown = list(kinds.items())[:MOST_SHOWN]
+    parts = []
+    for flight, group in groupby(shown, key=lambda item: item[0][0]):
+        lines = []
+        for _, alike in group:
+            worst = max(alike, key=lambda each: len(each.rows))
+            times = f"{len(alike)} times, the longest: " if len(alike) > 1 else ""
+            lines.append(f"{times}{worst.message}")
+        parts.append(f"flight {flight}: {'; '.join(lines)}")
+    more = len(kinds) - len(shown)
     rest = f"; and {more} more, see skdgp.preprocessing.inspect_flight" if more > 0 else ""
     return f"{WARNING_START}: {'; '.join(parts)}{rest}. {done}"
 

@@ -70,13 +70,15 @@ def coefficient_figure(result: FlightResult, span: Any, caption: str) -> str:
     def draw(figure, name):
         options = {"time_span": span, "n_bins": N_BINS, "legend": False}
         display.plot(figure, outputs=name, kind="both", **options)
-        figure.align_ylabels()
+        for ax in figure.axes:
+            ax.yaxis.set_label_coords(-0.185, 0.5)
 
     panels = [
         picture(
             partial(draw, name=name),
             label=f"{name} against time: measured and estimated with its 95 % band, and residuals",
             size=(WIDTH, 2.25),
+            margins=(0.82, *MARGINS[1:]),
         )
         for name in COEFFICIENTS
     ]
@@ -136,6 +138,8 @@ def simulation_figure(display: TrajectoryDisplay, caption: str) -> str:
             )
         )
     key = [("blue", "simulated", ""), ("sky", "95 % band", "area"), ("vermillion", "flown", "")]
+    if display.beyond is not None and (display.beyond > 0).any():
+        key.append(("orange", "outside what was learned from", "▬"))
     return figure(panels, caption, key)
 
 

@@ -55,13 +55,23 @@ HOW_TO_READ = (
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
     "band of 1.96 standard deviations; 95 when the band is honest.</p>"
     "<p><b>±</b> in tables is one standard deviation. Figures and the verdict have 95 % bands.</p>"
+    f"<p>{_THRESHOLDS}</p>"
     "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. A right "
     "click, or a long press, saves a figure as an SVG file.</p></div>"
 )
 N_WARNINGS = 3
+MOST_NAMED = 4
+"""Weak derivatives that are named for each input."""
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 KNOWN = 2.0
 """Standard deviations over the size of a derivative from which nobody knows it: no row for it."""
+EXCITED = {
+    "elevator": ("alpha", "alpha_dot", "q", "q_hat", "elevator"),
+    "aileron": ("p", "p_hat", "aileron"),
+    "rudder": ("beta", "beta_dot", "r", "r_hat", "rudder"),
+    "throttle": ("throttle",),
+}
+"""Regressors that move with an input: what to excite where a derivative is weak."""
 MOST_OPEN = 3
 """Flights that a page shows in full; of more only the one that is predicted worst has figures."""
 
@@ -100,7 +110,8 @@ def render_report(content: ReportContent) -> str:
 
 def _sections(content: ReportContent) -> list[str]:
     draw = can_draw()
-    parts = [_verdict(content), *content.sections, _messages(content), _assumed(content)]
+    parts = [_verdict(content), _next_flight(content.mechanics), *content.sections]
+    parts += [_messages(content), _assumed(content)]
     if not draw:
         parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
     if content.mechanics is not None:
@@ -156,7 +167,6 @@ def _verdict(content: ReportContent) -> str:
             table(head, uses, caption="What the model is good for.", classes="words"),
             f"<p>{text(found.compared())}</p>",
             _warnings("ol", found.warnings[:N_WARNINGS]),
-            _note(_THRESHOLDS),
         ]
     if found is None or len(content.test) > 1:
         rows = []
@@ -168,6 +178,43 @@ def _verdict(content: ReportContent) -> str:
         caption = "Test flights, against measured values: means of the six coefficients."
         parts.append(table(head, rows, caption=caption, classes="numbers"))
     return _section("Verdict", *parts)
+
+
+def _next_flight(found: FlightMechanics | None) -> str:
+    """Return the weak derivatives by the input that would tell them, weakest first."""
+    if found is None or "std" not in found.derivatives:
+        return ""
+    derivatives = found.derivatives
+    planes = [
+        derivatives["coefficient"].isin(names)
+        & (derivatives["regressor"].isin(MIRRORED) == (plane == "Lateral"))
+        for plane, names in GROUPED.items()
+    ]
+    derivatives = derivatives[planes[0] | planes[1]]
+    half = 1.96 * derivatives["std"] / derivatives["value"].abs()
+    weak = (
+        derivatives[half > THRESHOLDS.band].assign(half=half).sort_values("half", ascending=False)
+    )
+    rows = []
+    for axis, regressors in EXCITED.items():
+        lines = [
+            f"{derivative(row['coefficient'], str(row['regressor']))} ±{THIN}{percent(row['half'], '.0f')}{THIN}%"
+            for _, row in weak[weak["regressor"].isin(regressors)].iterrows()
+            if row["half"] < 1.96 * KNOWN
+        ]
+        if lines:
+            rows.append([axis, ", ".join(lines[:MOST_NAMED]), str(len(lines))])
+    if not rows:
+        return _section("What to fly next", _note("Every derivative is known to half its size."))
+    caption = (
+        "Inputs to excite, and the derivatives by what they move whose 95 % bands are wider than "
+        "half their values, widest first. <code>skdgp plan</code> on the model proposes manoeuvres, "
+        "their seconds and what they would leave of the errors."
+    )
+    numbers = table(
+        ["excite", "weak derivatives", "in all"], rows, caption=caption, classes="words"
+    )
+    return _section("What to fly next", numbers)
 
 
 def _tiles(found: Verdict) -> str:

@@ -55,6 +55,13 @@ def held(table, channel, first, last):
     return table
 
 
+def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
+    table = held(held(held(log(), "alpha", 400, 480), "alpha", 800, 950), "alpha", 1500, 1560)
+    match = r"sortie: 3 times, the longest: alpha is stuck at .* \(20.025 to 23.75 s, 150 samples\)"
+    with pytest.warns(FlightDataWarning, match=match):
+        FlightCheck().fit_transform(table)
+
+
 class TestCleanLogs:
     def test_a_pilot_who_holds_the_stick_is_no_fault(self):
         assert faults(log()) == []

@@ -266,9 +266,11 @@ class TestWords:
         for piece in (
             "from 6.0 minutes of 2 flights", "Air: gusts 1.0 m/s rms.", "0.131", "97.2 %",
             "least squares 0.191", "better in CX CY, equal in CZ Cl Cm, worse in Cn",
-            "simulate ◐ partly for 5 s", "hold at least 90 %", "errors of at most 0.5 of the spread",
+            "simulate ◐ partly for 5 s",
         ):  # fmt: skip
             assert piece in first
+        assert "hold at least 90 %" in words
+        assert "errors of at most 0.5 of the spread" in words
         # Three warnings come first, in their order; the fourth stands below.
         order = ["one!", "two!", "three!", "Further warnings", "four!"]
         assert sorted(order, key=first.index) == order
@@ -308,6 +310,10 @@ class TestWords:
         assert "C l aileron 0.30 ± 0.10" in words
         assert "Not told by these flights: C m throttle ." in words
         assert "± too small" in words
+        first = words[words.rindex("What to fly next") :]
+        assert "elevator C m q ± 137 %" in first
+        assert "aileron C l aileron ± 65 %" in first
+        assert "C m throttle ± " not in words  # beyond what a band means
 
     def test_modes_and_how_long_a_simulation_follows(self, numbers_only):
         columns = ["frequency", "frequency_std", "damping", "damping_std", "time_constant"]

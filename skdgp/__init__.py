@@ -3,27 +3,33 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+# isort: off
 if TYPE_CHECKING:
-    from skdgp import calibration as calibration
-    from skdgp import datasets as datasets
-    from skdgp import design as design
-    from skdgp import dynamics as dynamics
-    from skdgp import export as export
-    from skdgp import identification as identification
-    from skdgp import inference as inference
-    from skdgp import io as io
-    from skdgp import kernels as kernels
-    from skdgp import metrics as metrics
-    from skdgp import model_selection as model_selection
-    from skdgp import plotting as plotting
-    from skdgp import preprocessing as preprocessing
-    from skdgp import report as report
+    from skdgp import (
+        calibration as calibration,
+        datasets as datasets,
+        design as design,
+        dynamics as dynamics,
+        export as export,
+        identification as identification,
+        inference as inference,
+        io as io,
+        kernels as kernels,
+        metrics as metrics,
+        model_selection as model_selection,
+        plotting as plotting,
+        preprocessing as preprocessing,
+        report as report,
+    )
     from skdgp._compute.progress import listening as listening
-    from skdgp._effects import Effects as Effects
-    from skdgp._effects import effects as effects
-    from skdgp._regressor import DependentGPRegressor as DependentGPRegressor
-    from skdgp._regressor import FewRowsWarning as FewRowsWarning
+    from skdgp._effects import Effects as Effects, effects as effects
+    from skdgp._regressor import (
+        DependentGPRegressor as DependentGPRegressor,
+        FewRowsWarning as FewRowsWarning,
+    )
     from skdgp.identification import make_identification_pipeline as make_identification_pipeline
+
+# isort: on
 
 __all__ = [
     "DependentGPRegressor",

@@ -46,39 +46,6 @@ def test_every_script_can_be_asked_for_its_options(script, capsys):
     assert capsys.readouterr().out.count("--out") >= len(SCRIPTS)
 
 
-def test_interleaving_takes_turns_and_keeps_the_shortest(script):
-    common, calls = script("_common"), []
-    found = common.interleaved({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
-    assert calls == ["a", "b"] * 3
-    assert set(found) == {"a", "b"}
-
-
-def test_page_is_filled_where_there_are_results_and_left_alone_elsewhere(script):
-    page = "<!-- growth:samples -->\nold\n<!-- end -->\ntext\n<!-- growth:latents -->\nold\n<!-- end -->\n"
-    filled = script("page").filled(page, {"growth": {"samples": [{"N": 120, "seconds": 0.01234}]}})
-    assert "| 120 | 0.0123 |" in filled
-    assert filled.count("old") == 1
-    assert "text" in filled
-
-
-def test_every_table_on_the_page_has_a_script(script):
-    page = script("page")
-    text = "".join((page.DOCS / name).read_text(encoding="utf-8") for name in page.PAGES)
-    marks = page.re.findall(r"<!-- (\w+):\w+ -->", text)
-    assert marks
-    for name in marks:
-        script_of = "study" if name.startswith("study_") else name
-        assert (FOLDER / f"{script_of}.py").is_file()
-
-
-def test_worst_of_the_aircraft_are_the_lowest_coverage_and_the_largest_error(script):
-    table = {"aircraft": ["a", "b", "c"], "derivatives": [90, 80, 97], "NRMSE": [3, 2, 1]}
-    rows = importlib.import_module("pandas").DataFrame(table).to_dict("records")
-    *_, median, worst = script("freeflight_air").summarized(rows)
-    assert (median["derivatives"], median["NRMSE"]) == (90, 2)
-    assert (worst["derivatives"], worst["NRMSE"]) == (80, 3)
-
-
 class TestLikelihoodOfOthers:
     """The peers evaluate what ours evaluates: where filters are tied, ours is the LCM."""
 
@@ -157,18 +124,6 @@ class TestComparison:
         out = script("_comparison_methods").finite_differences(table)
         assert (out["alpha_dot"] == 1).all()
         assert (out["beta_dot"] == -2).all()
-
-    def test_runs_that_are_kept_are_not_run_again(self, script, tmp_path, monkeypatch):
-        comparison = script("comparison")
-        words = ["--smoke", "--no-peers", "--methods", "ols", "--out", str(tmp_path)]
-        comparison.main(words)
-        before = (tmp_path / "comparison.json").read_text()
-        monkeypatch.setattr(comparison, "run", None)
-        comparison.main(words)
-        tables = (
-            json.loads(text)["toy"] for text in (before, (tmp_path / "comparison.json").read_text())
-        )
-        assert next(tables) == next(tables)
 
     def test_gpytorchs_predictions_are_those_of_its_covariance(self, script):
         pytest.importorskip("gpytorch", reason="compares with GPyTorch, which is not installed")

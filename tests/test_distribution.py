@@ -72,8 +72,10 @@ class TestDistributions:
             name for name in held if name.startswith(("skdgp", "tests", "docs", "examples"))
         } <= tracked()
 
-    def test_to_install_hold_the_package_alone(self, tmp_path):
+    def test_to_install_hold_the_package_and_its_command_alone(self, tmp_path):
         build = pytest.importorskip("hatchling.build", exc_type=ImportError)
         with zipfile.ZipFile(tmp_path / build.build_wheel(str(tmp_path))) as archive:
             held = {name for name in archive.namelist() if ".dist-info/" not in name}
+            (scripts,) = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
+            assert b"skdgp = skdgp.__main__:run" in archive.read(scripts)
         assert held == {name for name in tracked() if name.startswith("skdgp/")}

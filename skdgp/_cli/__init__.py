@@ -9,31 +9,31 @@ import shlex
 import sys
 import traceback
 from contextlib import nullcontext
+from difflib import get_close_matches
 from importlib.metadata import version
 
-from skdgp._cli._derivatives import DERIVATIVES
-from skdgp._cli._export import EXPORT
-from skdgp._cli._identify import DEMO, IDENTIFY
-from skdgp._cli._inspect import INSPECT
-from skdgp._cli._options import PROGRAM
+from skdgp._cli import _derivatives, _export, _identify, _inspect, _plan, _predict, _simulate
+from skdgp._cli import _options as opt
 from skdgp._cli._output import Console, OutputFolder, Run
-from skdgp._cli._plan import PLAN
-from skdgp._cli._predict import PREDICT, VALIDATE
-from skdgp._cli._simulate import SIMULATE
 
 __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS = {
-    command.name: command
-    for command in (DEMO, INSPECT, IDENTIFY, VALIDATE, PREDICT, SIMULATE, DERIVATIVES, PLAN, EXPORT)
+COMMANDS: opt.Commands = {
+    **_identify.COMMANDS,
+    **_inspect.COMMANDS,
+    **_predict.COMMANDS,
+    **_simulate.COMMANDS,
+    **_derivatives.COMMANDS,
+    **_plan.COMMANDS,
+    **_export.COMMANDS,
 }
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
   skdgp demo                                     simulated example flights, nothing else needed
-  skdgp inspect log.ulg                          what a log holds, and lacks for which step
+  skdgp inspect log.ulg                          content of a log, and what each step lacks
   skdgp identify log.ulg --mass 3.2 --span 1.6   from a log, a scale and a tape measure
   skdgp identify a.csv b.csv --aircraft uav.json -o results
   skdgp validate results/model.joblib c.csv      is the model right about another flight?
@@ -56,18 +56,14 @@ def main(argv: list[str] | None = None) -> int:
     console = Console()
     try:
         with console:
-            name = argv[0] if argv and argv[0] in COMMANDS else _parser().parse_args(argv).command
-            command = COMMANDS[name]
-            options = command.parse(argv[1:])
+            options = parse(argv)
             if (output := getattr(options, "output", None)) is not None:
-                folder = OutputFolder(output, command.writes_table)
-            run = Run(command, options, console, folder, shlex.join([*PROGRAM.split(), *argv]))
+                folder = OutputFolder(output, options.command == "predict")
             with folder or nullcontext():
-                command.run(run)
+                options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
     except KeyboardInterrupt:
-        console.print_error(
-            "stopped" if folder is None or folder.is_written else "stopped: no output was written"
-        )
+        is_written = folder is None or folder.is_written
+        console.print_error("stopped" if is_written else "stopped: no output was written")
         return INTERRUPTED
     except Exception as error:
         if "--traceback" in argv:
@@ -77,10 +73,21 @@ def main(argv: list[str] | None = None) -> int:
     return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
-    """Return the parser of a command line that does not begin with a command."""
+def parse(argv: list[str]) -> argparse.Namespace:
+    """Return the options of a command line; SystemExit, as of argparse, ends wrong usage."""
+    options, unknown = make_parser().parse_known_args(argv)
+    if unknown:
+        names = ["--" + name.replace("_", "-") for name in vars(options)]
+        near = get_close_matches(unknown[0].split("=")[0], names, n=1)
+        hint = f"did you mean {near[0]}?" if near else "--help lists the options"
+        options.parser.error(f"unrecognized arguments {' '.join(unknown)}: {hint}")
+    return options
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
     parser = argparse.ArgumentParser(
-        prog=PROGRAM,
+        prog="skdgp",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -88,7 +95,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--version", action="version", version=f"skdgp {version('skdgp')}", help="the version"
     )
-    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help=", ".join(COMMANDS))
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for run, options in COMMANDS.items():
+        opt.add_command(commands, run, options)
     return parser
 
 
@@ -106,7 +115,7 @@ def _message(error: Exception) -> str:
     """Return the message on one line; of the system's errors with the file's name."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
-    words = " ".join(str(error).split()) or type(error).__name__
+    message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, EXPECTED):
-        return words
-    return f"Got an unexpected {type(error).__name__}: {words}. Run again with --traceback, and report what it says."
+        return message
+    return f"Got an unexpected {type(error).__name__}: {message}. Run again with --traceback, and report what it says."

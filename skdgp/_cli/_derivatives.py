@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import warnings
 from textwrap import wrap
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, picture_writers, table_writer
+from skdgp._cli._output import Run, picture_writers
 from skdgp._cli._predict import read_model_to_fly
-from skdgp._compute.files import Writer, json_text, text_writer
+from skdgp._compute.files import Writer, csv_writer
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
 from skdgp.plotting import DerivativeDisplay
 
-DEGREE = np.pi / 180
-COLUMN, WIDTH = 11, 110
-NOTABLE = 0.9
-"""Part of a deviation that is left without what is merged, from which on it is not worth a word."""
+WIDTH = 11  # of a column
 
 
 def derivatives(run: Run) -> None:
@@ -27,8 +24,8 @@ def derivatives(run: Run) -> None:
 
     CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its
     standard deviation, whose parts are in derivatives.csv. With -o writes derivatives.csv,
-    modes.csv, trims.csv, derivatives.json, config.toml and, of several airspeeds, a picture
-    derivatives.png into DIR, all or none.
+    modes.csv, trims.csv, derivatives.json and, of several airspeeds, a picture derivatives.png into
+    DIR, all or none.
 
     For example:
       skdgp derivatives results/model.joblib --airspeed 35
@@ -40,152 +37,139 @@ def derivatives(run: Run) -> None:
     run.console.stage("trimming")
     climb = None if thrust is None else 0.0  # without thrust it follows
     conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
-    trims = cast(
-        list[Trim],
-        trim(model.pipeline, model.aircraft, sorted(set(options.airspeed)), **conditions),
-    )
-    for one in trims:
-        if one.beyond:
-            names = [
-                f"{name} {value:.3g} ({low:.3g} to {high:.3g})"
-                for name, (value, low, high) in one.beyond.items()
-            ]
-            warnings.warn(
-                f"The trim at {one.airspeed:g} m/s is beyond what the model was learned from: "
-                f"{', '.join(names)}.",
-                stacklevel=2,
-            )
+    airspeeds = sorted(set(options.airspeed))
+    trims: Any = trim(model.pipeline, model.aircraft, airspeeds, **conditions)
+    _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table = stability_derivatives(
         model.pipeline, model.aircraft, trims, axes=options.axes, **spread
     )
     run.console.stage("modes")
-    modes = [linearize(model.pipeline, model.aircraft, point, **spread).modes() for point in trims]
-    points: list[Any] = [
-        (one, table.loc[number], modes[number]) for number, one in enumerate(trims)
-    ]
+    modes = [_modes(linearize(model.pipeline, model.aircraft, point, **spread)) for point in trims]
+    points: list[Any] = [(point, table.loc[k], modes[k]) for k, point in enumerate(trims)]
     numbers = {name: getattr(options, name) for name in ("model", "axes", "altitude")}
     numbers["points"] = [_point(*point) for point in points]
     blocks = [_text(*point) for point in points]
-    if written := run.write(_writers(trims, table, modes, numbers)):
+    if run.folder is not None:
+        files = _writers(trims, table, modes)
+        written = run.write_record("derivatives.json", numbers, files, r"derivatives\.png")
         blocks.append("wrote " + ", ".join(map(str, written)))
     run.print("\n\n".join(blocks), numbers)
 
 
-def _point(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
-    """Return the numbers of one airspeed."""
-    numbers = ["value", "std", "lower", "upper", "std_unmerged"]
-    return {
-        **{
-            name: getattr(one, name)
-            for name in ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
-        },
-        "beyond": {name: list(values) for name, values in one.beyond.items()},
-        "derivatives": table[[name for name in numbers if name in table]].to_dict("index"),
-        "modes": _real(modes).to_dict("index"),
-    }
+def _warn_beyond(trims: list[Trim]) -> None:
+    """Warn of trims whose regressors are outside the range of the training data."""
+    beyond = [
+        f"{point.airspeed:g} m/s: {name} {value:.3g} ({low:.3g} to {high:.3g})"
+        for point in trims
+        for name, (value, low, high) in point.beyond.items()
+    ]
+    if beyond:
+        warnings.warn(
+            f"Trims are beyond what the model was learned from: {', '.join(beyond)}.", stacklevel=3
+        )
 
 
-def _real(modes: pd.DataFrame) -> pd.DataFrame:
+def _modes(linear: Any) -> pd.DataFrame:
     """Return the modes with the two parts of their eigenvalues."""
+    modes = linear.modes()
     parts = {"real": np.real(modes["eigenvalue"]), "imaginary": np.imag(modes["eigenvalue"])}
     return modes.drop(columns="eigenvalue").assign(**parts)
 
 
-def _writers(trims, table, modes, numbers) -> dict[str, Writer]:
-    named = pd.concat(
-        [_real(one) for one in modes],
-        keys=[one.airspeed for one in trims],
-        names=["airspeed", "mode"],
-    )
-    files = {
-        "derivatives.csv": table_writer(table.reset_index(names=["point", "derivative"]), ".csv"),
-        "modes.csv": table_writer(named.reset_index(), ".csv"),
-        "trims.csv": table_writer(pd.concat([one.to_frame() for one in trims]), ".csv"),
-        "derivatives.json": text_writer(json_text(numbers)),
+def _point(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
+    """Return the numbers of one airspeed."""
+    names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
+    columns = table.columns.intersection(["value", "std", "lower", "upper", "std_unmerged"])
+    return {name: getattr(point, name) for name in names} | {
+        "beyond": {name: list(values) for name, values in point.beyond.items()},
+        "derivatives": table[columns].to_dict("index"),
+        "modes": modes.to_dict("index"),
     }
-    return files | (
-        picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table)
-        if len(trims) > 1
-        else {}
-    )
 
 
-def _text(one: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
-    controls = ", ".join(f"{name} {value:.4g}" for name, value in one.controls.items())
-    head = f"{one.airspeed:g} m/s: alpha {one.alpha / DEGREE:.3g} deg, {controls}"
-    if "std" in table:
-        head += "\nvalues, +- one standard deviation"
-    return "\n".join([head, "", *_matrix(table), "", *_mode_rows(modes)])
+def _writers(trims: list[Trim], table: pd.DataFrame, modes: list) -> dict[str, Writer]:
+    airspeeds = [point.airspeed for point in trims]
+    named = pd.concat(modes, keys=airspeeds, names=["airspeed", "mode"])
+    files = {
+        "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
+        "modes.csv": csv_writer(named.reset_index()),
+        "trims.csv": csv_writer(pd.concat([point.to_frame() for point in trims])),
+    }
+    if len(trims) == 1:
+        return files
+    return files | picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table)
 
 
-def _matrix(table: pd.DataFrame) -> list[str]:
-    """Return coefficients by regressors; under each value its standard deviation, where it is known."""
+def _text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
+    """Return trim, derivatives over their standard deviations, and modes."""
+    controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
+    lines = [f"{point.airspeed:g} m/s: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}"]
+    lines += ["values, +- one standard deviation"] * ("std" in table) + [""]
     regressors = table["regressor"].unique()
-    lines = [f"{'':4}" + "".join(f"{name or 'at trim':>{COLUMN}}" for name in regressors)]
+    lines.append(f"{'':4}" + "".join(f"{name or 'at trim':>{WIDTH}}" for name in regressors))
     for name, rows in table.groupby("coefficient", sort=False):
         row = rows.set_index("regressor").loc[regressors]
-        lines.append(f"{name:4}" + "".join(f"{number:>z{COLUMN}.4f}" for number in row["value"]))
+        lines.append(f"{name:4}" + "".join(f"{value:>z{WIDTH}.4f}" for value in row["value"]))
         if "std" in row:
-            lines.append(
-                f"{'':4}"
-                + "".join(f"{'+- ' + format(number, '.2g'):>{COLUMN}}" for number in row["std"])
-            )
-    if "std_merged" in table:
-        held = table[table["std_unmerged"] < NOTABLE * table["std"]]
-        named = [
-            f"{name} {row['std_unmerged']:.2g} (without {row['merged']})"
-            for name, row in held.iterrows()
-        ]
-        lines += [
-            "",
-            *wrap(f"std_unmerged: {', '.join(named) or 'the same'}", WIDTH),
-        ]
-    if "std_aircraft" in table:
-        sizes = table["value"].abs()
-        known = table[(table["regressor"] != "") & (sizes > 2 * table.get("std", 0.0))]
-        parts = (known["std_aircraft"] / sizes[known.index]).groupby(known["coefficient"])
-        largest = [(name, parts.get_group(key)[name]) for key, name in parts.idxmax().items()]
-        words = [
-            f"{name} {100 * part:.2g} % ({table.loc[name, 'aircraft']})" for name, part in largest
-        ]
-        sentence = (
-            "std_aircraft, errors of the aircraft that derivatives share, the largest of each"
-        )
-        lines += ["", *wrap(f"{sentence} coefficient: {', '.join(words) or 'none'}", WIDTH)]
-    return lines
+            lines.append(" " * 4 + "".join(f"{f'+- {std:.2g}':>{WIDTH}}" for std in row["std"]))
+    lines += [
+        *_aircraft_errors(table),
+        "",
+        f"{'':14}{'frequency':>25}{'damping':>15}{'time constant':>15}",
+    ]
+    for motion, mode in modes.iterrows():
+        frequency = f"{mode['frequency']:.3g}{_deviation(mode, 'frequency_std', '.2g')} rad/s"
+        damping = f"{mode['damping']:.2f}{_deviation(mode, 'damping_std', '.2f')}"
+        lines.append(f"{motion:14}{frequency:>25}{damping:>15}{mode['time_constant']:>13.3g} s")
+    return "\n".join(lines)
 
 
-def _mode_rows(modes: pd.DataFrame) -> list[str]:
-    lines = [f"{'':14}{'frequency':>25}{'damping':>15}{'time constant':>15}"]
-    for name, row in _real(modes).iterrows():
-        frequency, damping = f"{row['frequency']:.3g}", f"{row['damping']:.2f}"
-        if "frequency_std" in modes:
-            frequency, damping = (
-                f"{frequency} +- {row['frequency_std']:.2g}",
-                f"{damping} +- {row['damping_std']:.2f}",
-            )
-        lines.append(
-            f"{name:14}{frequency + ' rad/s':>25}{damping:>15}{row['time_constant']:>13.3g} s"
-        )
-    return lines
+def _aircraft_errors(table: pd.DataFrame) -> list[str]:
+    """Return, of each coefficient, the largest error of its derivatives that stems from the aircraft."""
+    if "std_aircraft" not in table:
+        return []
+    sizes = table["value"].abs()
+    shown = table[(table["regressor"] != "") & (sizes > 2 * table.get("std", 0.0))]
+    parts = (shown["std_aircraft"] / sizes[shown.index]).groupby(shown["coefficient"])
+    largest = [(name, parts.get_group(key)[name]) for key, name in parts.idxmax().items()]
+    items = [f"{name} {100 * part:.2g} % ({table.loc[name, 'aircraft']})" for name, part in largest]
+    text = ", ".join(items) or "none"
+    start = "std_aircraft, errors of the aircraft that derivatives share, the largest of each"
+    return ["", *wrap(f"{start} coefficient: {text}", 110)]
 
 
-DERIVATIVES = opt.Command(
-    derivatives,
-    {
-        "": [
-            *(opt.MODEL, opt.AIRCRAFT, opt.SEED, opt.OPTIONAL_FOLDER),
-            opt.option(
-                "--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True
-            ),
-            opt.option("--altitude M", "of the trims [m] (default: 0)", opt.number(), default=0.0),
-            opt.choice(
-                "--axes", ["body", "stability"], "of forces, moments and rates (default: body)"
-            ),
-            opt.paths(200, "for the standard deviations; 0: none"),
-        ]
+def _deviation(row: pd.Series, name: str, form: str) -> str:
+    return f" +- {row[name]:{form}}" if name in row else ""
+
+
+COMMANDS: opt.Commands = {
+    derivatives: {
+        "": {
+            "model": opt.SHARED["model"],
+            "--aircraft": opt.SHARED["--aircraft"],
+            "--airspeed": opt.SHARED["--airspeed"],
+            "--seed": opt.SHARED["--seed"],
+            "--output": opt.SHARED["--output"],
+            "--altitude": {
+                "metavar": "M",
+                "type": opt.number(),
+                "default": 0.0,
+                "help": "of the trims [m] (default: 0)",
+            },
+            "--axes": {
+                "choices": ["body", "stability"],
+                "default": "body",
+                "help": "of forces, moments and rates (default: body)",
+            },
+            "--paths": opt.SHARED["--paths"]
+            | {
+                "default": 200,
+                "help": (
+                    "functions of the posterior for the standard deviations; 0: none (default: 200)"
+                ),
+            },
+        },
     },
-    outputs=r"derivatives\.png",
-)
+}

@@ -26,8 +26,8 @@ def export(run: Run) -> None:
     MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With
     --max-kb the form gets fewer basis functions; the loss is printed in standard deviations of the
     posterior. Derivatives and tables are fitted to the model at the samples; the loss is printed
-    beside the posterior deviation, that of jsbsim stands in its file. All files are written into
-    DIR, or none, with config.toml, all options of this run.
+    beside the posterior deviation; jsbsim writes it into its file. All files are written into
+    DIR, or none.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable
@@ -46,9 +46,9 @@ def export(run: Run) -> None:
         model = load_portable(options.model)
     run.console.stage(f"exporting to {options.to}")
     names = ("max_kb", "precision", "form", "draws")
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
+    choices = {name: value for name in names if (value := getattr(options, name)) is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
-        facts = export_model(temporary, model, options.to, **given)
+        facts = export_model(temporary, model, options.to, **choices)
         files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         for name in files:
@@ -76,37 +76,34 @@ def _text(folder, numbers) -> str:
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
-EXPORT = opt.Command(
-    export,
-    {
-        "": [
-            opt.option(
-                "model MODEL",
-                f"the model.joblib that identify wrote ({opt.TRUST}), or a portable model.npz",
-            ),
-            opt.AIRCRAFT,
-            opt.option("--to", "the format", choices=list(FORMATS), required=True),
-            opt.FOLDER,
-            opt.option(
-                "--max-kb KB",
-                "largest size of code or portable form (default: whole model)",
-                opt.positive("kB"),
-            ),
-            opt.option(
-                "--precision",
-                "of arguments and results, of c (default: double)",
-                choices=CHOICES["precision"],
-            ),
-            opt.option(
-                "--form",
-                "of jsbsim: functions (default) or tables",
-                choices=CHOICES["form"],
-            ),
-            opt.option(
-                "--draws K",
-                "aircraft drawn from the posterior, of jsbsim (default: none)",
-                opt.at_least(1),
-            ),
-        ]
+COMMANDS: opt.Commands = {
+    export: {
+        "": {
+            "model": opt.SHARED["model"]
+            | {
+                "help": f"the model.joblib that identify wrote ({opt.TRUST}), or a portable model.npz"
+            },
+            "--aircraft": opt.SHARED["--aircraft"],
+            "--output": opt.SHARED["--output"] | {"required": True},
+            "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},
+            "--max-kb": {
+                "metavar": "KB",
+                "type": opt.positive("kB"),
+                "help": "largest size of code or portable form (default: whole model)",
+            },
+            "--precision": {
+                "choices": CHOICES["precision"],
+                "help": "of arguments and results, of c (default: double)",
+            },
+            "--form": {
+                "choices": CHOICES["form"],
+                "help": "of jsbsim: functions (default) or tables",
+            },
+            "--draws": {
+                "metavar": "K",
+                "type": opt.at_least(1),
+                "help": "aircraft drawn from the posterior, of jsbsim (default: none)",
+            },
+        },
     },
-)
+}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,6 @@ CONTENTS = {
     "report.html": "report",
     "metrics.json": "numbers",
     "model.joblib": "model",
-    "config.toml": "options",
 }
 
 
@@ -52,9 +52,8 @@ def identify(run: Run) -> None:
 
     Writes into DIR, all or none:
       report.html    tables and pictures; open it in a browser, print it
-      metrics.json   the same numbers for other programs
+      metrics.json   the same numbers for other programs, with the command and its options
       model.joblib   the model with its aircraft, for the other commands and skdgp.identification.load_model
-      config.toml    all options of this run: --config DIR/config.toml -o ELSEWHERE runs the same again
 
     Flight tables:
       CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header:
@@ -88,7 +87,7 @@ def identify(run: Run) -> None:
         run,
         options.train,
         _aircraft(run),
-        options.test or None,
+        options.test,
         **known,
         reading=opt.reading(options),
     )
@@ -98,30 +97,31 @@ def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
     names = ("aircraft", *SIZES, "kind", *ENGINE)
-    told = {name: words for name in names if (words := getattr(options, name)) is not None}
-    if [*told] == ["aircraft"]:
+    given = {name: value for name in names if (value := getattr(options, name)) is not None}
+    if [*given] == ["aircraft"]:
         return options.aircraft
-    if "aircraft" in told or not {"mass", "span"} <= set(told):
-        got = " ".join(f"--{name.replace('_', '-')}" for name in told) or "no aircraft"
-        run.command.parser({}).error(
+    if "aircraft" in given or not {"mass", "span"} <= set(given):
+        got = " ".join(f"--{name.replace('_', '-')}" for name in given) or "no aircraft"
+        options.parser.error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
             f"estimated"
         )
-    if "motor" in told and "propeller" not in told:
-        run.command.parser({}).error(
+    if options.motor and not options.propeller:
+        options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    known: dict = {name: opt.value_and_std(text) for name, text in told.items() if name in SIZES}
-    if "propeller" in told:
-        diameter, pitch = (INCH * value for value in opt.factors_of(told["propeller"]))
-        constant, voltage = opt.factors_of(told["motor"]) if "motor" in told else (None, None)
-        constant = None if constant is None else constant * np.pi / 30  # rad/s of rpm
-        known["propeller"] = Propeller.from_size(
-            diameter, pitch, motor_constant=constant, voltage=voltage
-        )
-    return Aircraft.estimate(
-        **known, kind=told.get("kind", "conventional"), name=Path(options.train[0]).stem
-    )
+    known: dict = {name: value for name, value in given.items() if name in (*SIZES, "kind")}
+    if options.propeller:
+        motor: dict = {}
+        if options.motor:
+            rpm_per_volt, voltage = options.motor
+            motor = {
+                "motor_constant": rpm_per_volt * np.pi / 30,
+                "voltage": voltage,
+            }  # rad/s of rpm
+        size = [INCH * value for value in options.propeller]
+        known["propeller"] = Propeller.from_size(*size, **motor)
+    return Aircraft.estimate(**known, name=Path(options.train[0]).stem)
 
 
 def demo(run: Run) -> None:
@@ -184,99 +184,132 @@ def finish(run: Run, result: Identification) -> None:
     run.print("\n".join([result.summary(), "", *lines]).rstrip(), result.metrics)
 
 
-LEARNING = [
-    opt.option(
-        "--samples N|all",
-        "rows to learn from (default: all; 755 with --inference exact)",
-        opt.at_least(2, "all"),
-    ),
-    opt.choice(
-        "--inference",
-        ["auto", "exact", "sparse"],
-        "exact conditions on every row, in time that grows with their cube; sparse on inducing "
-        "variables, in time "
-        "that grows with the rows (default: auto, exact up to a thousand rows)",
-    ),
-    opt.option("--inducing N", "inducing inputs of sparse inference", opt.at_least(1)),
-    opt.option(
-        "--regressors SET",
-        "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot too), paper "
-        "(accelerations too), "
-        "or columns such as alpha,beta,q_hat,elevator (default: quasi-steady)",
-        opt.regressor_names,
-        default="quasi-steady",
-    ),
-    opt.choice(
-        "--reconstruction",
-        ["auto", "none"],
-        "auto reconstructs the path of each flight from all its sensors, where the log holds "
-        "accelerations, attitude, "
-        "ground velocity and airspeed that agree; none smooths channel by channel (default: auto)",
-    ),
-    opt.flag("--lags", "estimate and correct lags of air data, surfaces, attitude and GPS"),
-    opt.choice("--input-noise", ["learned", "none"], "noise of the regressors (default: learned)"),
-    opt.choice(
-        "--structure",
-        ["average", "joint", "additive", "trend"],
-        "trend: the trend alone; joint: with processes; additive: also with functions of one "
-        "regressor each; average: "
-        "of these, weighted by what they predict of blocks of the training flights that are held "
-        "out in turn (default: "
-        "average)",
-    ),
-    opt.choice(
-        "--trend",
-        ["linear", "constant", "none"],
-        "linear extrapolates beyond the data (default: linear)",
-    ),
-    opt.option("--latents M", "latents that the outputs share (default: 2)", opt.at_least(0)),
-    opt.option("--max-iter N", "iterations of the fit", opt.at_least(1)),
-    opt.SEED,
-    opt.option("--n-jobs N", "processes for the members of the average; -1: all cores", opt.jobs),
-]
-IDENTIFY = opt.Command(
-    identify,
-    {
-        "": [
-            opt.option("train TRAIN", "flights to learn from", nargs="+"),
-            opt.option("--aircraft FILE", "the aircraft, JSON or TOML (or --mass and --span)"),
-            opt.option(
-                "--test TEST",
-                "flights to judge the model on (default: the last of several, or the last quarter "
-                "of one, is held out)",
-                nargs="+",
-                default=[],
-            ),
-            *opt.loads("auto", [], "auto, columns where the flights have them, else the propeller"),
-            *(opt.SERVOS, opt.AIRBORNE, opt.HORIZONS),
-            opt.option(
-                "-o --output DIR",
-                "folder for the outputs (default: skdgp-results)",
-                default="skdgp-results",
-            ),
-        ],
-        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
-            *(
-                opt.option(f"--{name.replace('_', '-')} X", words, opt.size)
+LEARNING: dict[str, dict[str, Any]] = {
+    "--samples": {
+        "metavar": "N|all",
+        "type": opt.at_least(2, "all"),
+        "help": "rows to learn from (default: all; 755 with --inference exact)",
+    },
+    "--inference": {
+        "choices": ["auto", "exact", "sparse"],
+        "default": "auto",
+        "help": (
+            "exact conditions on every row, in time that grows with their cube; sparse "
+            "on inducing variables, in time that grows with the rows (default: auto, "
+            "exact up to a thousand rows)"
+        ),
+    },
+    "--inducing": {
+        "metavar": "N",
+        "type": opt.at_least(1),
+        "help": "inducing inputs of sparse inference",
+    },
+    "--regressors": {
+        "metavar": "SET",
+        "type": opt.regressors,
+        "default": "quasi-steady",
+        "help": (
+            "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot "
+            "too), paper (accelerations too), or columns such as "
+            "alpha,beta,q_hat,elevator (default: quasi-steady)"
+        ),
+    },
+    "--reconstruction": {
+        "choices": ["auto", "none"],
+        "default": "auto",
+        "help": (
+            "auto reconstructs the path of each flight from all its sensors, where the "
+            "log holds accelerations, attitude, ground velocity and airspeed that agree; "
+            "none smooths channel by channel (default: auto)"
+        ),
+    },
+    "--lags": {
+        "action": "store_true",
+        "help": "estimate and correct lags of air data, surfaces, attitude and GPS",
+    },
+    "--input-noise": {
+        "choices": ["learned", "none"],
+        "default": "learned",
+        "help": "noise of the regressors (default: learned)",
+    },
+    "--structure": {
+        "choices": ["average", "joint", "additive", "trend"],
+        "default": "average",
+        "help": (
+            "trend: the trend alone; joint: with processes; additive: also with "
+            "functions of one regressor each; average: their mean, weighted by how they "
+            "predict of blocks of the training flights that are held out in turn "
+            "(default: average)"
+        ),
+    },
+    "--trend": {
+        "choices": ["linear", "constant", "none"],
+        "default": "linear",
+        "help": "linear extrapolates beyond the data (default: linear)",
+    },
+    "--latents": {
+        "metavar": "M",
+        "type": opt.at_least(0),
+        "help": "latents that the outputs share (default: 2)",
+    },
+    "--max-iter": {"metavar": "N", "type": opt.at_least(1), "help": "iterations of the fit"},
+    "--seed": opt.SHARED["--seed"],
+    "--n-jobs": {
+        "metavar": "N",
+        "type": opt.jobs,
+        "help": "processes for the components of the average; -1: all cores",
+    },
+}
+COMMANDS: opt.Commands = {
+    demo: {
+        "": {
+            "--horizons": opt.SHARED["--horizons"],
+            "--output": opt.SHARED["--output"]
+            | {"default": "skdgp-demo", "help": "folder (default: skdgp-demo)"},
+        },
+        "model": {
+            **LEARNING,
+        },
+    },
+    identify: {
+        "": {
+            "train": {"metavar": "TRAIN", "nargs": "+", "help": "flights to learn from"},
+            "--aircraft": opt.SHARED["--aircraft"]
+            | {"help": "the aircraft, JSON or TOML (or --mass and --span)"},
+            "--test": {
+                "metavar": "TEST",
+                "nargs": "+",
+                "help": (
+                    "flights to judge the model on (default: the last of several, or the last "
+                    "quarter of one, is held out)"
+                ),
+            },
+            "--thrust": opt.SHARED["--thrust"] | {"default": "auto"},
+            "--external-forces": opt.SHARED["--external-forces"] | {"default": []},
+            **opt.LOG,
+            "--horizons": opt.SHARED["--horizons"],
+            "--output": opt.SHARED["--output"]
+            | {
+                "default": "skdgp-results",
+                "help": "folder for the outputs (default: skdgp-results)",
+            },
+            **{
+                f"--{name.replace('_', '-')}": {"metavar": "X", "type": opt.size, "help": words}
                 for name, words in SIZES.items()
-            ),
-            *(opt.option(f"--{name} AxB", words, opt.factors) for name, words in ENGINE.items()),
-            opt.option(
-                "--kind",
-                "what is not given is that of its kind (default: conventional)",
-                choices=list(KINDS),
-            ),
-        ],
-        "model": LEARNING,
+            },
+            **{
+                f"--{name}": {"metavar": "AxB", "type": opt.factors, "help": words}
+                for name, words in ENGINE.items()
+            },
+        },
+        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
+            "--kind": {
+                "choices": list(KINDS),
+                "help": "kind of the aircraft, for the estimates (default: conventional)",
+            },
+        },
+        "model": {
+            **LEARNING,
+        },
     },
-)
-DEMO = opt.Command(
-    demo,
-    {
-        "": [
-            opt.HORIZONS,
-            opt.option("-o --output DIR", "folder (default: skdgp-demo)", default="skdgp-demo"),
-        ],
-        "model": LEARNING,
-    },
-)
+}

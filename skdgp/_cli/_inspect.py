@@ -46,8 +46,8 @@ def inspect(run: Run) -> None:
         + (f"not estimated: {why}" if lags is None else "seconds, positive where late"),
     ]
     for name, row in {} if lags is None else lags.iterrows():
-        known = row["std"] == row["std"]  # not NaN
-        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s  " if known else " " * 20
+        is_estimated = row["std"] == row["std"]  # not NaN
+        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s  " if is_estimated else " " * 20
         lines.append(f"    {name:<16}{value}{row['remark']}")
     numbers = summary.to_dict() | {"lags": None if lags is None else lags.to_dict("index")}
     run.print("\n".join([str(summary), *lines]), numbers)
@@ -56,7 +56,7 @@ def inspect(run: Run) -> None:
 def _lags(options) -> tuple[pd.DataFrame | None, str]:
     """Return the lags of a log, or None and why they cannot be estimated."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what the summary shows
+        warnings.simplefilter("ignore")  # the summary shows them
         try:
             table = read_flight(options.log, servos=options.servos)
             return LagCorrector().fit(table).lags_, ""
@@ -64,16 +64,15 @@ def _lags(options) -> tuple[pd.DataFrame | None, str]:
             return None, str(error)
 
 
-INSPECT = opt.Command(
-    inspect,
-    {
-        "": [
-            opt.option("log LOG", "the log"),
-            opt.SERVOS,
-            opt.option(
-                "--servo-template FILE",
-                "write such a file for this log, to be filled in with the angles",
-            ),
-        ]
+COMMANDS: opt.Commands = {
+    inspect: {
+        "": {
+            "log": {"metavar": "LOG", "help": "the log"},
+            "--servos": opt.SHARED["--servos"],
+            "--servo-template": {
+                "metavar": "FILE",
+                "help": "write such a file for this log, to be filled in with the angles",
+            },
+        },
     },
-)
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -13,7 +14,7 @@ import time
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,12 +22,11 @@ from typing import Any
 
 import pandas as pd
 
-from skdgp._cli._options import HEAD, Command
 from skdgp._compute.files import Writer, csv_writer, json_text, text_writer, write_together
 
 CLEAR = "\r\x1b[K"
-# seconds between two states of the progress line, so that a terminal is not what takes the time
-PERIOD = 0.2
+PERIOD = 0.2  # seconds between two states of the progress line
+STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
 @contextmanager
@@ -50,9 +50,8 @@ class Console:
         self.messages: list[str] = []
         self.interrupts = 0
         self._shows_progress = self.stream.isatty()
-        self._lock = threading.RLock()
-        self._began, self._shown = 0.0, -PERIOD
-        self._evaluations: dict[str, int] = {}
+        self._began = time.monotonic()
+        self._shown = -PERIOD
 
     def __enter__(self) -> Console:
         self._warnings = warnings.catch_warnings()
@@ -88,40 +87,29 @@ class Console:
         self._write(f"{text}\n")
 
     def stage(self, words: str) -> None:
-        """Show what is being done from now on."""
+        """Show the stage that begins."""
         self._began = time.monotonic()
         self._show(words)
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
-        """Show the stage of an identification; the listener of ``skdgp.listening``, called from any thread."""
-        if (
-            self.interrupts > 1
-        ):  # both ended searches of the fit; the second one shall end everything
+        """Show the stage of an identification; the listener of ``skdgp.listening``."""
+        if self.interrupts > 1:  # the first one ended the search, this one ends the command
             raise KeyboardInterrupt
         if n_evaluations == 0:
             self.stage(stage)
-            return
-        with self._lock:
-            self._evaluations[stage] = n_evaluations
-            if not self._shows_progress or time.monotonic() - self._shown < PERIOD:
-                return
-            if stage.startswith("output"):
-                total = sum(self._evaluations.values())
-                detail = f"{len(self._evaluations)} outputs, each alone · {total} evaluations"
-            else:
-                detail = f"all outputs together · {n_evaluations} evaluations"
-                if abs(log_likelihood) < float("inf"):
-                    words = "log likelihood of a part" if stage == "members" else "log likelihood"
-                    detail += f" · {words} {log_likelihood:.1f}"
-            self._show(f"fit · {detail} · {time.monotonic() - self._began:.0f} s")
+        elif time.monotonic() - self._shown >= PERIOD:
+            value = (
+                f" · log likelihood {log_likelihood:.1f}" if math.isfinite(log_likelihood) else ""
+            )
+            seconds = f"{time.monotonic() - self._began:.0f} s"
+            name = STAGES.get(stage, stage)
+            self._show(f"fit · {name} · {n_evaluations} evaluations{value} · {seconds}")
 
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:
         """Count Ctrl-C: the first one ends a search, which keeps the best so far, if any; the second one everything."""
         with ctrl_c() as set_handler:
-            if (
-                signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-            ):  # as in the background, where it is for others
+            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background
                 set_handler(self._interrupt)
             yield
 
@@ -138,24 +126,20 @@ class Console:
             self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
-        """Print a warning the first time."""
-        place = (
-            f" ({Path(filename).name}, line {lineno})"
-            if issubclass(category, RuntimeWarning)
-            else ""
-        )
-        text = " ".join(str(message).split()) + place
+        """Print a warning the first time; where it arose, if it is not meant for users."""
+        text = " ".join(str(message).split())
+        if issubclass(category, RuntimeWarning):
+            text += f" ({Path(filename).name}, line {lineno})"
         if text not in self.messages:
             self.messages.append(text)
             self._write(f"{CLEAR if self._shows_progress else ''}warning: {text}\n")
 
     def _write(self, text=None):
         try:
-            with self._lock:
-                if text is not None:  # in UTF-16 even an empty text is a mark
-                    self.stream.write(text)
-                self.stream.flush()
-        except OSError:  # what can go on without a word goes on
+            if text is not None:  # in UTF-16 even an empty text is a mark
+                self.stream.write(text)
+            self.stream.flush()
+        except OSError:  # the command continues without the message
             _redirect_to_null(self.stream)
 
 
@@ -165,16 +149,13 @@ def _redirect_to_null(stream) -> None:
 
 
 class OutputFolder:
-    """A folder made for outputs, or that of a single table; removed again if nothing was written into it.
+    """The folder of the outputs, or of a single table; if it was made for them and stays empty, it is removed.
 
-    The ``with`` block begins with an OSError if the folder cannot be made or written to, or if the
-    configuration of the run would replace a file that no run wrote.
+    The ``with`` block begins with an OSError if the folder cannot be made or written to.
     """
 
     def __init__(self, output, is_table: bool = False):
-        path = Path(output)
-        self.path = path.parent if is_table else path
-        self.config = self.path / (f"{path.stem}.config.toml" if is_table else "config.toml")
+        self.path = Path(output).parent if is_table else Path(output)
         self.is_written = False
 
     def __enter__(self) -> OutputFolder:
@@ -188,15 +169,8 @@ class OutputFolder:
             reason = "it is a file" if self.path.is_file() else error.strerror
             raise OSError(
                 f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be "
-                f"written there ({reason}): "
-                "name another one after -o."
+                f"written there ({reason}): name another one after -o."
             ) from error
-        if self.config.is_file() and not _text(self.config).startswith(HEAD):
-            raise FileExistsError(
-                f"Got {str(self.config)!r}, where the configuration of this run belongs, but it "
-                f"is there already and "
-                "no run wrote it: name another output after -o, or move it."
-            )
         return self
 
     def __exit__(self, kind, error, trace):
@@ -205,10 +179,8 @@ class OutputFolder:
 
     def _remove(self):
         for path in self._made:  # innermost first
-            try:
+            with suppress(OSError):  # not empty, or never made
                 path.rmdir()
-            except OSError:  # not empty, or never made
-                return
 
     def write(self, writers: dict[str, Writer], earlier: str = "") -> None:
         """Write all files or none, then remove others whose whole names match ``earlier``.
@@ -227,38 +199,43 @@ class OutputFolder:
 class Run:
     """A running command; ``folder`` is None where nothing is to be written."""
 
-    command: Command
     options: Namespace
     console: Console
     folder: OutputFolder | None
     command_line: str
 
     def write(self, writers: dict[str, Writer]) -> list[Path]:
-        """Write all outputs, and the configuration that repeats them, or none; return where they are.
+        """Write all outputs or none; return where they are."""
+        if self.folder is None:
+            return []
+        self.console.stage("writing")
+        self.folder.write(writers)
+        return [self.folder.path / name for name in writers]
 
-        Outputs of an earlier run of the same command that this one does not write do not stay
-        beside them.
+    def write_record(
+        self, name: str, numbers: dict, writers: dict[str, Writer], earlier: str = ""
+    ) -> list[Path]:
+        """Write all outputs, and the numbers with the command line as JSON, or none; return where they are.
+
+        Where a record of this name was before, other files whose names match ``earlier`` are of
+        that run, and are removed.
         """
         if self.folder is None:
             return []
         self.console.stage("writing")
-        text, config = self.command.config_text(self.options), self.folder.config
-        again = config.is_file() and _text(config).startswith(text.partition("\n")[0])
-        writers = writers | {config.name: text_writer(text)}
-        self.folder.write(writers, self.command.outputs if again else "")
+        writers = writers | {name: text_writer(json_text({"command": self.command_line} | numbers))}
+        again = (self.folder.path / name).is_file()
+        self.folder.write(writers, earlier if again else "")
         return [self.folder.path / name for name in writers]
 
     def print(self, text: str, numbers: dict) -> None:
         """Print the result: text, or on request JSON."""
-        self.console.print(json_text(numbers).rstrip() if self.options.json else text)
-
-
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace")
+        record = {"command": self.command_line} | numbers
+        self.console.print(json_text(record).rstrip() if self.options.json else text)
 
 
 def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
-    """Return what writes a table as ".csv" or ".parquet", every digit of it."""
+    """Return the writer of a table as ".csv" or ".parquet", with every digit."""
     if suffix == ".parquet":
         return lambda path: table.to_parquet(path, index=False)
     return csv_writer(table)
@@ -274,7 +251,7 @@ def check_writable(suffix: str) -> None:
 
 
 def picture_writers(name: str, draw: Callable, *data, **more) -> dict[str, Writer]:
-    """Return what writes the picture that ``draw`` of a display makes; nothing, and a warning, without matplotlib."""
+    """Return the writer of a figure of a display; none, and a warning, without matplotlib."""
     if find_spec("matplotlib") is None:
         warnings.warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
         return {}

@@ -12,7 +12,7 @@ import numpy as np
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
 from skdgp._cli._predict import read_model_to_fly
-from skdgp._compute.files import Writer, json_text, text_writer
+from skdgp._compute.files import Writer, text_writer
 from skdgp._compute.progress import listening
 from skdgp._excitation import AXES
 from skdgp.design import (
@@ -48,7 +48,6 @@ def plan(run: Run) -> None:
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
       plan.json      trims, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
                      with those of a model learned from this flight too
-      config.toml    all options of this run
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
@@ -58,7 +57,7 @@ def plan(run: Run) -> None:
     options = run.options
     console = run.console
     axes = list(dict.fromkeys(options.axes))
-    full = opt.by_axis(options.full)
+    full = dict(options.full)
     limits = _limits(options)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
@@ -96,13 +95,14 @@ def plan(run: Run) -> None:
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    files = run.write(_writers(options, planned, numbers))
+    earlier = r"plan(_\d+)?\.(csv|lua)"
+    files = run.write_record("plan.json", numbers, _writers(options, planned), earlier)
     run.print(_text(planned, options, files), numbers)
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Limits]:
-    amplitudes = opt.by_axis(options.limits)
-    rates = opt.by_axis(options.rates)
+    amplitudes = dict(options.limits)
+    rates = dict(options.rates)
     if lacking := sorted({*rates} - {*amplitudes}):
         raise ValueError(
             f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add "
@@ -111,9 +111,9 @@ def _limits(options: argparse.Namespace) -> dict[str, Limits]:
     return {axis: Limits(size, rates.get(axis, np.inf)) for axis, size in amplitudes.items()}
 
 
-def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[str, Writer]:
+def _writers(options: argparse.Namespace, planned: Plan) -> dict[str, Writer]:
     files: dict[str, Writer] = {}
-    full = opt.by_axis(options.full)
+    full = dict(options.full)
     for number, train in enumerate(planned.trains, start=1):
         name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
         files[f"{name}.csv"] = table_writer(train.table(RATE), ".csv")
@@ -125,7 +125,6 @@ def _writers(options: argparse.Namespace, planned: Plan, numbers: dict) -> dict[
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": table_writer(planned.flight, ".csv"),
-        "plan.json": text_writer(json_text(numbers)),
     }
 
 
@@ -161,79 +160,100 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     return "\n".join([*lines, "", *map(str, files)])
 
 
-PLAN = opt.Command(
-    plan,
-    {
-        "": [
-            *(opt.MODEL, opt.AIRCRAFT),
-            opt.option(
-                "--airspeed V", "of the trims [m/s]", opt.positive("m/s"), nargs="+", required=True
-            ),
-            opt.option(
-                "--seconds S", "of all flights together", opt.positive("seconds"), required=True
-            ),
-            opt.option("--axes", "controls to move", choices=AXES, nargs="+", required=True),
-            opt.option(
-                "--goal NAME",
-                "derivatives such as Cm_q Cn_rudder (default: all)",
-                str,
-                nargs="+",
-            ),
-            opt.option("--altitude M", "[m] (default: the highest that was flown)", opt.number()),
-            opt.axis_values(
-                "--full", "deflections [rad] at the ends of the servos' ranges, for the script"
-            ),
-            opt.SEED,
-            opt.FOLDER,
-        ],
-        "limits": [
-            opt.axis_values(
-                "--limits", "largest deviations from trim [rad] (default: what was flown)"
-            ),
-            opt.axis_values(
-                "--rates", "largest rates of change [rad/s] of axes with --limits (default: none)"
-            ),
-            opt.option("--alpha LOW HIGH", "[rad]", opt.number(), nargs=2),
-            opt.option("--beta LOW HIGH", "[rad]", opt.number(), nargs=2),
-            opt.option("--load-factor LOW HIGH", "of -az / g", opt.number(), nargs=2),
-            opt.option("--speeds LOW HIGH", "[m/s]", opt.number(), nargs=2),
-            opt.option("--max-bank RAD", "to either side", opt.positive("rad")),
-            opt.option(
-                "--floor M",
-                "lowest altitude [m] (default: the lowest that was flown)",
-                opt.number(),
-            ),
-            opt.option(
-                "--growth X",
-                "part of its range by which a quantity may leave what was flown; inf: no limit "
-                "(default: 0.2)",
-                opt.number("a number, 0 or more, or inf", lambda value: value >= 0, words=("inf",)),
-                default=0.2,
-            ),
-            opt.option(
-                "--risk P",
-                "largest probability that a manoeuvre leaves the limits (default: 0.05)",
-                opt.number("a number between 0 and 1", lambda value: 0 < value < 1),
-                default=0.05,
-            ),
-            opt.option(
-                "--margin X",
-                "fraction by which responses may exceed the model's (default: 0.15)",
-                opt.number("a number, 0 or more", lambda value: value >= 0),
-                default=0.15,
-            ),
-            opt.choice(
-                "--gusts",
-                ["auto", "none"],
-                "of the check: as in the training flights, or none (default: auto)",
-            ),
-            opt.option(
-                "--paths N",
-                "aircraft drawn for each check (default: 200)",
-                opt.at_least(2),
-                default=200,
-            ),
-        ],
+COMMANDS: opt.Commands = {
+    plan: {
+        "": {
+            "model": opt.SHARED["model"],
+            "--aircraft": opt.SHARED["--aircraft"],
+            "--airspeed": opt.SHARED["--airspeed"],
+            "--seed": opt.SHARED["--seed"],
+            "--output": opt.SHARED["--output"] | {"required": True},
+            "--seconds": {
+                "metavar": "S",
+                "type": opt.positive("seconds"),
+                "required": True,
+                "help": "of all flights together",
+            },
+            "--axes": {"choices": AXES, "nargs": "+", "required": True, "help": "controls to move"},
+            "--goal": {
+                "metavar": "NAME",
+                "nargs": "+",
+                "help": ("derivatives such as Cm_q Cn_rudder (default: all)"),
+            },
+            "--altitude": {
+                "metavar": "M",
+                "type": opt.number(),
+                "help": "[m] (default: the highest that was flown)",
+            },
+            "--full": opt.AXIS_VALUES
+            | {"help": "deflections [rad] at the ends of the servos' ranges, for the script"},
+        },
+        "limits": {
+            "--limits": opt.AXIS_VALUES
+            | {"help": "largest deviations from trim [rad] (default: what was flown)"},
+            "--rates": opt.AXIS_VALUES
+            | {"help": "largest rates of change [rad/s] of axes with --limits (default: none)"},
+            "--max-bank": {"metavar": "RAD", "type": opt.positive("rad"), "help": "to either side"},
+            "--floor": {
+                "metavar": "M",
+                "type": opt.number(),
+                "help": "lowest altitude [m] (default: the lowest that was flown)",
+            },
+            "--growth": {
+                "metavar": "X",
+                "type": opt.number(
+                    "a number, 0 or more, or inf", lambda value: value >= 0, words=("inf",)
+                ),
+                "default": 0.2,
+                "help": (
+                    "part of its range by which a quantity may leave what was flown; inf: no "
+                    "limit (default: 0.2)"
+                ),
+            },
+            "--risk": {
+                "metavar": "P",
+                "type": opt.number("a number between 0 and 1", lambda value: 0 < value < 1),
+                "default": 0.05,
+                "help": "largest probability that a manoeuvre leaves the limits (default: 0.05)",
+            },
+            "--margin": {
+                "metavar": "X",
+                "type": opt.number("a number, 0 or more", lambda value: value >= 0),
+                "default": 0.15,
+                "help": "fraction by which responses may exceed the model's (default: 0.15)",
+            },
+            "--gusts": opt.SHARED["--gusts"]
+            | {"help": "of the check: as in the training flights, or none (default: auto)"},
+            "--paths": opt.SHARED["--paths"]
+            | {
+                "type": opt.at_least(2),
+                "default": 200,
+                "help": "aircraft drawn for each check (default: 200)",
+            },
+            "--alpha": {
+                "metavar": ("LOW", "HIGH"),
+                "type": opt.number(),
+                "nargs": 2,
+                "help": "[rad]",
+            },
+            "--beta": {
+                "metavar": ("LOW", "HIGH"),
+                "type": opt.number(),
+                "nargs": 2,
+                "help": "[rad]",
+            },
+            "--load-factor": {
+                "metavar": ("LOW", "HIGH"),
+                "type": opt.number(),
+                "nargs": 2,
+                "help": "of -az / g",
+            },
+            "--speeds": {
+                "metavar": ("LOW", "HIGH"),
+                "type": opt.number(),
+                "nargs": 2,
+                "help": "[m/s]",
+            },
+        },
     },
-    outputs=r"plan(_\d+)?\.(csv|lua)",
-)
+}

@@ -78,7 +78,7 @@ def predict(run: Run) -> None:
     """Write what a model predicts for flights: flight, time, CX CY CZ Cl Cm Cn, standard deviations CX_std ... Cn_std.
 
     These are wider in rougher air. Rows whose regressors were not sampled are left out, with a
-    warning. Beside OUT.csv stands OUT.config.toml, all options of this run.
+    warning.
 
     For example:
       skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
@@ -136,9 +136,9 @@ def validate(run: Run) -> None:
     """Judge a model on flights that it has not seen, as identify does on its test flights.
 
     Its coefficients are compared with the measured ones and replayed: integrated from the measured
-    state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html,
-    metrics.json and config.toml into DIR, all or none. With --plan also the standard deviations of
-    derivatives that the plan promised, beside those of this model, which learned from its flight.
+    state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html
+    and metrics.json into DIR, all or none. With --plan also the standard deviations of derivatives that the
+    plan promised, beside those of this model, which learned from its flight.
 
     For example:
       skdgp validate results/model.joblib thursday.csv
@@ -165,40 +165,43 @@ def validate(run: Run) -> None:
         finish(run, replace(result, command=run.command_line))
 
 
-PREDICT = opt.Command(
-    predict,
-    {
-        "": [
-            *(opt.MODEL, opt.FLIGHTS, opt.SERVOS, opt.AIRBORNE),
-            opt.flag(
-                "--include-noise",
-                "standard deviations of new measurements, not of the coefficients themselves",
-            ),
-            opt.option(
-                "-o --output FILE", "the table: .csv or .parquet", opt.table_file, required=True
-            ),
-        ]
+COMMANDS: opt.Commands = {
+    validate: {
+        "": {
+            "model": opt.SHARED["model"],
+            "flight": opt.SHARED["flight"],
+            "--aircraft": opt.SHARED["--aircraft"],
+            **opt.LOG,
+            "--horizons": opt.SHARED["--horizons"],
+            "--output": opt.SHARED["--output"],
+            "--plan": {
+                "metavar": "FILE",
+                "help": (
+                    "plan.json of a flight that the model learned from: compares its promises with this model"
+                ),
+            },
+            "--thrust": opt.SHARED["--thrust"],
+            "--external-forces": opt.SHARED["--external-forces"],
+        },
     },
-    writes_table=True,
-)
-VALIDATE = opt.Command(
-    validate,
-    {
-        "": [
-            *(
-                opt.MODEL,
-                opt.FLIGHTS,
-                opt.AIRCRAFT,
-                opt.SERVOS,
-                opt.AIRBORNE,
-                opt.HORIZONS,
-                opt.OPTIONAL_FOLDER,
-            ),
-            opt.option(
-                "--plan FILE",
-                "plan.json of a flight that the model learned from: what it promised beside what is found",
-            ),
-            *opt.loads(None, None, "as of the model's fit"),
-        ]
+    predict: {
+        "": {
+            "model": opt.SHARED["model"],
+            "flight": opt.SHARED["flight"],
+            **opt.LOG,
+            "--include-noise": {
+                "action": "store_true",
+                "help": (
+                    "standard deviations of new measurements, not of the coefficients themselves"
+                ),
+            },
+            "--output": opt.SHARED["--output"]
+            | {
+                "metavar": "FILE",
+                "type": opt.table_file,
+                "required": True,
+                "help": "the table: .csv or .parquet",
+            },
+        },
     },
-)
+}

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
+from skdgp._cli._output import Run, picture_writers
 from skdgp._cli._predict import read_model_to_fly
-from skdgp._compute.files import json_text, text_writer
+from skdgp._compute.files import csv_writer
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp._mechanics.record import REASONS
 from skdgp.design import doublet
-from skdgp.dynamics import Air, SimulationWarning, Trim, as_aerodynamics, trajectory_bands, trim
+from skdgp.dynamics import Air, SimulationWarning, Trim, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.identification import named_flights
 from skdgp.io import read_flight
@@ -30,19 +30,15 @@ PULSE = 1.0
 """Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a
 guess.
 """
-OUT_OF_TRIM = 0.005
-"""Largest difference of a table's first row to the trim without a warning [rad, or part of the
-throttle]; a guess.
-"""
 START = (*AIR_DATA, *EULER, *RATES, "altitude")
 THRUST = (*THRUST_FORCES, *THRUST_MOMENTS)
 MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
-"""Steps of a pipeline that estimate from sensors what the flight was."""
+"""Steps of a pipeline that estimate the flight from its sensors."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Initial state, controls and air of a simulation; ``log`` or ``trim`` is what it starts from."""
+    """Initial state, controls and air of a simulation, which starts from a ``log`` or a ``trim``."""
 
     state: dict[str, float]
     controls: dict | pd.DataFrame
@@ -58,9 +54,9 @@ def simulate(run: Run) -> None:
     The mean of the model is flown, and functions drawn from its posterior, each an aircraft that
     the data allow: the band of 95 % of them is how certain the trajectory is. From a trim,
     --doublet AXIS=X moves a control by X about its trim, +X from 1 to 2 s and -X from 2 to 3 s.
-    --deviations TABLE holds deviations from the trim, and --controls TABLE the controls themselves,
-    which a trim does not change: columns time [s], the first row the start, elevator, aileron,
-    rudder [rad], throttle. What the table lacks is held.
+    --deviations TABLE holds deviations from the trim: columns time [s], the first row the start,
+    elevator, aileron, rudder [rad], throttle. What the table lacks is held. --controls TABLE
+    replaces the controls of the log.
 
     The mean flies in still air, unless --wind says otherwise, or in the wind that is estimated from
     the log. The drawn functions also meet gusts: as strong as those of this wind, else those of the
@@ -71,8 +67,7 @@ def simulate(run: Run) -> None:
                         "ended" says why a trajectory is over
       bands.csv         median, 2.5 % and 97.5 % of the paths over time
       trajectory.png    a picture
-      simulation.json   start, end, when it ended or left the training data
-      config.toml       all options of this run
+      simulation.json   the command, start, end, when it ended or left the training data
 
     For example:
       skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
@@ -80,8 +75,6 @@ def simulate(run: Run) -> None:
       skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
     """
     options = run.options
-    suffix = f".{options.format}"
-    check_writable(suffix)
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     start = _start(options, model, thrust)
@@ -93,126 +86,69 @@ def simulate(run: Run) -> None:
         "thrust": thrust,
     }
     trajectory, sampled = simulate_flight(*initial, **conditions), None
-    files = {f"trajectory{suffix}": table_writer(trajectory, suffix)}
+    files = {"trajectory.csv": csv_writer(trajectory)}
     if options.paths:
         run.console.stage(f"simulating {options.paths} functions of the posterior")
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", SimulationWarning
-            )  # the summary says which share of them
+            warnings.simplefilter("ignore", SimulationWarning)  # the summary counts them
             conditions["air"] = Air(start.wind, gusts=opt.none_of(options.gusts))
             sampled = simulate_flight(
                 *initial, **conditions, n_paths=options.paths, random_state=options.seed
             )
-        files[f"bands{suffix}"] = table_writer(
-            trajectory_bands(sampled).drop(columns="start"), suffix
-        )
+        files["bands.csv"] = csv_writer(trajectory_bands(sampled).drop(columns="start"))
     numbers = _numbers(options, start, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
     files |= picture_writers(
         "trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log, mean=mean
     )
-    files["simulation.json"] = text_writer(json_text(numbers))
-    run.print(_text(numbers, run.write(files)), numbers)
+    earlier = r"bands\.csv|trajectory\.png"
+    written = run.write_record("simulation.json", numbers, files, earlier)
+    run.print(_text(numbers, written), numbers)
 
 
 def _start(options, model, thrust) -> Start:
+    """Return the start that the options name; raise ValueError if some of them contradict each other."""
     if (options.flight is None) == (options.trim is None):
         raise ValueError(
             "Got both or none of --flight and --trim, but expected one of them to start from."
         )
-    of_trim = ("altitude", "climb", "turn_rate", "bank", "deviations", "doublet")
-    belonging = {"flight": ("at", "servos", "airborne"), "trim": of_trim}
+    belonging = {
+        "flight": ("at", "servos", "airborne", "controls"),
+        "trim": ("altitude", "climb", "turn_rate", "bank", "deviations", "doublet"),
+    }
     other = "trim" if options.trim is None else "flight"
-    given = [
-        f"--{name.replace('_', '-')}"
-        for name in belonging[other]
-        if getattr(options, name) not in (None, [])
-    ]
-    if given:
+    names = [name for name in belonging[other] if getattr(options, name) not in (None, [])]
+    if names:
+        given = ", ".join(f"--{name.replace('_', '-')}" for name in names)
+        raise ValueError(f"Got {given} without --{other}, to which it belongs: leave it out.")
+    if options.deviations and options.doublet:
         raise ValueError(
-            f"Got {', '.join(given)} without --{other}, to which it belongs: leave it out."
-        )
-    moving = [
-        f"--{name}" for name in ("controls", "deviations", "doublet") if getattr(options, name)
-    ]
-    if len(moving) > 1:
-        raise ValueError(
-            f"Got {' and '.join(moving)}, but expected one of them: give one table of all controls."
+            "Got --deviations and --doublet, but expected one of them: give one table of all."
         )
     return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
 def _trimmed(options, model, thrust) -> Start:
-    climb = (
-        0.0 if options.climb is None and thrust is not None else options.climb
-    )  # without thrust it follows
-    path = {"climb": climb, "turn_rate": options.turn_rate, "bank": options.bank}
-    altitude = options.altitude or 0.0
-    steady = cast(
-        Trim,
-        trim(
-            model.pipeline, model.aircraft, options.trim, altitude=altitude, thrust=thrust, **path
-        ),
-    )
+    """Start from a trim, with its controls or deviations from them."""
+    path = {name: getattr(options, name) for name in ("climb", "turn_rate", "bank")}
+    if thrust is not None and options.climb is None:  # without thrust it follows
+        path["climb"] = 0.0
+    path |= {"altitude": options.altitude or 0.0, "thrust": thrust}
+    steady: Any = trim(model.pipeline, model.aircraft, options.trim, **path)
     state = {name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
     state |= dict(zip(RATES, steady.rates, strict=True))  # by the air, which the wind carries along
-    if options.controls is not None:
-        table = read_flight(options.controls)
-        mixing = as_aerodynamics(model.pipeline).mixing
-        known: Any = dict(table.iloc[0])
-        if mixing is not None and set(mixing.surfaces) <= set(table):
-            known |= dict(
-                zip(
-                    mixing.controls,
-                    mixing.matrix @ [known[name] for name in mixing.surfaces],
-                    strict=True,
-                )
-            )
-        _warn_out_of_trim(known, steady)
-    elif options.deviations is not None or options.doublet:
-        known = table = _moved(options, steady)
-    else:
-        return Start(
-            state, steady.controls, options.wind, options.duration or DURATION, trim=steady
-        )
-    constant = {name: value for name, value in steady.controls.items() if name not in known}
-    return Start(
-        state, table.assign(**constant), options.wind, _duration(options, table), trim=steady
-    )
-
-
-def _moved(options, steady) -> pd.DataFrame:
-    """Return the controls of a trim with the deviations of the options."""
+    duration = options.duration or DURATION
     if options.deviations is not None:
         table = read_flight(options.deviations)
+        duration = _duration(options, table)
     else:
-        time = np.arange(0.0, (options.duration or DURATION) + options.dt, options.dt)
-        moves = {
-            axis: doublet(PULSE, size)(time - PULSE)
-            for axis, size in opt.by_axis(options.doublet).items()
-        }
-        table = pd.DataFrame({"time": time} | moves)
+        time = np.arange(0.0, duration + options.dt, options.dt)
+        pulse = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
+        table = pd.DataFrame({"time": time} | pulse)
     axes = [name for name in map(str, table) if name not in ("time", "flight")]
     check_names(axes, steady.controls, "trim's controls")
-    return table.assign(**{name: steady.controls[name] + table[name] for name in axes})
-
-
-def _warn_out_of_trim(first, steady) -> None:
-    """Warn if the first controls are far from those of the trim: the table may hold deviations."""
-    far = {
-        n: v for n, v in steady.controls.items() if n in first and abs(first[n] - v) > OUT_OF_TRIM
-    }
-    if far:
-        found = ", ".join(
-            f"{name} {first[name]:.4g} (trim {value:.4g})" for name, value in far.items()
-        )
-        warnings.warn(
-            f"The first row of --controls is not the trim: {found}. If the table holds deviations "
-            f"from the trim, give "
-            "--deviations TABLE.",
-            stacklevel=2,
-        )
+    controls = {name: value + table.get(name, 0.0) for name, value in steady.controls.items()}
+    return Start(state, table.assign(**controls), options.wind, duration, trim=steady)
 
 
 def _logged(options, model) -> Start:
@@ -337,58 +273,90 @@ def _text(numbers, files) -> str:
     return "\n".join([*lines, "", *(f"{path.name:<{width}}{path}" for path in files)])
 
 
-SIMULATE = opt.Command(
-    simulate,
-    {
-        "": [
-            *(opt.MODEL, opt.AIRCRAFT, opt.FOLDER),
-            opt.option(
-                "--controls TABLE",
-                "the controls to fly with: deflections [rad], not deviations from a trim",
-            ),
-            opt.option(
-                "--wind N E D",
-                "velocity of the air [m/s], north, east, down (default: estimated from the log, "
-                "else 0 0 0)",
-                opt.number(),
-                nargs=3,
-            ),
-            opt.choice(
-                "--gusts", ["auto", "none"], "that the drawn functions meet (default: auto)"
-            ),
-            opt.option(
-                "--duration S",
-                "how long [s] (default: 10, or the rest of the log)",
-                opt.positive("seconds"),
-            ),
-            opt.option(
-                "--dt S", "time step [s] (default: 0.02)", opt.positive("seconds"), default=0.02
-            ),
-            opt.paths(30, "to fly; 0: the mean alone"),
-            opt.SEED,
-            opt.choice("--format", ["csv", "parquet"], "of the tables (default: csv)"),
-        ],
-        "start, of a log or of a trim": [
-            opt.option("--flight LOG", "start where this flight was"),
-            opt.option("--at S", "when, on the clock of the log [s]", opt.number()),
-            *(opt.SERVOS, opt.AIRBORNE),
-            opt.option(
-                "--trim V", "start from steady flight at this airspeed [m/s]", opt.positive("m/s")
-            ),
-            opt.axis_values(
-                "--doublet",
-                "deviations [rad]: up from 1 to 2 s, down from 2 to 3 s, such as elevator=0.03",
-            ),
-            opt.option("--deviations TABLE", "deviations of the controls from the trim"),
-            opt.option("--altitude M", "of the trim [m] (default: 0)", opt.number()),
-            opt.option(
-                "--climb RAD",
-                "flight-path angle [rad] (default: 0; without thrust it follows)",
-                opt.number(),
-            ),
-            opt.option("--turn-rate RAD/S", "of the heading [rad/s] (default: 0)", opt.number()),
-            opt.option("--bank RAD", "bank angle [rad], instead of a turn rate", opt.number()),
-        ],
+COMMANDS: opt.Commands = {
+    simulate: {
+        "": {
+            "model": opt.SHARED["model"],
+            "--aircraft": opt.SHARED["--aircraft"],
+            "--seed": opt.SHARED["--seed"],
+            "--output": opt.SHARED["--output"] | {"required": True},
+            "--wind": {
+                "metavar": ("N", "E", "D"),
+                "type": opt.number(),
+                "nargs": 3,
+                "help": (
+                    "velocity of the air [m/s], north, east, down (default: estimated from the "
+                    "log, else 0 0 0)"
+                ),
+            },
+            "--gusts": opt.SHARED["--gusts"]
+            | {"help": "that the drawn functions meet (default: auto)"},
+            "--duration": {
+                "metavar": "S",
+                "type": opt.positive("seconds"),
+                "help": "how long [s] (default: 10, or the rest of the log)",
+            },
+            "--dt": {
+                "metavar": "S",
+                "type": opt.positive("seconds"),
+                "default": 0.02,
+                "help": "time step [s] (default: 0.02)",
+            },
+            "--paths": opt.SHARED["--paths"]
+            | {
+                "default": 30,
+                "help": "functions of the posterior to fly; 0: the mean alone (default: 30)",
+            },
+        },
+        "start where a flight was": {
+            "--controls": {
+                "metavar": "TABLE",
+                "help": "fly with these deflections [rad] in place of those of the log",
+            },
+            "--flight": {"metavar": "LOG", "help": "the log of the flight"},
+            "--at": {
+                "metavar": "S",
+                "type": opt.number(),
+                "help": "when, on the clock of the log [s]",
+            },
+            **opt.LOG,
+        },
+        "start from a trim": {
+            "--trim": {
+                "metavar": "V",
+                "type": opt.positive("m/s"),
+                "help": "start from steady flight at this airspeed [m/s]",
+            },
+            "--doublet": opt.AXIS_VALUES
+            | {
+                "help": (
+                    "deviations [rad]: up from 1 to 2 s, down from 2 to 3 s, such as elevator=0.03"
+                )
+            },
+            "--deviations": {
+                "metavar": "TABLE",
+                "help": "deviations of the controls from the trim",
+            },
+            "--altitude": {
+                "metavar": "M",
+                "type": opt.number(),
+                "help": "of the trim [m] (default: 0)",
+            },
+            "--climb": {
+                "metavar": "RAD",
+                "type": opt.number(),
+                "help": "flight-path angle [rad] (default: 0; without thrust it follows)",
+            },
+            "--turn-rate": {
+                "metavar": "RAD/S",
+                "type": opt.number(),
+                "help": "of the heading [rad/s] (default: 0)",
+            },
+            "--bank": {
+                "metavar": "RAD",
+                "type": opt.number(),
+                "help": "bank angle [rad], instead of a turn rate",
+            },
+        },
     },
-    outputs=r"bands\.(csv|parquet)|trajectory\.png",
-)
+}

@@ -82,18 +82,18 @@ def write_together(
 
 
 def text_writer(text: str) -> Writer:
-    """Return what writes a text in UTF-8."""
+    """Return the writer of a text in UTF-8."""
     return lambda path: path.write_text(text, encoding="utf-8")
 
 
 def sha256_of(file: BinaryIO, size: int) -> bytes:
     """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     file.seek(0)
     while chunk := file.read(min(size, 2**20)):
-        found.update(chunk)
+        digest.update(chunk)
         size -= len(chunk)
-    return found.hexdigest().encode()
+    return digest.hexdigest().encode()
 
 
 def plain(value: Any) -> Any:
@@ -158,11 +158,11 @@ def _parsed(parse, refusal):
 
 
 def _unique_keys(pairs):
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    content = dict(pairs)
+    if len(content) < len(pairs):
         ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
         raise ValueError(f"the key {name!r} stands twice")
-    return found
+    return content
 
 
 def _refuse(constant):
@@ -170,14 +170,14 @@ def _refuse(constant):
 
 
 def software_versions() -> dict[str, str]:
-    """Return the versions of skdgp and of what its numbers depend on."""
-    found = {"skdgp": "unknown", "python": platform.python_version()}
+    """Return the versions of skdgp and of the packages that its numbers depend on."""
+    versions = {"skdgp": "unknown", "python": platform.python_version()}
     for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:  # run from a folder that was never installed
             continue
-    return found
+    return versions
 
 
 def column_names(y) -> list[str]:
@@ -187,7 +187,7 @@ def column_names(y) -> list[str]:
 
 
 def csv_writer(table: pd.DataFrame) -> Writer:
-    """Return what writes a table, every digit of it, an apostrophe before texts that a spreadsheet would compute."""
+    """Return the writer of a table as CSV, with every digit, and an apostrophe before a formula of spreadsheets."""
     texts = table.select_dtypes(exclude="number").astype(object).map(guarded)
     safe = table.assign(**{str(name): texts[name] for name in texts}).rename(columns=guarded)
     return lambda path: safe.to_csv(path, index=False)

@@ -133,7 +133,7 @@ def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:
 
 
 def symmetric(lower: Matrix) -> Matrix:
-    """Return the full matrix of which the lower triangle is given."""
+    """Return the symmetric matrix with this lower triangle."""
     full = np.tril(lower)
     return full + np.tril(full, -1).T
 

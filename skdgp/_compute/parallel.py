@@ -24,7 +24,7 @@ def _libraries() -> list[Any]:
 
 
 class _OneThread:
-    """Keep BLAS on one thread while any caller asks for it; the last to leave restores what the first found.
+    """Keep BLAS on one thread while any caller asks for it; the last to leave restores the former numbers.
 
     It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each
     stage of a step.

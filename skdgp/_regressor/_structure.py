@@ -2,44 +2,43 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from sklearn.base import clone
 from sklearn.utils import check_random_state
-from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
-from skdgp.inference import Fit, average, fit_exact, fit_sparse, joined, n_searched
+from skdgp.inference import Fit, as_exact, average, fit_exact, fit_sparse, n_searched, stratified
 from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
 
-SEARCHES = 2
-"""Of a log, which hold out other blocks.
-
-On twelve pairs of flights, three seeds each, the mean of two has 0.98 to 0.99 of the error of one,
-of three 0.97 (docs/results.md#pairs-of-flights; tests/benchmarks/pairs.py prints what one search
-has alone)."""
 N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.
 
 Of the known values of seven electrodes (docs/results.md) the likelihood is 821, 888 and 910 with
 two, three and four.
 """
-LOG_ITERATIONS = 60  # of a log; held-out blocks end most searches before
+LOG_ITERATIONS = 60  # of a log
 ITERATIONS, ITERATED_VALUES = 150, 1500
 """Most iterations, of a search that learns from up to so many values; of more values as many as take the same time.
 
 Seven electrodes need 100 of 1492 values: the error of gaps is .46 after 60, and .26 then. Other
 searches of tests/benchmarks/published.py converge within 90, or do not gain.
 """
+EXACT_LIMIT, LOG_LIMIT = 6000, 1000
+"""Largest number of observed values, and of values of a log, of which inference="auto" is exact.
+
+An exact posterior of 6000 values takes seconds. Errors of a log are correlated, which the sparse
+posterior takes into account.
+"""
+MOST_NEGLECTED = 0.3
 ADDITIVE_SAMPLES = (
     5000  # of a log: largest number for which an average has main effects, see docs/theory.md
 )
 
 
-def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
+def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool, inference: str) -> Fit:
     """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
     Parameters of the model, a DependentGPRegressor, are read; it is not changed.
@@ -47,34 +46,33 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool) -> Fit:
     kernel, input_noise = _make_kernel(model, X, Z, log), model.input_noise
     if isinstance(input_noise, str) and input_noise == "auto":
         input_noise = "learned" if log else None
+    random_state = check_random_state(model.random_state)
     options = {
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
         "input_noise": _checks.input_root(input_noise, X, model._regressor_names()),
-        "stop_early": log,
+        "random_state": random_state.randint(2**31 - 1),
     }
-    search = (
-        fit_exact
-        if model.inference_ == "exact"
-        else partial(fit_sparse, n_inducing=model.n_inducing)
-    )
-    search = partial(search, kernel, X, Z, **options)
-    averaged = model.structure == "average" and model.optimizer is not None
-    seeds = check_random_state(model.random_state).randint(
-        2**31 - 1, size=SEARCHES if averaged and log else 1
-    )
-    if not averaged:
-        return search(random_state=int(seeds[0]))
-    n_jobs = model.n_jobs if len(seeds) == 1 else None
-    found = Parallel(n_jobs=model.n_jobs, return_as="generator")(
-        delayed(_averaged)(search, X, Z, n_jobs, int(seed)) for seed in seeds
-    )
-    fits: list[Fit] = []
-    for fit in found:
-        fits.append(fit)
-        if fit.interrupted:  # the next search would go on for as long
-            break
-    return joined(fits)
+    if inference == "exact":
+        fit = fit_exact(kernel, X, Z, **options)
+    else:
+        fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
+        chosen = model.inference == "auto" and not log and not fit.interrupted
+        if chosen and _neglect(fit) > MOST_NEGLECTED:
+            n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
+            rows = stratified(np.arange(len(X)), n, random_state)
+            X, Z = X[rows], Z[rows]
+            fit = as_exact(fit, X, Z)
+    if model.structure != "average" or model.optimizer is None or fit.interrupted:
+        return fit
+    return average(fit, X, Z, None if log else random_state, model.n_jobs)
+
+
+def _neglect(fit):
+    """Return the prior variance that a sparse fit neglects, over the noise, of the worst output."""
+    if fit.learned.root is not None:
+        return 0.0
+    return float(np.max(fit.posterior.unexplained_variance / fit.posterior.noise))
 
 
 def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
@@ -86,18 +84,6 @@ def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
     if max_iter is not None or log:
         return LOG_ITERATIONS if max_iter is None else max_iter
     return int(ITERATIONS * min(ITERATED_VALUES / n_searched(Y), 1.0) ** 3)
-
-
-def most_factors(model: Any, log: bool) -> int:
-    """Return the largest number of Cholesky factors of all values that a posterior of exact inference holds."""
-    return (
-        2 * SEARCHES if model.structure == "average" and log else 1
-    )  # all terms, trend and main effects
-
-
-def _averaged(search, X, Z, n_jobs, seed):
-    fit = search(random_state=seed)
-    return fit if fit.interrupted else average(fit, X, Z, n_jobs)
 
 
 def weights_of(posterior: Any) -> dict[str, Vector]:

@@ -16,11 +16,11 @@ misfit    the error of the function that residuals show where flights come back 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, joined, residual_drift
+from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, residual_drift
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
-from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched
+from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
     SlopeErrors,
@@ -42,13 +42,13 @@ __all__ = [
     "Paths",
     "SlopeErrors",
     "SparsePosterior",
+    "as_exact",
     "autocorrelation_time",
     "average",
     "fit_exact",
     "fit_sparse",
     "function_errors",
     "input_noise_loading",
-    "joined",
     "log_likelihood",
     "maximize",
     "misfit_variance",
@@ -57,5 +57,6 @@ __all__ = [
     "residual_drift",
     "shares_of",
     "slope_errors",
+    "stratified",
     "training_inputs",
 ]

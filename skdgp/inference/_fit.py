@@ -13,7 +13,6 @@ from skdgp._compute.linalg import (
     check_memory,
     cluster_centres,
     column_scale,
-    covariance_root,
     output_scale,
 )
 from skdgp._compute.statistics import autocorrelation_time
@@ -26,7 +25,6 @@ from skdgp.inference._search import (
     NOISE_BOUNDS,
     NOISE_STEPS,
     Hyperparameters,
-    held_out_rows,
     input_noise_loading,
     noise_alone,
     search,
@@ -55,6 +53,11 @@ class Fit(NamedTuple):
         """Whether Ctrl-C ended the search."""
         return self.learned.interrupted
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the posterior of all terms is exact."""
+        return isinstance(self.posterior.members[0], ExactPosterior)
+
     def marked(self, interrupted: bool) -> Fit:
         """Return the same fit, interrupted or not."""
         return self._replace(learned=self.learned._replace(interrupted=interrupted))
@@ -69,7 +72,6 @@ def fit_exact(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    stop_early: bool = False,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -88,9 +90,6 @@ def fit_exact(
     input_noise : ndarray (d, r), "learned" or None
         R of the covariance R R^T of the regressors' noise. "learned": one variance for each
         regressor is learned.
-    stop_early : bool
-        Whether hyperparameters are learned only until the error of held-out blocks of rows no
-        longer falls.
 
     Returns
     -------
@@ -98,14 +97,22 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     random_state = check_random_state(random_state)
-    rows, held = (
-        held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
-    )
+    rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     learned = search(
-        kernel.prepared(X), X, Y, rows, held=held, random_state=random_state, exact=True, **options
+        kernel.prepared(X), X, Y, rows, random_state=random_state, exact=True, **options
     )
     posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
+    return Fit(posterior, learned, posterior.log_marginal_likelihood)
+
+
+def as_exact(fit: Fit, X: Matrix, Y: Matrix) -> Fit:
+    """Return the exact posterior of these samples at the kernel of a sparse fit, with its own noise."""
+    data = fit.learned.data(X, Y)
+    noise, n_evaluations = noise_alone(fit.learned.kernel, X, Y, data)
+    n_evaluations += fit.learned.n_evaluations
+    learned = fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
+    posterior = ExactPosterior(learned.kernel, noise, data)
     return Fit(posterior, learned, posterior.log_marginal_likelihood)
 
 
@@ -119,7 +126,7 @@ def fit_sparse(
     max_iter: int,
     random_state: Seed,
     input_noise: Any = None,
-    stop_early: bool = False,
+    ordered: bool = False,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -129,8 +136,10 @@ def fit_sparse(
         As for ``fit_exact``.
     n_inducing : int
         Inducing inputs of each latent process: the centres of k-means.
-    optimizer, max_iter, random_state, input_noise, stop_early
+    optimizer, max_iter, random_state, input_noise
         As for ``fit_exact``.
+    ordered : bool
+        Whether the rows are in the order of a log, whose neighbours have correlated errors.
 
     Returns
     -------
@@ -147,21 +156,18 @@ def fit_sparse(
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    rows, held = (
-        held_out_rows(Y, random_state) if stop_early else (some_rows(Y, random_state), None)
-    )
+    rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(kernel, X, Y, rows, held=held, random_state=random_state, **options)
-    return _sparse_fit(
-        learned, inducing_features(learned.kernel, Z), X, Y, converge=optimizer is not None
-    )
+    learned = search(kernel, X, Y, rows, random_state=random_state, **options)
+    features = inducing_features(learned.kernel, Z)
+    return _sparse_fit(learned, features, X, Y, ordered, converge=optimizer is not None)
 
 
-def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
+def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None) -> Fit:
     """Return the sparse fit with these features and, unless ``converge`` is false, the noise that is best for them.
 
-    Errors of neighbours are correlated: a sample carries less information, so the posterior's noise
-    is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
+    Errors of neighbours in a log are correlated: a sample carries less information, so the
+    posterior's noise is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
     noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
     default by the slopes of the posterior.
     """
@@ -171,7 +177,7 @@ def _sparse_fit(learned, features, X, Y, *, converge=True, loading=None) -> Fit:
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
     value = float(posterior.log_marginal_likelihood)
-    if converge:
+    if converge and ordered:
         inflation = np.array(
             [autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T]
         )
@@ -239,7 +245,9 @@ def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any)
 # ------------------------------------------------------------------------------------------------------
 
 
-def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
+def average(
+    fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, n_jobs: int | None = None
+) -> Fit:
     """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
     After Ctrl-C it is the fit of the whole kernel, interrupted.
@@ -251,6 +259,8 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
+    random_state : RandomState or None
+        Of the rows that are held out together. None: blocks of a log.
     n_jobs : int or None
         Parts that are fitted side by side, as in joblib.
 
@@ -265,14 +275,15 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     try:
         root = fit.learned.root
         loading = None if root is None else input_noise_loading(fit.posterior, X, root)
-        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading)
+        ordered = random_state is None
+        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading, ordered=ordered)
         others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
         fits = [fit, *others]
         members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
         weights = (
             None
             if any(each.interrupted for each in fits)
-            else held_out_weights(members, noises, X, Y, loading)
+            else held_out_weights(members, noises, X, Y, loading, random_state)
         )
     except KeyboardInterrupt:
         weights = None
@@ -286,33 +297,7 @@ def average(fit: Fit, X: Matrix, Y: Matrix, n_jobs: int | None = None) -> Fit:
     )
 
 
-def joined(fits: list[Fit]) -> Fit:
-    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
-
-    Searches hold out other blocks and start at other values. What they find explains the log
-    equally well, but predicts other flights differently, so their mean predicts better than each
-    (Breiman 1996).
-    """
-    if len(fits) == 1:
-        return fits[0]
-    posteriors, learned = [fit.posterior for fit in fits], [fit.learned for fit in fits]
-    posterior = AveragePosterior(
-        [member for each in posteriors for member in each.members],
-        [part for each in posteriors for part in each.parts],
-        np.concatenate([each.mixture for each in posteriors]) / len(fits),
-    )
-    roots = [each.root for each in learned if each.root is not None]
-    found = learned[0]._replace(
-        noise=np.mean([each.noise for each in learned], axis=0),
-        root=covariance_root(np.mean([root @ root.T for root in roots], axis=0)) if roots else None,
-        n_evaluations=sum(each.n_evaluations for each in learned),
-        interrupted=any(each.interrupted for each in learned),
-        converged=all(each.converged for each in learned),
-    )
-    return Fit(posterior, found, fits[0].value)
-
-
-def _of_part(whole, X, Y, loading, part) -> Fit:
+def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
     Noise of the regressors propagates by ``loading``, that of the whole. Evaluations are those for
@@ -321,7 +306,8 @@ def _of_part(whole, X, Y, loading, part) -> Fit:
     kernel = of_terms(whole.posterior.kernel, part)
     learned = whole.learned._replace(kernel=kernel, n_evaluations=0)
     if isinstance(whole.posterior, SparsePosterior):
-        return _sparse_fit(learned, of_terms(whole.posterior.features, part), X, Y, loading=loading)
+        features = of_terms(whole.posterior.features, part)
+        return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
     data = whole.posterior.data
     noise, n_evaluations = noise_alone(kernel, X, Y, data)
     posterior: Any

@@ -181,7 +181,6 @@ def log_likelihood(
     data: Data,
     eval_gradient: bool = False,
     workspace: Matrix | None = None,
-    weights: Vector | None = None,
 ) -> Any:
     """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
@@ -200,8 +199,6 @@ def log_likelihood(
     workspace : ndarray (N, N), C order, or None
         Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its
         allocation.
-    weights : ndarray (N,) or None
-        With ``eval_gradient``, alpha = K^-1 y is written to it.
 
     Returns
     -------
@@ -221,14 +218,12 @@ def log_likelihood(
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         if not eval_gradient:
             return value
-        return value, _gradient(kernel, noise, data, y, L, weights, by_pairs)
+        return value, _gradient(kernel, noise, data, y, L, by_pairs)
 
 
-def _gradient(kernel, noise, data, y, L, weights, by_pairs):
+def _gradient(kernel, noise, data, y, L, by_pairs):
     inverse = cholesky_inverse(L)
     alpha = dsymv(1.0, inverse, y, lower=1)
-    if weights is not None:
-        weights[:] = alpha
     # -W: only one triangle is computed and read, the upper one in C order.
     minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 

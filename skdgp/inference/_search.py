@@ -2,16 +2,17 @@
 
 1. Each output alone (``_fit_singles``).
 2. All outputs, with widths that they share.
-3. All hyperparameters, until the likelihood or the error of held-out blocks gets no better.
-4. The noise alone, if stage 3 ended by held-out blocks or neglected correlations between outputs.
+3. All hyperparameters.
+4. The noise alone, if stage 3 neglected correlations between outputs.
 
-Stages learn from ``some_rows`` of all, or from those that ``held_out_rows`` leaves.
+Stages learn from ``some_rows``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from threading import Event
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ from scipy.optimize import LbfgsInvHessProduct, minimize
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Indices, Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, couplings, log_likelihood
 
@@ -79,9 +80,11 @@ class _Stages:
     ``common`` is that of `Objective`.
     """
 
-    def __init__(self, P, held_out, optimizer, common, stop):
-        self.P, self.held_out = P, held_out
-        self.optimizer, self.common, self.stop = optimizer, common, stop
+    def __init__(self, P, optimizer, common, stop):
+        self.P = P
+        self.optimizer = optimizer
+        self.common = common
+        self.stop = stop
         self.n_evaluations = 0
 
     def hyperparameters(self, kernel, noise, root) -> Hyperparameters:
@@ -89,9 +92,8 @@ class _Stages:
 
     def run(self, data, kernel, noise, bounds, max_iter) -> tuple[Any, Vector, Optimum]:
         """Return kernel and noise at the end of a stage, and its Optimum."""
-        objective = Objective(kernel, data, len(noise), self.held_out, self.common)
-        error = None if self.held_out is None else objective.held_out_error
-        return self._maximize(objective, noise, theta_bounds(kernel, bounds), max_iter, error)
+        objective = Objective(kernel, data, len(noise), self.common)
+        return self._maximize(objective, noise, theta_bounds(kernel, bounds), max_iter)
 
     def run_noise(self, data, kernel, noise, bounds, stage="fit") -> Vector:
         """Return the noise that is best for this kernel."""
@@ -99,7 +101,7 @@ class _Stages:
         bounds[: kernel.n_dims] = kernel.theta[:, None]
         return self._maximize(objective, noise, bounds, NOISE_STEPS, stage=stage)[1]
 
-    def _maximize(self, objective, noise, bounds, max_iter, error=None, stage="fit"):
+    def _maximize(self, objective, noise, bounds, max_iter, stage="fit"):
         theta = np.concatenate([objective.kernel.theta, np.log(noise)])
         options = {
             "optimizer": self.optimizer,
@@ -109,7 +111,7 @@ class _Stages:
             "stage": stage,
         }
         with threads_for(objective.data.n_values):
-            best = maximize(objective, theta, bounds, **options, held_out_error=error)
+            best = maximize(objective, theta, bounds, **options)
         self.n_evaluations += best.n_evaluations
         theta, noise = np.split(best.theta, [-len(noise)])
         return objective.kernel.clone_with_theta(theta), np.exp(noise), best
@@ -125,29 +127,21 @@ def search(
     max_iter: int,
     random_state: Any,
     input_noise: Any,
-    held: Any = None,
     exact: bool = False,
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
-    The joint search stops when the error at the rows ``held`` no longer falls. This error says
-    nothing about the noise, and without ``exact`` the search neglects the correlation of outputs by
-    errors of the regressors, so noise is learned again at the end. The other arguments are those of
-    ``fit_exact``.
+    Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
+    noise is learned again at the end. The other arguments are those of ``fit_exact``.
     """
-    P, held_out, whole = Y.shape[1], None, (X, Y)
-    if held is not None:
-        some = stratified(held, HELD_OUT_ROWS, random_state)
-        held_out, Y = Data.from_table(X[some], Y[some]), np.array(Y)
-        Y[held] = np.nan
     open_kernel, kernel = kernel, kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop, singles, n_singles = Event(), None, 0
-    if optimizer is not None and P > 1 and not open_kernel.has_values():  # stage 1
+    if optimizer is not None and not open_kernel.has_values():  # stage 1
         options = optimizer, max_iter, random_state, stop
         singles, noise, n_singles = _fit_singles(open_kernel, noise, noise_bounds, X, Y, *options)
     scale, X, Y = column_scale(X), X[rows], Y[rows]
-    stages = _Stages(P, held_out, optimizer, exact, stop)
+    stages = _Stages(Y.shape[1], optimizer, exact, stop)
     learned_root = isinstance(input_noise, str)
     root = np.diag(scale) if learned_root else input_noise
     if optimizer is None:
@@ -170,13 +164,9 @@ def search(
     # Stage 3.
     kernel, noise, best = stages.run(data, kernel, noise, bounds, max_iter - n_iter)
     n_values = data.n_values
-    noise_is_left = held_out is not None if exact else learned_root
-    if noise_is_left and not (callable(optimizer) or stop.is_set()):
-        # Stage 4: the noise of all blocks; in sparse inference the white noise is learned again
-        # from all samples.
-        some = some_rows(whole[1], random_state)
-        noise_X, noise_Y = (whole[0][some], whole[1][some]) if exact else (X[::2], Y[::2])
-        data = stages.hyperparameters(kernel, noise, root).data(noise_X, noise_Y, 1)
+    if learned_root and not (exact or callable(optimizer) or stop.is_set()):
+        # Stage 4; the white noise is learned again from all samples.
+        data = stages.hyperparameters(kernel, noise, root).data(X[::2], Y[::2], 1)
         noise = stages.run_noise(data, kernel, noise, bounds)
     if learned_root:
         root = root * np.sqrt(noise[len(noise_bounds) :])
@@ -196,7 +186,7 @@ def noise_alone(kernel: Any, X: Matrix, Y: Matrix, data: Data) -> tuple[Vector, 
     """
     step, stop = -(-data.n_values // SEARCH_VALUES[1]), Event()
     noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
-    stages = _Stages(Y.shape[1], None, "fmin_l_bfgs_b", True, stop)
+    stages = _Stages(Y.shape[1], "fmin_l_bfgs_b", True, stop)
     found = stages.run_noise(data.every(step), kernel, noise, bounds, "members")
     if stop.is_set():
         raise KeyboardInterrupt
@@ -230,12 +220,6 @@ SEARCH_VALUES, OUTPUT_VALUES = (
     (1000, 1800),
     300,
 )  # least and most values that a search learns from; of each output
-BLOCKS, HELD_OUT = 5, 0.2  # number of blocks that are held out, and their share of the log
-GAP = 0.1  # rows left out on either side of a block, over its length: neighbours are correlated
-HELD_OUT_ROWS = 300  # largest number of rows at which the error is measured
-FEWEST_VALUES = (
-    40  # values of each output below which nothing is held out: their error would be chance
-)
 
 
 def stratified(rows: Any, n, random_state: Any):
@@ -271,36 +255,13 @@ def some_rows(Y: Matrix, random_state: Seed):
     return np.sort(rows)
 
 
-def held_out_rows(Y: Matrix, random_state: Any) -> tuple[Indices, Indices | None]:
-    """Return rows to learn from and rows to hold out, for early stopping.
-
-    Held out is one block of rows at a random place in each of BLOCKS parts of the log, with a gap
-    on either side. None is held out where an output would have too few values.
-    """
-    observed = np.flatnonzero(np.isfinite(Y).any(axis=1))
-    edges = np.linspace(0, len(observed), BLOCKS + 1)
-    length = HELD_OUT * len(observed) / BLOCKS
-    gap = GAP * length
-    starts = (
-        edges[:-1] + gap + (np.diff(edges) - length - 2 * gap) * random_state.uniform(size=BLOCKS)
-    )
-    place = np.arange(len(observed))
-    inside = (place >= starts[:, None]) & (place < starts[:, None] + length)
-    near = (place >= starts[:, None] - gap) & (place < starts[:, None] + length + gap)
-    held, rest = observed[inside.any(axis=0)], observed[~near.any(axis=0)]
-    if (
-        min(np.isfinite(Y[held]).sum(axis=0).min(), np.isfinite(Y[rest]).sum(axis=0).min())
-        < FEWEST_VALUES
-    ):
-        return some_rows(Y, random_state), None
-    return rest[some_rows(Y[rest], random_state)], held
-
-
 # -- each output alone
 # ------------------------------------------------------------------------------------------------
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
 WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
+NARROW_FACTORS = (0.1, 0.05, 0.025, 0.012, 0.006)  # widths whose likelihood is compared with theirs
+NOISE_FACTORS = (1.0, 0.1)  # of the noise at these widths
 TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 # rise of the likelihood by one iteration, as a fraction for each process, below which it is the
 # last
@@ -338,6 +299,29 @@ class _SingleFit:
         n_evaluations = sum(optimum.n_evaluations for _, optimum in trials.values())
         return *max(trials.values(), key=lambda trial: trial[1].value), n_evaluations
 
+    def likeliest_narrow(self, kernel, theta):
+        """Return the likeliest of ``theta`` and starts of narrow widths, by all values of the output.
+
+        A function that turns often, such as a sine of many periods, has an optimum so narrow that
+        searches from wider starts end at one that explains everything as noise.
+        """
+        data = Data.from_table(self.x, self.y)
+        starts = [theta]
+        for width, noise in product(NARROW_FACTORS, NOISE_FACTORS):
+            start = kernel.single_output().initialize(
+                self.x, self.y, np.random.RandomState(self.seed), width_factor=width
+            )
+            starts.append(np.concatenate([start.theta, np.log(noise * self.noise)]))
+        like = kernel.single_output().initialize(self.x, self.y, np.random.RandomState(self.seed))
+
+        def value(theta):
+            try:
+                return log_likelihood(like.clone_with_theta(theta[:-1]), np.exp(theta[-1:]), data)
+            except np.linalg.LinAlgError:
+                return -np.inf
+
+        return max(starts, key=value)
+
 
 @one_blas_thread()  # and one after another: two threads gain nothing on small matrices
 def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_state, stop):
@@ -358,7 +342,7 @@ def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_
     trials = [output.try_widths(kernel, max_iter) for output in outputs]
     most = min(SINGLE_ITERATIONS, 2 * max_iter)
     refined = [
-        output.optimize(single, optimum.theta, 1, most)
+        output.optimize(single, output.likeliest_narrow(kernel, optimum.theta), 1, most)
         for output, (single, optimum, _) in zip(outputs, trials, strict=True)
     ]
     kernels = [single.clone_with_theta(optimum.theta[:-1]) for single, optimum in refined]
@@ -374,8 +358,6 @@ def _fit_singles(kernel, noise, noise_bounds, X, Y, optimizer, max_iter, random_
 # -----------------------------------------------------------------------------
 
 RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
-PATIENCE = 5  # iterations over which the held-out error must fall
-LEAST_GAIN = 0.01  # by this fraction
 GRID = 2.0**-14
 """Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
 
@@ -394,47 +376,31 @@ STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 class Objective:
     """The function [theta, log noise] -> log likelihood, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. ``held_out`` is data that the likelihood does not
-    know. Where nothing couples outputs, this is the sum of their likelihoods: P^2 times faster.
+    ``n_noise`` is the length of the noise vector. Where nothing couples outputs, this is the sum of
+    their likelihoods: P^2 times faster.
     With ``common`` false it neglects the correlation of outputs by errors of the regressors: widths
     and amplitudes hardly change, but the variances of the regressors' noise must then be learned
     again.
     """
 
-    def __init__(
-        self, kernel: Any, data: Data, n_noise: int, held_out: Any = None, common: bool = True
-    ) -> None:
-        self.kernel, self.data, self.n_noise, self.held_out = kernel, data, n_noise, held_out
+    def __init__(self, kernel: Any, data: Data, n_noise: int, common: bool = True) -> None:
+        self.kernel = kernel
+        self.data = data
+        self.n_noise = n_noise
         coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
         self.parts = [data] if coupled else data.by_output()
-        self.theta, self.weights = np.empty(0), [np.empty(part.n_values) for part in self.parts]
         self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
 
     def __call__(self, theta):
         candidate, noise = self._split(theta)
         value, gradient = 0.0, np.zeros(len(theta))
-        for part, weights in zip(self.parts, self.weights, strict=True):
+        for part in self.parts:
             n = part.n_values
             workspace = self.workspace[: n * n].reshape(n, n)
-            by_part = log_likelihood(candidate, noise, part, True, workspace, weights)
-            value, gradient = value + by_part[0], gradient + by_part[1]
-        self.theta = np.array(theta)
+            of_part, slope = log_likelihood(candidate, noise, part, True, workspace)
+            value += of_part
+            gradient += slope
         return value, gradient
-
-    def held_out_error(self, theta: Vector) -> float:
-        """Return the mean squared error of the held-out values, averaged over the outputs."""
-        if not np.array_equal(theta, self.theta):  # not the last point that was evaluated
-            self(theta)
-        kernel, held_out = self._split(theta)[0], self.held_out
-        weights = np.split(
-            np.concatenate(self.weights), np.cumsum([len(y) for y in self.data.y])[:-1]
-        )
-        errors = []
-        for i, (X, y) in enumerate(zip(held_out.X, held_out.y, strict=True)):
-            pairs = [(j, Xj, w) for j, (Xj, w) in enumerate(zip(self.data.X, weights, strict=True))]
-            mean = sum(kernel.block(i, j, X, Xj) @ w for j, Xj, w in pairs if kernel.couples(i, j))
-            errors.append(np.mean((y - mean) ** 2) if len(y) else 0.0)
-        return float(np.mean(errors))
 
     def _split(self, theta):
         return self.kernel.clone_with_theta(theta[: -self.n_noise]), np.exp(theta[-self.n_noise :])
@@ -454,9 +420,7 @@ class Optimum(NamedTuple):
     n_evaluations: int
     interrupted: bool
     remaining: float  # expected rise of the likelihood in as many iterations again [nats]
-    converged: (
-        bool  # stopped because the likelihood no longer rose, or the held-out error no longer fell
-    )
+    converged: bool  # stopped because the likelihood no longer rose
 
 
 class _Watched:
@@ -509,7 +473,6 @@ def maximize(
     tolerance: Any = 1e-5,
     stage: str = "fit",
     stop: Any = None,
-    held_out_error: Any = None,
     grid: float = 0.0,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
@@ -531,12 +494,9 @@ def maximize(
         Name of the stage for progress listeners.
     stop : threading.Event or None
         Stops the search before the next evaluation when it is set. Ctrl-C sets it.
-    held_out_error : callable or None
-        theta (n,) -> error at data that ``log_likelihood`` does not know. The search stops when it
-        has not fallen by 1 % over 5 iterations. It is not called for an ``optimizer`` of the user.
     grid : float
-        Spacing of the points that are evaluated, over the width of the bounds, see ``GRID``. Zero:
-        any points.
+        Spacing of the points that are evaluated, from the lower bounds on, over the width of the
+        bounds, see ``GRID``. Zero: any points.
 
     Returns
     -------
@@ -547,7 +507,7 @@ def maximize(
     step[step == 0.0] = 1.0
 
     def rounded(theta):
-        nearest = step * np.round(theta / step) if grid else theta
+        nearest = bounds[:, 0] + step * np.round((theta - bounds[:, 0]) / step) if grid else theta
         return np.clip(nearest, bounds[:, 0], bounds[:, 1])
 
     theta = rounded(theta)
@@ -555,20 +515,12 @@ def maximize(
         return Optimum(theta, -np.inf, 0, 0, True, np.inf, False)
     objective = _Watched(log_likelihood, theta, stage, stop)
     n_iter, interrupted, remaining, converged = 0, False, np.inf, False
-    errors: list[float] = []
     before = -np.inf
 
     def watch(theta):
         nonlocal before
         rise, before = objective.latest - before, objective.latest
         if rise <= tolerance * max(1.0, abs(before), abs(before - rise)):
-            raise StopIteration
-        if held_out_error is None:
-            return
-        errors.append(held_out_error(rounded(theta)))
-        if len(errors) > PATIENCE and min(errors[-PATIENCE:]) > (1 - LEAST_GAIN) * min(
-            errors[:-PATIENCE]
-        ):
             raise StopIteration
 
     try:

@@ -143,6 +143,15 @@ class SparsePosterior(Single):
             residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
         return residual
 
+    @property
+    def unexplained_variance(self) -> Vector:
+        """Mean prior variance that the features do not explain, (P,), of values with independent noise.
+
+        Far below the noise variance, the posterior is nearly the exact one (Burt, Rasmussen & van
+        der Wilk 2020).
+        """
+        return np.array([s.unexplained / max(s.n, 1) for s in self.statistics])
+
     def samples(self) -> Data:
         """Return the values that the posterior has learned from."""
         return data_from_shares(self.shares, self.kernel.n_outputs)

@@ -178,6 +178,6 @@ def test_evaluates_points_of_the_grid():
 
     bounds = np.array([[-5.0, 5.0], [-5.0, 0.3]])  # where the last one is a bound
     maximize(watched, np.array([-1.2, 0.1]), bounds, grid=2.0**-10)
-    steps = np.array(seen) / (2.0**-10 * np.array([10.0, 5.3]))
+    steps = (np.array(seen) - bounds[:, 0]) / (2.0**-10 * np.array([10.0, 5.3]))
     assert (np.isclose(steps, np.round(steps), atol=1e-9) | np.isin(seen, bounds)).all()
     assert len(seen) > 5

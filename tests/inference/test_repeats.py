@@ -41,6 +41,7 @@ def fitted(X, Y):
         optimizer="fmin_l_bfgs_b",
         max_iter=15,
         random_state=0,
+        ordered=True,
     )
 
 

@@ -1,0 +1,121 @@
+"""What a fit promises whatever the data: refused, it changes nothing; rows, units and masks mean what they say."""
+
+import warnings
+
+import numpy as np
+import pytest
+from sklearn.exceptions import ConvergenceWarning
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import ConvolvedGaussian
+
+
+def waves(n=40, seed=0):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, 2))
+    return X, np.sin(X) + 0.1 * rng.normal(size=(n, 2))
+
+
+def quick(**options):
+    return DependentGPRegressor(**{"max_iter": 10, "random_state": 0} | options)
+
+
+class TestRefusedFit:
+    @pytest.mark.parametrize(
+        ("options", "change"),
+        [
+            ({"structure": "trend", "trend": "constant"}, lambda X, Y: (X, 1000 * Y + 7)),
+            ({"kernel": ConvolvedGaussian(1, regressors=[5])}, lambda X, Y: (X[:, :1], Y[:, 0])),
+            ({}, lambda X, Y: (X[:, :1], Y[:3])),
+        ],
+    )
+    def test_changes_nothing(self, options, change):
+        X, Y = waves()
+        model = quick().fit(X, Y)
+        before = dict(vars(model))
+        expected = model.predict(X, return_std=True)
+        parameters = model.get_params()
+        model.set_params(**options)
+        with pytest.raises((ValueError, TypeError)):
+            model.fit(*change(X, Y))
+        model.set_params(**parameters)
+        assert vars(model).keys() == before.keys()
+        np.testing.assert_array_equal(model.predict(X, return_std=True), expected)
+
+    def test_of_a_new_estimator_leaves_it_unfitted(self):
+        model = quick()
+        with pytest.raises(ValueError, match="fewer than two"):
+            model.fit(np.eye(3), [np.nan, np.nan, 1.0])
+        assert not [name for name in vars(model) if name.endswith("_")]
+
+
+@pytest.mark.parametrize("frequency", [20, 50, 120, 200])
+def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
+    rng = np.random.default_rng(0)
+    X, new = rng.uniform(size=(300, 1)), rng.uniform(0.02, 0.98, size=(100, 1))
+    y = np.sin(frequency * X[:, 0]) + 0.1 * rng.normal(size=300)
+    model = DependentGPRegressor(random_state=0).fit(X, y)
+    assert np.sqrt(np.mean((model.predict(new) - np.sin(frequency * new[:, 0])) ** 2)) < 0.2
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_order_of_rows_does_not_matter_without_time(inference):
+    rng = np.random.default_rng(0)
+    X = np.sort(rng.uniform(-3, 3, (80, 1)), axis=0)
+    y = np.sin(2 * X[:, 0]) + 0.1 * rng.normal(size=80)
+    options = {"inference": inference, "n_inducing": 40}
+    predicted = []
+    for order in (np.arange(80), rng.permutation(80)):
+        model = DependentGPRegressor(**options, random_state=0).fit(X[order], y[order])
+        predicted.append(model.predict(X))
+    error = np.sqrt(np.mean((np.array(predicted) - np.sin(2 * X[:, 0])) ** 2, axis=1))
+    assert error[0] == pytest.approx(error[1], abs=0.01)
+    assert (error < 0.1).all()
+
+
+@pytest.mark.parametrize("time", [None, np.arange(80.0)])
+def test_units_of_regressors_do_not_matter(time):
+    X, Y = waves(80)
+    mean, std = quick().fit(X, Y, time=time).predict(X, return_std=True)
+    for unit in ([0.3048, 1.0], [1.0, 57.29578], [1852.0, 1e-3]):
+        model = quick().fit(X * unit, Y, time=time)
+        other_mean, other_std = model.predict(X * unit, return_std=True)
+        np.testing.assert_allclose(other_mean, mean, atol=2e-3)
+        np.testing.assert_allclose(other_std, std, rtol=1e-2)
+
+
+class TestMasks:
+    def test_masked_targets_are_not_observed(self):
+        X, Y = waves()
+        hidden = np.random.default_rng(1).random(Y.shape) < 0.3
+        masked = np.ma.masked_array(np.where(hidden, 1e3, Y), mask=hidden)
+        expected = quick().fit(X, np.where(hidden, np.nan, Y)).predict(X)
+        np.testing.assert_array_equal(quick().fit(X, masked).predict(X), expected)
+
+    def test_masked_regressors_are_refused(self):
+        X, Y = waves()
+        masked = np.ma.masked_greater(X, 1.0)
+        with pytest.raises(ValueError, match=r"Got X with \d+ masked values, but expected all"):
+            quick().fit(masked, Y)
+        with pytest.raises(ValueError, match=r"Got X with \d+ masked values"):
+            quick().fit(X, Y).predict(masked)
+
+
+def test_a_sample_weight_of_another_length_is_refused():
+    X, Y = waves()
+    model = quick(max_iter=2, structure="trend").fit(X, Y)
+    assert model.score(X, Y, sample_weight=np.ones(40)) == pytest.approx(model.score(X, Y))
+    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
+        model.score(X, Y, sample_weight=np.ones(3))
+
+
+def test_a_width_that_ends_at_a_given_bound_is_said():
+    X, _ = waves()
+    y = np.sin(4 * X[:, 0])
+    narrow = ConvolvedGaussian(1, length_scale_bounds=(5.0, 10.0))
+    with pytest.warns(ConvergenceWarning, match="end at a bound of length_scale_bounds"):
+        DependentGPRegressor(narrow, structure="joint", random_state=0).fit(X, y)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wide = ConvolvedGaussian(0, length_scale_bounds=(1e-3, 1e7))
+        DependentGPRegressor(wide, structure="joint", random_state=0).fit(X, y)

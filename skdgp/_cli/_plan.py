@@ -135,9 +135,10 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     for number, point in enumerate(planned.trims):
         controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
         lines.append(f"{point.airspeed:g} m/s: {controls}")
-        for row in rows[rows["train"] == number].itertuples():
-            risk = "-" if np.isnan(row.risk) else f"{row.risk:.1%}"
-            lines.append(f"{row.start:>5.1f} s  {row.name:<{width}}{row.scale:>10.0%}{risk:>8}")
+        for _, move in rows[rows["train"] == number].iterrows():
+            risk = "-" if np.isnan(move["risk"]) else f"{move['risk']:.1%}"
+            name = f"{move['name']:<{width}}"
+            lines.append(f"{move['start']:>5.1f} s  {name}{move['scale']:>10.0%}{risk:>8}")
     flown = {point.airspeed for point in planned.trims}
     if not np.isnan(planned.risk):
         words = "risk of the flight, of any of these"
@@ -147,14 +148,14 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
     until = f"expected, up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
     heads = ("low", "high", "lowest", "highest")
     lines += ["", f"{'limits, SI units':<18}{''.join(f'{name:>10}' for name in heads)} {until}"]
-    for name, row in limits.iterrows():
+    for limit, row in limits.iterrows():
         numbers = "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source"))
-        lines.append(f"{name:<18}{numbers} {row['source']}")
+        lines.append(f"{limit:<18}{numbers} {row['source']}")
     if limits.empty:
         lines.append("none, not even a floor: set them by --growth, --max-bank, --floor ...")
     lines += ["", f"{'standard deviation':<20}{'before':>10}{'promised':>10}"]
-    for name, row in planned.errors.iterrows():
-        lines.append(f"{name:<20}{row['before']:>10.2g}{row['promised']:>10.2g}")
+    for derivative, row in planned.errors.iterrows():
+        lines.append(f"{derivative:<20}{row['before']:>10.2g}{row['promised']:>10.2g}")
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])

@@ -40,7 +40,7 @@ from skdgp.metrics import (
     negative_log_predictive_density,
     normalized_rmse,
 )
-from skdgp.preprocessing import FlightPathReconstruction
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 from skdgp.report import FlightResult
 
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
@@ -69,8 +69,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
         "reconstruction": reconstruction_of(pipeline),
     }
-    if "lagcorrector" in pipeline.named_steps:
-        facts["lags"] = pipeline["lagcorrector"].lags_.to_dict("index")
+    facts["lags"] = lags_of(pipeline)
     return facts
 
 
@@ -90,9 +89,32 @@ def settings_of(pipeline, reconstruction, horizons) -> dict:
         "latents": regressor.n_latent,
         "max_iter": regressor.max_iter,
     }
-    if "lagcorrector" in pipeline.named_steps:
-        settings["lags"] = pipeline["lagcorrector"].lags
+    settings["lags"] = pipeline["lagcorrector"].lags
     return settings
+
+
+def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
+    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
+    step = pipeline.named_steps.get("lagcorrector")
+    return step.lags_.to_dict("index") if isinstance(step, LagCorrector) else {}
+
+
+def lags_message(pipeline: Pipeline) -> str:
+    """Return the lags that were found in the flights of the fit and corrected, in one line; empty without any."""
+    found = {
+        name: row["applied"]
+        for name, row in lags_of(pipeline).items()
+        if row["remark"] == "removed"
+    }
+    words = [
+        f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}" for name, lag in found.items()
+    ]
+    early = (
+        " Surfaces that are early are commands of slower servos."
+        if found.get("surfaces", 0) < 0
+        else ""
+    )
+    return f"Lags against the inertial unit, corrected: {', '.join(words)}.{early}" if words else ""
 
 
 def reconstruction_of(pipeline) -> str | None:

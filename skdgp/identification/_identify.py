@@ -177,6 +177,8 @@ def identify(
         began = time.monotonic()
         X = model.fit_regressors(table, targets)
         seconds = time.monotonic() - began
+        if lags := _evaluation.lags_message(model):
+            _warn(lags)
         aircraft = _assumed.with_vane_errors(aircraft, model)
         sources = _evaluation.thrust_sources(loads["thrust"], train.values())
         if "propeller" in sources:

@@ -41,13 +41,13 @@ def make_identification_pipeline(
     mixer: Any = None,
     regressor: Any = None,
     memory: Any = None,
-    lags: str | dict | None = None,
+    lags: str | dict | None = "auto",
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
     ============================ ======================================================================================
     ``flightcheck``              faults of the log named and removed, short gaps bridged
-    ``lagcorrector``             lags of channels removed; only with ``lags``
+    ``lagcorrector``             lags of air data, surfaces, attitude and GPS removed, where flights show them
     ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and
     all sensors
     ``flightsmoother``           the rest of the sensor noise removed, rates of change added, without delay
@@ -84,8 +84,8 @@ def make_identification_pipeline(
     memory : str or joblib.Memory, optional
         Where fitted transformers are cached: a grid search over the regressor alone then smooths
         each flight once.
-    lags : "auto", dict or None, default=None
-        As for :class:`skdgp.preprocessing.LagCorrector`; None: no such step.
+    lags : "auto", dict or None, default="auto"
+        As for :class:`skdgp.preprocessing.LagCorrector`.
 
     Returns
     -------
@@ -121,6 +121,7 @@ def make_identification_pipeline(
         derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
     steps = make_pipeline(
         FlightCheck(),
+        LagCorrector(lags),
         FlightPathReconstruction(),
         FlightSmoother(cutoff=cutoff, derivatives=derivatives),
         ElevonSplitter(),
@@ -131,8 +132,6 @@ def make_identification_pipeline(
     )
     pipeline = FlightPipeline(steps.steps, memory=memory)
     pipeline.set_params(flightpathreconstruction=reconstruction)
-    if lags is not None:
-        pipeline.steps.insert(1, ("lagcorrector", LagCorrector(lags)))
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 

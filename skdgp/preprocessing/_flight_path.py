@@ -50,8 +50,6 @@ KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
 KINEMATIC_SECONDS = (
     120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
 )
-MIN_SIGNIFICANCE = 3.0  # standard deviations
-MIN_LAG = 0.01  # lags below this [s] do not change a model
 # a constant is observable if its standard deviation is less than this share of the prior one
 OBSERVABLE = 0.5
 MAX_RATIO = (
@@ -114,8 +112,7 @@ class FlightPathReconstruction(TableTransformer):
         do, `FlightSmoother` smooths them.
     inconsistent : {"use", "pass"}, default="use"
         For flights whose sensors contradict each other: reconstruct them all the same; or let
-        ``fit`` decide. "pass" first removes clear lags of attitude and velocity against the
-        inertial sensors. Then all tables pass (``used_`` is False), unchanged but for the column
+        ``fit`` decide. With "pass" all tables pass (``used_`` is False), unchanged but for the column
         ``gust``, if the expected errors of airspeed, alpha and beta are larger than those of
         `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
     vanes : {"measured", "forces"}, default="measured"
@@ -228,24 +225,15 @@ class FlightPathReconstruction(TableTransformer):
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
-        lags: dict[str, float] = {}
-        if self.inconsistent == "pass":  # clear lags of attitude and velocity are removed first
-            of_path = kinematic_lags(table, gust_time=self.gust_time)
-            clear = {
-                name: lag
-                for name, (lag, std) in of_path.items()
-                if lag > max(MIN_LAG, MIN_SIGNIFICANCE * std)
-            }
-            lags = {name: lag for name, lag in clear.items() if name not in errors}
         self.noise_std_ = dict(NOISE)
-        estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors=lags)
+        estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors={})
         if self.vanes == "forces" and not has_values(table, *AIR_DATA):
             self.vanes_ = force_vanes(
                 table, [(rows, log, each.path) for _, rows, log, each in estimates]
             )
         if self.vanes_:
             complete = with_force_vanes(table, self.vanes_)
-            estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors=lags)
+            estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors={})
         samples = [len(log.time) for _, _, log, _ in estimates]
         variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
         self.noise_std_ = {
@@ -258,7 +246,7 @@ class FlightPathReconstruction(TableTransformer):
             np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples)
         )
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
-        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | lags | _pooled(estimates, errors)
+        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | _pooled(estimates, errors)
         self.calibration_ = _calibration(estimates, errors)
         shown = (
             self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
@@ -272,9 +260,9 @@ class FlightPathReconstruction(TableTransformer):
                 stacklevel=3,
             )
         if self.inconsistent == "pass":
-            self._decide(table, estimates, lags)
+            self._decide(table, estimates)
 
-    def _decide(self, table: pd.DataFrame, estimates: Flights, lags: dict[str, float]) -> None:
+    def _decide(self, table: pd.DataFrame, estimates: Flights) -> None:
         """Set whether the reconstruction is used, and why."""
         if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
@@ -287,10 +275,6 @@ class FlightPathReconstruction(TableTransformer):
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
             self.used_, self.tells_gusts_, self.reason_ = decision(self.errors_)
-        late = [
-            f"{name.removesuffix('_lag')} {lag:.2f} s late, corrected" for name, lag in lags.items()
-        ]
-        self.reason_ = "; ".join([self.reason_, *late])
 
     def _transform_table(self, table):
         missing = missing_channels(table) if self.incomplete == "pass" else []
@@ -376,7 +360,7 @@ class FlightPathReconstruction(TableTransformer):
         return estimates
 
 
-def kinematic_lags(table: pd.DataFrame, gust_time: float = 10.0) -> dict[str, tuple[float, float]]:
+def kinematic_lags(table: pd.DataFrame) -> dict[str, tuple[float, float]]:
     """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
 
     Vanes are left out, as gusts would resemble a lag.
@@ -388,9 +372,7 @@ def kinematic_lags(table: pd.DataFrame, gust_time: float = 10.0) -> dict[str, tu
         warnings.simplefilter(
             "ignore", UserWarning
         )  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(
-            calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS], gust_time=gust_time
-        )
+        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS])
         path.fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
     return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}

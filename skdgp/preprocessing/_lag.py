@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Matrix, Vector
@@ -27,7 +29,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
-from skdgp.preprocessing._flight_path import MIN_LAG, MIN_SIGNIFICANCE, kinematic_lags
+from skdgp.preprocessing._flight_path import kinematic_lags
 from skdgp.preprocessing._path import NEEDED
 from skdgp.preprocessing._table import (
     TableTransformer,
@@ -50,24 +52,24 @@ CONTROLS = (
     "propeller_speed",
 )  # channels without noise, in which steps are common
 PADDING = 64
+MIN_SIGNIFICANCE = 3.0  # standard deviations
+MIN_LAG = 0.01  # lags below this [s] do not change a model
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
-MIN_EXPLAINED = 0.8  # least share of the response that the local linear model must explain
 BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
 # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 STEADY = 0.2
 EDGE = 1.5  # seconds at either end of a segment that the filter or a lag may distort
 SHORTEST = 20.0  # least length of a segment [s]
-RANGE, COARSE, FINE = (
-    0.5,
-    0.04,
-    0.01,
-)  # largest lag, step of the scan, and step of the parabolas [s]
+RANGE, COARSE, FINE = 0.3, 0.02, 0.01  # largest lag, steps of the scan and of the parabolas [s]
 RANK_TOLERANCE = 1e-6  # predictors nearer than this to a combination of others are left out
-BLOCK = 5.0  # seconds over which residuals may be correlated
+OVERSAMPLING = 6.0  # samples of a period of the upper end of the band
+PIECES, LEAST_PIECES = 8, 3  # number of pieces of all flights, each with a lag of its own
+SHORTEST_PIECE = 10.0  # [s]
+ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
 
 
 class Lag(NamedTuple):
-    """A lag [s], positive if late; its standard deviation; the share of the response that the model explains."""
+    """A lag [s], positive if late, its standard deviation, and the explained fraction of the response."""
 
     lag: float
     std: float
@@ -93,11 +95,12 @@ class LagCorrector(TableTransformer):
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag has the least sum of squares, the maximum of the
-    profile likelihood (Jategaonkar 2006, chapter 10). Its standard deviation allows for residuals
-    that are correlated within 5 s (Liang & Zeger 1986). Lags of throttle and propeller speed can be
-    given, not estimated: engines respond slowly. Raises ValueError if ``time``, an accelerometer or
-    a gyro is missing; if ``lags`` names neither a group nor a column, or is not finite.
+    all within the band from 0.3 to 4 Hz. The lag maximises the profile likelihood of the residuals
+    (Jategaonkar 2006, chapter 10). About eight pieces of the flights, each with its own B, C and
+    lag, give its standard error: an error of the linear model moves their lags apart. Lags of
+    throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
+    ValueError if ``time`` is missing; if ``lags`` names neither a group nor a column, or is not
+    finite.
 
     Parameters
     ----------
@@ -108,9 +111,10 @@ class LagCorrector(TableTransformer):
     Attributes
     ----------
     lags_ : DataFrame
-        By group or column: ``lag`` and ``std`` [s], ``explained`` (share of the response that the
-        local linear model explains), ``applied`` (the removed lag [s]) and ``remark``. A lag below
-        3 standard deviations or 10 ms, or of a model that explains less than 0.8, is not removed.
+        By group or column: ``lag`` and ``std`` [s], ``explained`` (fraction of the variance of the
+        response), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard
+        deviations (a third of Student's quantile of equal probability for few pieces) or below
+        10 ms is not removed.
 
     Examples
     --------
@@ -130,10 +134,9 @@ class LagCorrector(TableTransformer):
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
-            check_columns(table, INERTIAL)
-            flights = flights_of(table)
-            found = _lags_of_motion(flights) | dict.fromkeys(KINEMATIC, UNKNOWN)
-            if flights and has_values(table, *NEEDED):
+            segments = segments_of(table)
+            found = _lags_of_motion(segments) | dict.fromkeys(KINEMATIC, UNKNOWN)
+            if segments and has_values(table, *NEEDED):
                 of_path = kinematic_lags(
                     table
                 )  # attitude and GPS against integrated gyros and accelerometers
@@ -215,42 +218,45 @@ def _advanced(values: Vector, steps: float) -> Vector:
 
 def _applied(estimate: Lag) -> tuple[float, str]:
     """Return the lag to remove, and a remark."""
-    if not np.isfinite(estimate.std):
+    if not abs(estimate.lag) > MIN_SIGNIFICANCE * estimate.std:
         return 0.0, "not shown by these flights"
-    if estimate.explained < MIN_EXPLAINED:
-        return 0.0, "not shown: the local linear model explains too little"
-    if abs(estimate.lag) < MIN_SIGNIFICANCE * estimate.std:
-        return 0.0, "not significant"
     return (0.0, "negligible") if abs(estimate.lag) < MIN_LAG else (estimate.lag, "removed")
 
 
 class Segment:
-    """A gap-free segment on a uniform clock: scaled accelerations, and channels that can be shifted."""
+    """A gap-free segment: splines of its channels within the band, rates over V, accelerations over V^2."""
 
     def __init__(self, time: Vector, table: pd.DataFrame) -> None:
-        self.time = uniform_grid(time)[0]
-        self.rate_hz = (len(time) - 1) / (time[-1] - time[0])
-        self.band = BAND[0], min(BAND[1], 0.2 * self.rate_hz)
+        clock = uniform_grid(time)[0]
+        rate_hz = (len(time) - 1) / (time[-1] - time[0])
+        band = BAND[0], min(BAND[1], 0.2 * rate_hz)
         names = [
             name
             for name in (*INERTIAL, *VANES, *ALL_SURFACES, "airspeed")
             if has_values(table, name)
         ]
         values = interpolate_missing(time, numeric(table, names))
-        self.splines = {
-            name: CubicSpline(time, column) for name, column in zip(names, values.T, strict=True)
+        channels = {
+            name: CubicSpline(time, column)(clock)
+            for name, column in zip(names, values.T, strict=True)
         }
-        speed = np.ones((len(time), 1))
+        speed = np.ones(len(clock))
         if "airspeed" in names:
-            speed = self._low_pass(self.channels(["airspeed"]), STEADY)
+            speed = _low_pass(channels["airspeed"], STEADY, rate_hz)
             speed = np.maximum(speed, 0.1 * np.median(speed))
-        rates = self.channels(RATES)
-        acceleration = CubicSpline(self.time, self._low_pass(rates, 2 * self.band[1]))(self.time, 1)
-        self.force = self._within_band(self.channels(SPECIFIC_FORCE) / speed**2)
-        self.rate, self.acceleration = (
-            self._within_band(rates / speed),
-            self._within_band(acceleration / speed**2),
-        )
+        for name in RATES:
+            rate = CubicSpline(clock, _low_pass(channels[name], 2 * band[1], rate_hz))
+            channels[f"{name}_dot"] = rate(clock, 1) / speed**2
+            channels[name] = channels[name] / speed
+        for name in SPECIFIC_FORCE:
+            channels[name] = channels[name] / speed**2
+        sections = signal.butter(2, band, "bandpass", fs=rate_hz, output="sos")
+        self.splines = {
+            name: CubicSpline(clock, signal.sosfiltfilt(sections, values))
+            for name, values in channels.items()
+        }
+        step = 1 / min(rate_hz, OVERSAMPLING * band[1])
+        self.time = np.arange(clock[0] + EDGE, clock[-1] - EDGE, step)
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
@@ -258,100 +264,96 @@ class Segment:
         return [name for name in here if name not in MIXED] if {*ELEVONS} <= {*here} else here
 
     def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
-        """Return channels (n, k) without their lag."""
-        later = np.clip(self.time + lag, self.time[0], self.time[-1])
+        """Return channels (n, k) within the band, corrected for a lag."""
+        present = self.present(names)
         return (
-            np.column_stack([self.splines[name](later) for name in names])
-            if names
-            else np.empty((len(later), 0))
+            np.column_stack([self.splines[name](self.time + lag) for name in present])
+            if present
+            else np.empty((len(self.time), 0))
         )
 
-    def filtered(self, names: Sequence[str], lag: float) -> Matrix:
-        """Return those of the channels that the segment has without their lag, within the band."""
-        return self._within_band(self.channels(self.present(names), lag))
 
-    def _within_band(self, columns: Matrix) -> Matrix:
-        sections = signal.butter(2, self.band, "bandpass", fs=self.rate_hz, output="sos")
-        return signal.sosfiltfilt(sections, columns, axis=0) if columns.shape[1] else columns
-
-    def inner(self, columns: Matrix) -> Matrix:
-        """Return columns without the ends of the segment."""
-        cut = round(EDGE * self.rate_hz)
-        return columns[cut:-cut]
-
-    def _low_pass(self, columns: Matrix, frequency: float) -> Matrix:
-        sections = signal.butter(2, frequency, fs=self.rate_hz, output="sos")
-        padding = min(len(self.time) - 1, round(2 * self.rate_hz / frequency))
-        return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
+def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
+    sections = signal.butter(2, frequency, fs=rate_hz, output="sos")
+    padding = min(len(values) - 1, round(2 * rate_hz / frequency))
+    return signal.sosfiltfilt(sections, values, padlen=padding)
 
 
-Flights = list[list[Segment]]
 Equation = Callable[[Segment, float], tuple[Matrix, Matrix]]
 
 
-def flights_of(table: pd.DataFrame) -> Flights:
-    """Return the segments of each flight that are long enough and have all inertial sensors."""
+def segments_of(table: pd.DataFrame) -> list[Segment]:
+    """Return the segments that are long enough and have all inertial sensors."""
+    if not has_values(table, *INERTIAL):
+        return []
     time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
-    flights = []
-    for runs in runs_by_flight(time, codes):
-        long = [
-            run
-            for run in runs
-            if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)
-        ]
-        flights.append([Segment(time[run], table.iloc[run]) for run in long])
-    return [flight for flight in flights if flight]
+    runs = [run for runs in runs_by_flight(time, codes) for run in runs]
+    return [
+        Segment(time[run], table.iloc[run])
+        for run in runs
+        if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)
+    ]
 
 
-def _lags_of_motion(flights: Flights) -> dict[str, Lag]:
+def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:
     """Return the lags of vanes and surfaces by their groups, by the two local linear models of `LagCorrector`."""
 
     def moments(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        return segment.acceleration, np.hstack(
-            [segment.filtered(ALL_SURFACES, lag), segment.rate, segment.force]
-        )
+        surfaces = segment.channels(ALL_SURFACES, lag)
+        return segment.channels(ACCELERATIONS), np.hstack([surfaces, segment.channels(INERTIAL)])
 
     def angles(segment: Segment, lag: float) -> tuple[Matrix, Matrix]:
-        moved = segment.filtered(ALL_SURFACES, surfaces.lag)
-        return segment.filtered(VANES, lag), np.hstack([segment.force, segment.rate, moved])
+        moved = segment.channels(ALL_SURFACES, _applied(surfaces)[0])
+        return segment.channels(VANES, lag), np.hstack([segment.channels(INERTIAL), moved])
 
-    surfaces = _profile_estimate(flights, ALL_SURFACES, moments)
-    return {"air": _profile_estimate(flights, VANES, angles), "surfaces": surfaces}
+    surfaces = _profile_estimate(segments, ALL_SURFACES, moments)
+    return {"air": _profile_estimate(segments, VANES, angles), "surfaces": surfaces}
 
 
-def _profile_estimate(flights: Flights, names: Sequence[str], equation: Equation) -> Lag:
-    """Return the lag that maximises -n / 2 sum_i log RSS_i over the responses i, RSS_i the residual sum of squares."""
-    flights = [[segment for segment in flight if segment.present(names)] for flight in flights]
-    flights = [flight for flight in flights if flight]
-    if not flights:
+def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: Equation) -> Lag:
+    """Return the lag that maximises -1/2 sum n log RSS over pieces of n samples and their responses.
+
+    RSS is the residual sum of squares of a piece by its own least squares. The standard deviation
+    is the standard error of the mean of the pieces' own lags, for `MIN_SIGNIFICANCE`.
+    """
+    segments = [segment for segment in segments if segment.present(names)]
+    if not segments:
         return UNKNOWN
+    seconds = max(SHORTEST_PIECE, sum(np.ptp(each.time) for each in segments) / PIECES)
 
-    def residuals(lag: float) -> list[Matrix]:
-        return [_residual(flight, equation, lag) for flight in flights]
+    def profile(lag: float) -> Matrix:
+        """Return n log RSS, and the mean explained fraction, of each piece, (2, k)."""
+        return np.hstack([_profile(segment, equation, lag, seconds) for segment in segments])
 
-    def squares(columns: list[Matrix]) -> Vector:
-        return np.sum([np.sum(part**2, axis=0) for part in columns], axis=0)
-
-    lag = _minimum(lambda lag: np.log(squares(residuals(lag))).sum())
-    if lag is None:
+    steps = np.arange(-RANGE, RANGE + COARSE / 2, COARSE)
+    scan = np.array([profile(lag)[0] for lag in steps])
+    lag = _minimum(steps, scan.sum(axis=1))
+    pieces = np.array([_minimum(steps, values) for values in scan.T])
+    if abs(lag) >= RANGE or len(pieces) < LEAST_PIECES:
         return UNKNOWN
-    final = residuals(lag)
-    responses = [
-        segment.inner(equation(segment, lag)[0]) for flight in flights for segment in flight
-    ]
-    slopes = [
-        (b - a) / (2 * FINE)
-        for a, b in zip(residuals(lag - FINE), residuals(lag + FINE), strict=True)
-    ]
-    blocks = [round(BLOCK * flight[0].rate_hz) for flight in flights]
-    explained = float(1 - np.mean(squares(final) / squares(responses)))
-    return Lag(lag, _standard_deviation(final, slopes, blocks), explained)
+    for _ in range(2):
+        lag += _vertex(*(profile(lag + step)[0].sum() for step in (-FINE, 0, FINE)), FINE)
+    quantile = student.isf(normal.sf(MIN_SIGNIFICANCE), len(pieces) - 1) / MIN_SIGNIFICANCE
+    std = quantile * np.std(pieces, ddof=1) / np.sqrt(len(pieces))
+    return Lag(lag, float(std), float(profile(lag)[1].mean()))
 
 
-def _residual(flight: list[Segment], equation: Equation, lag: float) -> Matrix:
-    """Return the residuals of the responses over a flight's segments, by least squares."""
-    sides = [[segment.inner(side) for side in equation(segment, lag)] for segment in flight]
-    response, predictors = map(np.concatenate, zip(*sides, strict=True))
+def _profile(segment: Segment, equation: Equation, lag: float, seconds: float) -> Matrix:
+    """Return n log RSS and the mean explained fraction of each piece of a segment, (2, k)."""
+    response, predictors = equation(segment, lag)
+    pieces = max(1, round(np.ptp(segment.time) / seconds))
+    rows = []
+    for y, X in zip(
+        *(np.array_split(each, pieces) for each in (response, predictors)), strict=True
+    ):
+        squares = np.sum(_residual(y, X) ** 2, axis=0)
+        total = np.sum(y**2, axis=0)
+        rows.append((len(y) * np.log(squares).sum(), 1 - np.mean(squares / total)))
+    return np.transpose(rows)
+
+
+def _residual(response: Matrix, predictors: Matrix) -> Matrix:
+    """Return the residuals of least squares."""
     scale = np.linalg.norm(predictors, axis=0)
     Q, R, _ = linalg.qr(
         predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True
@@ -360,17 +362,12 @@ def _residual(flight: list[Segment], equation: Equation, lag: float) -> Matrix:
     return response - Q @ (Q.T @ response)
 
 
-def _minimum(objective: Callable[[float], float]) -> float | None:
-    """Return the lag of the least objective, by a scan and two parabolas; None at the edge of the range."""
-    steps = np.arange(-RANGE, RANGE + COARSE / 2, COARSE)
-    values = [objective(lag) for lag in steps]
+def _minimum(steps: Vector, values: Vector) -> float:
+    """Return the place of the least of the values, by a parabola through its neighbours unless at either end."""
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
-        return None
-    lag = steps[place] + _vertex(values[place - 1], values[place], values[place + 1], COARSE)
-    for _ in range(2):
-        lag += _vertex(objective(lag - FINE), objective(lag), objective(lag + FINE), FINE)
-    return float(lag)
+        return float(steps[place])
+    return float(steps[place] + _vertex(*values[place - 1 : place + 2], COARSE))
 
 
 def _vertex(before: float, here: float, after: float, step: float) -> float:
@@ -380,19 +377,3 @@ def _vertex(before: float, here: float, after: float, step: float) -> float:
         if curvature > 0
         else 0.0
     )
-
-
-def _standard_deviation(residuals: list[Matrix], slopes: list[Matrix], blocks: list[int]) -> float:
-    """Return the standard deviation of a lag, sqrt(sum_b S_b^2) / H (Liang & Zeger 1986).
-
-    With e the residual of variance s^2 and g its derivative by the lag, S_b = sum_b g e / s^2 and H
-    = sum g^2 / s^2.
-    """
-    variance = sum(np.sum(e**2, axis=0) for e in residuals) / sum(len(e) for e in residuals)
-    scores = [np.sum(g * e / variance, axis=1) for g, e in zip(slopes, residuals, strict=True)]
-    sums = [
-        np.add.reduceat(s, np.arange(0, len(s), size))
-        for s, size in zip(scores, blocks, strict=True)
-    ]
-    information = sum(np.sum(g**2 / variance) for g in slopes)
-    return float(np.sqrt(sum(np.sum(s**2) for s in sums)) / information)

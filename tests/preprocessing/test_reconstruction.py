@@ -15,6 +15,7 @@ from skdgp.preprocessing import (
     FlightDataWarning,
     FlightPathReconstruction,
     FlightSmoother,
+    LagCorrector,
     _flight_path,
 )
 from skdgp.preprocessing._path import (
@@ -474,6 +475,17 @@ class TestInconsistent:
     ANGLES = ("phi", "theta", "psi")
     DECIDES = {"inconsistent": "pass"}
 
+    def test_it_is_used_after_correction_of_lags(self):
+        table, _, best = reconstructed(gusts=0.3)
+        delayed = late(
+            late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3
+        )
+        steps = make_pipeline(LagCorrector(), FlightPathReconstruction(**self.DECIDES))
+        out = steps.fit_transform(delayed)
+        assert steps[-1].used_
+        for name in AIR:
+            assert error(table, out, name) < 1.1 * error(table, best, name), name
+
     def test_consistent_flights_are_reconstructed_as_without_the_check(self):
         table, unchecked, out = reconstructed(gusts=0.3)
         assert checked().used_
@@ -500,20 +512,6 @@ class TestInconsistent:
             assert errors.smoothing[name] == pytest.approx(error(table, smooth, name), rel=0.3), (
                 name
             )
-
-    def test_lags_of_attitude_and_velocity_are_removed(self):
-        table, _, best = reconstructed(gusts=0.3)
-        delayed = late(
-            late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3
-        )
-        reconstruction = FlightPathReconstruction(**self.DECIDES).fit(delayed)
-        assert reconstruction.used_
-        assert reconstruction.sensors_["attitude_lag"] == pytest.approx(0.2, abs=0.01)
-        assert reconstruction.sensors_["velocity_lag"] == pytest.approx(0.3, abs=0.01)
-        assert "attitude 0.20 s late, corrected" in reconstruction.reason_
-        out = reconstruction.transform(delayed)
-        for name in AIR:
-            assert error(table, out, name) < 1.1 * error(table, best, name), name
 
     @pytest.mark.parametrize(
         ("damage", "reason"),

@@ -159,7 +159,7 @@ def _learn(run, train, aircraft, test, title=None, **known):
     )
     steps = {
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
-        "lags": "auto" if options.lags else None,
+        "lags": None if options.lags == "none" else "auto",
     }
     with listening(console.progress):
         with console.counting_interrupts():
@@ -224,8 +224,12 @@ LEARNING: dict[str, dict[str, Any]] = {
         ),
     },
     "--lags": {
-        "action": "store_true",
-        "help": "estimate and correct lags of air data, surfaces, attitude and GPS",
+        "choices": ["auto", "none"],
+        "default": "auto",
+        "help": (
+            "auto corrects lags of air data, surfaces, attitude and GPS that the flights show "
+            "(default: auto)"
+        ),
     },
     "--input-noise": {
         "choices": ["learned", "none"],

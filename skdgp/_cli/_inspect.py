@@ -19,7 +19,7 @@ def inspect(run: Run) -> None:
 
     And what is missing for coefficients, reconstruction, regressors, replay; which channels
     contradict physics (a wrong sign, unit or axis); and how late air data, surfaces, attitude and
-    GPS are against the inertial unit (identify --lags corrects them).
+    GPS are against the inertial unit (identify corrects them).
 
     LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 

@@ -65,7 +65,7 @@ def identify(
     regressor : DependentGPRegressor, optional
         By default ``DependentGPRegressor(random_state=0)``.
     pipeline : mapping of str to object, optional
-        Other options of :func:`make_identification_pipeline`, such as ``{"lags": "auto"}``.
+        Other options of :func:`make_identification_pipeline`, such as ``{"lags": None}``.
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     thrust, external_forces

@@ -30,7 +30,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
 from skdgp.preprocessing._flight_path import kinematic_lags
-from skdgp.preprocessing._path import NEEDED
+from skdgp.preprocessing._path import missing_channels
 from skdgp.preprocessing._table import (
     TableTransformer,
     has_values,
@@ -136,7 +136,7 @@ class LagCorrector(TableTransformer):
         if isinstance(self.lags, str):
             segments = segments_of(table)
             found = _lags_of_motion(segments) | dict.fromkeys(KINEMATIC, UNKNOWN)
-            if segments and has_values(table, *NEEDED):
+            if segments and not missing_channels(table):
                 of_path = kinematic_lags(
                     table
                 )  # attitude and GPS against integrated gyros and accelerometers
@@ -313,8 +313,9 @@ def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:
 def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: Equation) -> Lag:
     """Return the lag that maximises -1/2 sum n log RSS over pieces of n samples and their responses.
 
-    RSS is the residual sum of squares of a piece by its own least squares. The standard deviation
-    is the standard error of the mean of the pieces' own lags, for `MIN_SIGNIFICANCE`.
+    RSS is the residual sum of squares of a piece by its own least squares, over that of the
+    response. The standard deviation is the standard error of the mean of the pieces' own lags, by
+    Student's quantile at `MIN_SIGNIFICANCE`, and the distance to that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
     if not segments:
@@ -334,7 +335,8 @@ def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: E
     for _ in range(2):
         lag += _vertex(*(profile(lag + step)[0].sum() for step in (-FINE, 0, FINE)), FINE)
     quantile = student.isf(normal.sf(MIN_SIGNIFICANCE), len(pieces) - 1) / MIN_SIGNIFICANCE
-    std = quantile * np.std(pieces, ddof=1) / np.sqrt(len(pieces))
+    error = np.std(pieces, ddof=1) / np.sqrt(len(pieces))
+    std = np.hypot(quantile * error, lag - pieces.mean())
     return Lag(lag, float(std), float(profile(lag)[1].mean()))
 
 
@@ -346,9 +348,8 @@ def _profile(segment: Segment, equation: Equation, lag: float, seconds: float) -
     for y, X in zip(
         *(np.array_split(each, pieces) for each in (response, predictors)), strict=True
     ):
-        squares = np.sum(_residual(y, X) ** 2, axis=0)
-        total = np.sum(y**2, axis=0)
-        rows.append((len(y) * np.log(squares).sum(), 1 - np.mean(squares / total)))
+        unexplained = np.sum(_residual(y, X) ** 2, axis=0) / np.sum(y**2, axis=0)
+        rows.append((len(y) * np.log(unexplained).sum(), 1 - np.mean(unexplained)))
     return np.transpose(rows)
 
 

@@ -383,16 +383,11 @@ class TestLags:
         assert set(lags) == {"air", "surfaces", "attitude", "gps"}
         assert abs(lags["air"]["lag"] - 0.08) < 0.01
 
-    def test_are_corrected_on_request(self, late, tmp_path, monkeypatch):
+    def test_are_corrected_and_said(self, late, tmp_path, monkeypatch):
         monkeypatch.setattr(
             _identification, "render_report", lambda content: content.model.extra["Lags"]
         )
-        assert (
-            identify(
-                "--lags", "--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path
-            )
-            == 0
-        )
+        assert identify("--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["options"]["lags"] == "auto"
         assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01

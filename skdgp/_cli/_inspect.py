@@ -29,7 +29,7 @@ def inspect(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    summary = inspect_log(options.log, servos=options.servos)
+    summary = inspect_log(options.log, servos=options.servos, rename=dict(options.rename))
     if options.servo_template is not None:
         path, text = Path(options.servo_template), servo_template(options.log)
         if path.exists():
@@ -58,7 +58,7 @@ def _lags(options) -> tuple[pd.DataFrame | None, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the summary shows them
         try:
-            table = read_flight(options.log, servos=options.servos)
+            table = read_flight(options.log, servos=options.servos, rename=dict(options.rename))
             return LagCorrector().fit(table).lags_, ""
         except ValueError as error:
             return None, str(error)
@@ -69,6 +69,7 @@ COMMANDS: opt.Commands = {
         "": {
             "log": {"metavar": "LOG", "help": "the log"},
             "--servos": opt.SHARED["--servos"],
+            "--rename": opt.SHARED["--rename"],
             "--servo-template": {
                 "metavar": "FILE",
                 "help": "write such a file for this log, to be filled in with the angles",

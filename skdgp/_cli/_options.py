@@ -9,7 +9,7 @@ from inspect import getdoc
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from skdgp._flight.channels import REGRESSOR_SETS
+from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
 
 Value = TypeVar("Value")
 Commands: TypeAlias = "dict[Callable, dict[str, dict[str, dict[str, Any]]]]"
@@ -74,6 +74,13 @@ def _axis_value(text):
     return axis, float(value)
 
 
+def _renaming(text):
+    old, _, new = text.partition("=")
+    if not old or new not in CHANNELS:
+        raise ValueError
+    return old, new
+
+
 def _size(text):
     value, _, std = text.partition("+-")
     if not (0 < float(value) < math.inf and 0 <= float(std or 0.0) < math.inf):
@@ -91,6 +98,7 @@ def _factors(text):
 table_file = checked(_table_file, "a name that ends in .csv or .parquet")
 regressors = checked(_regressors, "a set of regressors, or columns")
 axis_value = checked(_axis_value, "AXIS=NUMBER such as elevator=0.4")
+renaming = checked(_renaming, "OLD=NEW, where NEW is a column of docs/notation.md")
 size = checked(_size, "a number > 0, or with its deviation such as 3.2+-0.05")
 factors = checked(_factors, "two numbers > 0 such as 10x5")
 jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
@@ -102,6 +110,13 @@ LOG: dict[str, dict[str, Any]] = {
     "--servos": {
         "metavar": "FILE",
         "help": "TOML for logs of autopilots: servos and angles; inspect writes a template",
+    },
+    "--rename": {
+        "metavar": "OLD=NEW",
+        "nargs": "+",
+        "type": renaming,
+        "default": [],
+        "help": "names of a flight table for columns of tables, such as de=elevator",
     },
     "--airborne": {
         "metavar": "V|all",
@@ -190,7 +205,8 @@ def none_of(word: Any) -> Any:
 
 
 def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
-    """Return the keywords of ``skdgp.io.read_flight`` for logs of autopilots; surfaces in the unit of the model."""
+    """Return the keywords of ``skdgp.io.read_flight``; surfaces of logs in the unit of the model."""
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
     learned = {} if model is None else model.get("options", {})
-    return {"servos": options.servos or learned.get("servos"), "airborne": airborne}
+    servos = options.servos or learned.get("servos")
+    return {"servos": servos, "airborne": airborne, "rename": dict(options.rename)}

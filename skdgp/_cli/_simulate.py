@@ -113,7 +113,7 @@ def _start(options, model, thrust) -> Start:
             "Got both or none of --flight and --trim, but expected one of them to start from."
         )
     belonging = {
-        "flight": ("at", "servos", "airborne", "controls"),
+        "flight": ("at", "servos", "rename", "airborne", "controls"),
         "trim": ("altitude", "climb", "turn_rate", "bank", "deviations", "doublet"),
     }
     other = "trim" if options.trim is None else "flight"

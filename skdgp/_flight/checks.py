@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
@@ -11,7 +12,15 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
-from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    CHANNELS,
+    EARTH_VELOCITY,
+    RATES,
+    SPECIFIC_FORCE,
+    TRUTH_SUFFIX,
+    VANES,
+)
 from skdgp._flight.clock import flight_codes, flight_segments
 
 LARGEST_ANGLE = {
@@ -36,6 +45,22 @@ SLOW_TURN, MOST_TURNS = (
     1.0,
     10.0,
 )  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+ALIASES = {
+    **dict.fromkeys(("ias", "tas", "va", "vtas", "vias", "aspd"), "airspeed"),
+    **dict.fromkeys(("aoa", "alfa"), "alpha"), **dict.fromkeys(("aos", "ssa", "sideslip"), "beta"),
+    **dict.fromkeys(("de", "elev", "delta_e", "stab"), "elevator"),
+    **dict.fromkeys(("da", "ail", "delta_a"), "aileron"),
+    **dict.fromkeys(("dr", "rud", "delta_r"), "rudder"),
+    **dict.fromkeys(("dthr", "dt", "thr", "delta_t"), "throttle"),
+    **dict.fromkeys(("rpm", "omega"), "propeller_speed"), "rho": "density", "alt": "altitude",
+    "roll": "phi", "pitch": "theta", "yaw": "psi", "heading": "psi", "hdg": "psi",
+    "t": "time", "vn": "v_north", "ve": "v_east", "vd": "v_down",
+    "gx": "p", "gy": "q", "gz": "r", "gyrx": "p", "gyry": "q", "gyrz": "r",
+    "accx": "ax", "accy": "ay", "accz": "az",
+}  # fmt: skip
+"""Names in other programs and textbooks, in lower case."""
+MOST_NAMES = 8  # unknown columns that a message names
+HEADING_UNIT = re.compile(r"[\[(].*")
 ENOUGH = 5  # least number of changes from which an angle is judged
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
 LARGEST_DEFLECTION = (
@@ -61,6 +86,47 @@ def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
             f"Got {what} with repeated columns {twice}, but expected each name once: drop one."
         )
     return table
+
+
+def suggestions(names: Iterable[str], have: Collection[str]) -> dict[str, str]:
+    """Return by unknown name the nearest name of a flight table that is not there yet.
+
+    >>> suggestions(["ias", "de", "trottle", "voltage"], have=["time", "alpha"])
+    {'ias': 'airspeed', 'de': 'elevator', 'trottle': 'throttle'}
+    """
+    free = [name for name in CHANNELS if name not in have]
+    found: dict[str, str] = {}
+    for name in map(str, names):
+        word = HEADING_UNIT.sub("", name).strip().lower()
+        near = [channel for channel in free if channel in (word, ALIASES.get(word))]
+        if len(word) > 4:
+            near += get_close_matches(word, free, n=1, cutoff=0.87)
+        if near and near[0] not in found.values():
+            found[name] = near[0]
+    return found
+
+
+def unknown_columns_message(names: Collection[str], have: Collection[str]) -> str:
+    """Return one line on columns of no known name: suggestions, then the others.
+
+    >>> unknown_columns_message(["de", "voltage"], have=["time", "alpha"])
+    "'de' (did you mean 'elevator'?), and 1 other: voltage"
+    """
+    near = suggestions(names, have)
+    others = [name for name in names if name not in near]
+    words = ", ".join(f"{name!r} (did you mean {channel!r}?)" for name, channel in near.items())
+    if not others:
+        return words
+    shown = ", ".join(others[:MOST_NAMES]) + ", ..." * (len(others) > MOST_NAMES)
+    count = f"and {len(others)} other{'s' * (len(others) > 1)}" if near else f"{len(others)}"
+    return f"{words}{', ' * bool(near)}{count}: {shown}"
+
+
+def unknown_columns(table: pd.DataFrame) -> list[str]:
+    """Return the columns of a table whose names are none of a flight table, nor of simulated truth."""
+    return [
+        str(name) for name in table.columns if str(name).removesuffix(TRUTH_SUFFIX) not in CHANNELS
+    ]
 
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 GAP = 2.5
 # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
 JITTER = 0.02
-SHORTEST_PART = (
-    10  # a clock that goes back after fewer samples was not restarted: the rows are in disorder
-)
+MULTIPLE = 0.1  # parts of the shortest step by which steps are multiples of it
+# a clock that goes back after fewer samples was not restarted: the rows are in disorder
+SHORTEST_PART = 10
 
 
 def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
@@ -145,11 +145,17 @@ def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
     starts = ~same | gap
     uneven = ~starts & (np.abs(step - usual_here) > 0.5 * usual_here)
     if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
+        steps = step[same] / step[same].min()
+        drawn = np.mean(np.abs(steps - np.rint(steps)) < MULTIPLE) > 0.99
+        remedy = (
+            "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
+            if drawn
+            else "resample the log to one uniform clock first"
+        )
         raise ValueError(
             f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
             f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: "
-            f"resample the "
-            "log to one uniform clock first."
+            f"{remedy}."
         )
     edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]
     return [slice(a, b) for a, b in pairwise(edges)]

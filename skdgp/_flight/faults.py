@@ -9,7 +9,7 @@ noise-free channel has long runs without a fault: it is stuck only if it jumps a
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -64,10 +64,16 @@ RARE = 0.05
 # missing samples over more seconds are findings of their own, shorter ones one finding together
 LONG_GAP = 1.0
 MOST_SHOWN = 8  # kinds of findings that a warning names
+EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
 WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
 ENOUGH = 50  # least number of samples from which the usual length of runs is known
 IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
 LEAST_HOLD = 0.3  # shorter holds [s] are no fault
+FEWEST_HELD = (
+    6  # different values that are repeated, from which the resolution of a channel is seen
+)
+MOST_ON_STEP = 0.9  # fraction of such values that are multiples of the resolution
+OFF_STEP = 0.1  # parts of the resolution by which such values may be off its multiples
 LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
 STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
 FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
@@ -112,12 +118,20 @@ class Finding(NamedTuple):
     end: float
     rows: np.ndarray
     description: str
+    origin: float = 0.0
+    """Time [s] from which messages count: that of the first row where the clock is of the epoch."""
 
     @property
     def message(self) -> str:
         """Description of the fault, its place and its consequence."""
-        where = f"{self.start:.6g} to {self.end:.6g} s, {len(self.rows)} samples"
+        begin, end = self.start - self.origin, self.end - self.origin
+        where = f"{begin:.6g} to {end:.6g} s, {len(self.rows)} samples"
         return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
+
+
+def seconds_origin(time: np.ndarray) -> float:
+    """Return the time [s] from which messages count: 0, or the first where the clock is of the epoch."""
+    return float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0
 
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
@@ -130,15 +144,16 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
     used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
     channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
     findings = []
+    origin = seconds_origin(time)
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         here = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, description in _faults_of_flight(here, part):
             ends = float(here[rows[0]]), float(here[rows[-1]])
-            findings.append(
-                Finding(names[codes[first]], channel, kind, *ends, first + rows, description)
-            )
+            place = (*ends, first + rows)
+            name = names[codes[first]]
+            findings.append(Finding(name, channel, kind, *place, description, origin))
     return findings
 
 
@@ -153,23 +168,25 @@ def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataF
     return table.assign(**new) if new else table
 
 
-def faults_message(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings: of each kind of each channel the worst, and their number."""
-    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+def grouped_messages(findings: Iterable[Finding]) -> list[str]:
+    """Return one line for all findings of one kind in one channel: their number and the longest."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
     for each in findings:
-        kinds.setdefault((str(each.flight), each.channel, each.kind), []).append(each)
-    shown = list(kinds.items())[:MOST_SHOWN]
-    parts = []
-    for flight, group in groupby(shown, key=lambda item: item[0][0]):
-        lines = []
-        for _, alike in group:
-            worst = max(alike, key=lambda each: len(each.rows))
-            times = f"{len(alike)} times, the longest: " if len(alike) > 1 else ""
-            lines.append(f"{times}{worst.message}")
-        parts.append(f"flight {flight}: {'; '.join(lines)}")
-    more = len(kinds) - len(shown)
+        groups.setdefault((each.channel, each.kind), []).append(each)
+    lines = []
+    for group in groups.values():
+        longest = max(group, key=lambda each: len(each.rows))
+        times = f"{len(group)} times, the longest: " if len(group) > 1 else ""
+        lines.append(f"flight {longest.flight}: {times}{longest.message}")
+    return lines
+
+
+def faults_message(findings: list[Finding], done: str) -> str:
+    """Return one message of many findings that ends with what was ``done`` about them."""
+    lines = grouped_messages(findings)
+    more = len(lines) - MOST_SHOWN
     rest = f"; and {more} more, see skdgp.preprocessing.inspect_flight" if more > 0 else ""
-    return f"{WARNING_START}: {'; '.join(parts)}{rest}. {done}"
+    return f"{WARNING_START}: {'; '.join(lines[:MOST_SHOWN])}{rest}. {done}"
 
 
 def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
@@ -280,7 +297,7 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     runs = equal_runs(seen)
     leap = np.abs(np.diff(seen[runs.start], append=np.nan))
     steps = leap[:-1]
-    quantum = np.quantile(steps, 0.01)
+    quantum = max(np.quantile(steps, 0.01), _resolution(seen[runs.start[runs.length > 1]]))
     bend = (
         np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps)
         if len(steps) > 1
@@ -296,6 +313,17 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         rows[first + 1 : first + n]
         for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)
     ]
+
+
+def _resolution(held: np.ndarray) -> float:
+    """Return the step of which held values are multiples, from any origin; 0 if there is none."""
+    levels = np.unique(held)
+    if len(levels) < FEWEST_HELD:
+        return 0.0
+    step = np.diff(levels).min()
+    multiples = (levels - levels[len(levels) // 2]) / step
+    on_step = np.abs(multiples - np.rint(multiples)) < OFF_STEP
+    return float(step) if on_step.mean() > MOST_ON_STEP else 0.0
 
 
 def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:

@@ -12,15 +12,17 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import (
+    CHANNELS,
     EARTH_VELOCITY,
     ELEVONS,
     MIXED,
     RATES,
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
+    SURFACES,
     THRUST_FORCES,
 )
-from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.checks import check_columns, check_table, suggestions
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
@@ -62,7 +64,7 @@ def named_flights(
     needed : sequence of str
         Columns of each flight.
     **reading
-        Of :func:`skdgp.io.read_flight`, for logs of autopilots.
+        Of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of autopilots.
 
     Returns
     -------
@@ -79,6 +81,7 @@ def named_flights(
                 )
             found[name] = _checked_columns(next(iter(parts.values())).assign(flight=name), needed)
         return found
+    of_tables = {"rename": reading.pop("rename", None)}
     items = items_of(flights)
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
@@ -88,7 +91,7 @@ def named_flights(
         table = (
             check_table(item)
             if path is None
-            else read_flight(path, **(reading if is_log(path) else {}))
+            else read_flight(path, **(reading if is_log(path) else of_tables))
         )
         for name, part in flights_of(table, f"{default} {number}").items():
             if name in found:
@@ -210,6 +213,31 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
     )
 
 
+def check_controls(flights: Flights, regressors) -> None:
+    """Raise ValueError if flights lack a surface and a column of another name seems to hold it.
+
+    Warn of a missing elevator, whose effect other regressors then take.
+    """
+    columns = {name: None for table in flights.values() for name in table.columns}
+    lacking = [name for name in SURFACES if name in _names(regressors) and name not in columns]
+    lacking = [name for name in lacking if not (name in MIXED and {*ELEVONS} & {*columns})]
+    near = suggestions([name for name in columns if name not in CHANNELS], columns)
+    meant = {name: channel for name, channel in near.items() if channel in lacking}
+    if meant:
+        words = " ".join(f"{name}={channel}" for name, channel in meant.items())
+        raise ValueError(
+            f"Got flights without {' and '.join(meant.values())}: did you mean "
+            f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
+            f"{words} (reading={{'rename': {dict(meant)}}})."
+        )
+    if "elevator" in lacking:
+        _warn(
+            "Got flights without an elevator: its effect goes into the coefficients of alpha and "
+            "q, so Cm_q and Cm_alpha may be wrong, even in sign. Give the column elevator.",
+            3,
+        )
+
+
 def _names(regressors) -> Sequence[str]:
     return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
 
@@ -236,7 +264,7 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
-    check = FlightCheck(bridge=0)
+    check = FlightCheck()
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
     for each in (
         find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ()

@@ -76,8 +76,8 @@ def identify(
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
-        Options of :func:`skdgp.io.read_flight` for logs of autopilots; by default ``{"servos":
-        "full throw"}``.
+        Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
+        autopilots; by default ``{"servos": "full throw"}``.
 
     Returns
     -------
@@ -130,6 +130,7 @@ def identify(
         aircraft = _assumed.with_throw_errors(aircraft, servos)
         reading |= {"servos": servos, "needed": _flights.MEASURED}
         train = _flights.named_flights(flights, **reading)
+        _flights.check_controls(train, regressors)
         aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
         test = (
             {} if test is None else _flights.named_flights(test, default="test flight", **reading)

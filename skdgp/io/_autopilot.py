@@ -44,6 +44,7 @@ CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
 LEAST_RATIO = 1.2  # ratio of rates from which a channel is low-passed
 LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
 MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
+MOST_GAPS = 0.05  # fraction of steps from which gaps are the pauses between bursts; a guess
 LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
@@ -159,6 +160,11 @@ def on_one_clock(
 
 def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
     """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
+    if flown.log.vehicle in NOT_FLYING_ON_WINGS:
+        raise FlightReadError(
+            f"Got a log of a {flown.log.vehicle}: not for this program, which expects an aircraft "
+            f"with wings. If it is one, correct the vehicle type on the autopilot."
+        )
     if airborne is False:
         pieces = [part.table for part in flown.parts if len(part.table)]
     else:
@@ -282,9 +288,9 @@ def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
 
 def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
     """Return why a log holds no flight."""
-    reasons = []
     if log.vehicle in NOT_FLYING_ON_WINGS:
-        reasons.append(f"the vehicle is a {log.vehicle}")
+        return f"{log.vehicle}: not for this program"
+    reasons = []
     if "airspeed" not in table:
         reasons.append("there is no valid airspeed")
     highest = np.nanmax(_speed(table, log), initial=-np.inf)
@@ -554,7 +560,18 @@ def _restarts(time) -> list[int]:
 
 def sampling_rate(time: Vector) -> float:
     """Return the usual rate [Hz] of increasing times, NaN of less than two."""
-    return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else np.nan
+    return 1.0 / usual_step(np.diff(time)) if len(time) > 1 else np.nan
+
+
+def usual_step(step: Vector) -> float:
+    """Return the usual step of a clock: the median, or the mean where messages come in bursts.
+
+    In bursts, steps longer than gaps are frequent and make up most of the time.
+    """
+    median = float(np.median(step))
+    gap = step > GAP * median
+    bursts = gap.mean() > MOST_GAPS and step[gap].sum() > 0.5 * step.sum()
+    return float(np.mean(step)) if bursts else median
 
 
 def gaps(time: Vector) -> list[tuple[float, float]]:
@@ -564,7 +581,7 @@ def gaps(time: Vector) -> list[tuple[float, float]]:
         return []
     return [
         (float(time[i]), float(step[i]))
-        for i in np.flatnonzero(step > max(LEAST_GAP, GAP * np.median(step)))
+        for i in np.flatnonzero(step > max(LEAST_GAP, GAP * usual_step(step)))
     ]
 
 
@@ -575,7 +592,7 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
     starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
     first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
     counts = np.maximum(last - first + 1, 0).astype(int)
-    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate / sampling_rate(time)):
+    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate * np.median(step)):
         raise ValueError(
             f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock "
             f"without so many gaps."
@@ -598,7 +615,7 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
     if len(time) < 2:
         return result
     step = np.diff(time)
-    edges = np.r_[0, np.flatnonzero(step > GAP * np.median(step)) + 1, len(time)]
+    edges = np.r_[0, np.flatnonzero(step > GAP * usual_step(step)) + 1, len(time)]
     tolerance = 1e-6 / rate
     begins = np.searchsorted(clock, time[edges[:-1]] - tolerance)
     ends = np.searchsorted(clock, time[edges[1:] - 1] + tolerance, side="right")

@@ -6,8 +6,10 @@ import csv
 import re
 import warnings
 from collections import deque
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 
 import pandas as pd
 
@@ -25,15 +27,17 @@ DECIMAL = {
 }
 
 
-def read_csv(path: Path) -> pd.DataFrame:
+def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
     """Return the table of a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
+
+    Names in the header are replaced by those of ``rename``.
 
     Empty lines and remarks (#) before the header and columns without a name are left out; a last
     row that is shorter too, with a FlightDataWarning. Raise FlightReadError if it is no such table.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
-            return _table(file, path.name)
+            return _table(file, path.name, rename)
     except UnicodeDecodeError as error:
         raise FlightReadError(
             f"Got a file that is not text ({error.reason}), but expected a CSV in UTF-8: save it "
@@ -45,7 +49,7 @@ def read_csv(path: Path) -> pd.DataFrame:
         ) from error
 
 
-def _table(file, file_name):
+def _table(file, file_name, rename):
     header = (
         number
         for number, line in enumerate(file)
@@ -56,7 +60,7 @@ def _table(file, file_name):
         raise FlightReadError(f"Got a file that is empty, but expected {words}.")
     separator = _separator(file, above)
     records = _records(file, above, separator)
-    names, units = _split_headings(next(records))
+    names, units = _split_headings(next(records), rename)
     check_width(len(names))
     check_names(name for name in names if name)
     below = above + records.line_num
@@ -124,16 +128,17 @@ def _separator(file, above) -> str:
     return max(",;\t", key=n_names)
 
 
-def _split_headings(headings):
-    """Return names, and the units of those in the vocabulary; other headings stay as they are."""
+def _split_headings(headings, rename=MappingProxyType({})):
+    """Return names, and the units of those of a flight table; other headings stay as they are."""
     names, units = [], {}
     for heading in map(unguarded, map(str.strip, headings)):
         match = HEADING.fullmatch(heading)
         name = match[1].strip() if match else heading
-        if match and base_name(name) in CHANNELS:
+        name = rename.get(heading, rename.get(name, name))
+        is_known = base_name(name) in CHANNELS
+        if match and is_known:
             units[name] = match[2]
-            heading = name
-        names.append(heading)
+        names.append(name if is_known else heading)
     return names, units
 
 

@@ -27,8 +27,8 @@ from skdgp.io._log import (
     damage,
     density_at,
     from_rpm,
-    gathered,
     instance_name,
+    numeric_fields,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -243,7 +243,13 @@ class _Reader:
         of = next((of for of in self.formats.values() if of.name == name), None)
         if of is None or not {*columns} <= {*of.names}:
             return None
-        return gathered(self.data, of.starts, of.dtype)
+        return self._messages(of)
+
+    def _messages(self, of: _Format) -> np.ndarray:
+        """Return the messages of one type, (n,)."""
+        size = of.dtype.itemsize
+        parts = [self.data[start : start + size] for start in of.starts]
+        return np.frombuffer(b"".join(parts), of.dtype)
 
     def texts(self, name, column) -> list[str]:
         """Return a column of texts."""
@@ -266,8 +272,10 @@ class _Reader:
             timed = "TimeUS" in of.names and of.dtype["TimeUS"].kind in "iu"
             if of.name in DEFINITIONS or not of.starts or not timed:
                 continue
-            records = gathered(self.data, of.starts, of.dtype)
-            topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), records, of.scale)
+            records = self._messages(of)
+            fields = numeric_fields({name: records[name] for name in of.names})
+            fields |= {name: factor * records[name] for name, factor in of.scale.items()}
+            topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), fields)
             instance = numbered.get(kind, of.instance)
             numbers = np.zeros(len(records), int) if instance is None else records[instance]
             for number in np.unique(numbers).tolist():

@@ -14,8 +14,9 @@ import pandas as pd
 
 from skdgp._compute.files import plain
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, SURFACES
+from skdgp._flight.checks import unknown_columns_message
 from skdgp._flight.clock import flight_rows
-from skdgp._flight.faults import SENSORS, Finding, find_faults
+from skdgp._flight.faults import SENSORS, find_faults, grouped_messages
 from skdgp._flight.physics import find_contradictions
 from skdgp.io._autopilot import (
     AUTOPILOTS,
@@ -193,11 +194,14 @@ class LogSummary:
 
 
 def inspect_log(
-    path: PathLike, *, servos: PathLike | Mapping[str, Any] | None = None
+    path: PathLike,
+    *,
+    servos: PathLike | Mapping[str, Any] | None = None,
+    rename: Mapping[str, str] | None = None,
 ) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
 
-    ``path`` and ``servos`` are as of :func:`read_flight`. ``print`` shows the summary. Raises
+    ``path``, ``servos`` and ``rename`` are as of :func:`read_flight`. ``print`` shows the summary. Raises
     FlightReadError if the file cannot be read (a log without a flight can), FileNotFoundError if
     there is none.
 
@@ -212,7 +216,7 @@ def inspect_log(
     """
     path = Path(path)
     if not is_log(path):
-        return _of_table(path, read_flight(path))
+        return _of_table(path, read_flight(path, rename=rename))
     with reading(path):
         flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
@@ -283,9 +287,6 @@ def _of_table(path, table) -> LogSummary:
     )
     tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
     flights = tuple(map(_flight, tables))
-    faults: dict[tuple[str, str], list[Finding]] = {}
-    for fault in find_faults(table):
-        faults.setdefault((fault.channel, fault.kind), []).append(fault)
     return LogSummary(
         path=str(path),
         format="table",
@@ -295,15 +296,16 @@ def _of_table(path, table) -> LogSummary:
         missing=missing_for(columns),
         flights=flights,
         remarks=(
-            *(f"column {name!r} is not of the vocabulary" for name in unknown),
-            *(
-                f"flight {first.flight}: {first.message}"
-                + f"; and {len(others)} more like it" * bool(others)
-                for first, *others in faults.values()
-            ),
+            *_unknown(unknown, table),
+            *grouped_messages(find_faults(table)),
             *_contradictions(tables),
         ),
     )
+
+
+def _unknown(names, table) -> list[str]:
+    words = unknown_columns_message(names, table.columns)
+    return [f"columns of unknown names: {words}"] if words else []
 
 
 def _flight(table) -> FlightSummary:

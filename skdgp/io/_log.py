@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -13,16 +12,8 @@ from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vecto
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
-PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
-QUATERNION = (
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-)  # columns of a rule for attitude: body to north-east-down, of any length
-EQUIVALENT = (
-    "equivalent_airspeed"  # column of a rule for equivalent airspeed; the table gets the true one
-)
+QUATERNION = ("qw", "qx", "qy", "qz")  # of a rule for attitude: body to north-east-down, any length
+EQUIVALENT = "equivalent_airspeed"  # of a rule for equivalent airspeed; the table gets the true one
 
 
 @dataclass(frozen=True)
@@ -34,17 +25,14 @@ class Topic:
     time : ndarray (n,)
         Time stamps [s] in the order of the file, as written: they may be wrong or out of order.
     order : ndarray (n,)
-        Place of each message in the file, such as its first byte, by which topics are ordered.
-    records : structured ndarray (n,)
-        The fields. Elements of arrays and nested messages are ``q[0]``, ``esc[0].esc_rpm``.
-    scale : dict
-        Factors of fields that the format stores as scaled integers.
+        Place of each message in the file, by which topics are ordered.
+    fields : dict of str to ndarray (n,)
+        Numbers by name. Elements of arrays and nested messages are ``q[0]``, ``esc[0].esc_rpm``.
     """
 
     time: Vector
     order: Vector
-    records: np.ndarray
-    scale: dict[str, float] = field(default_factory=dict)
+    fields: dict[str, np.ndarray]
 
     @classmethod
     def of(cls, time: ArrayLike, **fields: ArrayLike) -> Topic:
@@ -56,40 +44,17 @@ class Topic:
         ['gyro[0]', 'gyro[1]', 'gyro[2]', 'count']
         """
         time = np.asarray(time, dtype=float)
-        arrays = {name: np.asarray(values, dtype=float) for name, values in fields.items()}
-        records = np.empty(
-            len(time), [(name, float, values.shape[1:]) for name, values in arrays.items()]
-        )
-        for name, values in arrays.items():
-            records[name] = values
-        return cls(time, time, records)
+        return cls(time, time, numeric_fields(fields))
 
     def __len__(self) -> int:
         return len(self.time)
 
     def __contains__(self, name: str) -> bool:
-        try:
-            values = self._walk(self.records[:0], name)
-        except (KeyError, IndexError, ValueError):
-            return False
-        return values.ndim == 1 and values.dtype.kind in "iufb"
+        return name in self.fields
 
     def __getitem__(self, name: str) -> Vector:
         """Return a field as floats, (n,)."""
-        with np.errstate(all="ignore"):
-            return self._walk(self.records, name).astype(float) * self.scale.get(name, 1.0)
-
-    def _walk(self, values, name):
-        if name in (values.dtype.names or ()):  # columns of a table, such as "q[0]"
-            return values[name]
-        for part in name.split("."):
-            match = PART.fullmatch(part)
-            if match is None:
-                raise KeyError(name)
-            values = values[match[1]]
-            if match[2] is not None:
-                values = values[:, int(match[2])]
-        return values
+        return self.fields[name].astype(float)
 
     def columns(self, names: tuple[str, ...]) -> Matrix:
         """Return fields side by side, (n, k)."""
@@ -97,11 +62,26 @@ class Topic:
 
     def select(self, rows: Indices | Mask) -> Topic:
         """Return the messages of some rows."""
-        return Topic(self.time[rows], self.order[rows], self.records[rows], self.scale)
+        fields = {name: values[rows] for name, values in self.fields.items()}
+        return Topic(self.time[rows], self.order[rows], fields)
 
     def channels(self) -> list[str]:
-        """Return the names of all numeric fields, arrays and nested messages by element."""
-        return [name for name in _leaves(self.records.dtype) if name in self]
+        """Return the names of all fields."""
+        return list(self.fields)
+
+
+def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    """Return the fields that hold numbers; arrays (n, k) element by element."""
+    found = {}
+    for name, values in fields.items():
+        values = np.asarray(values)
+        if values.dtype.kind not in "iufb":
+            continue
+        columns = {name: values}
+        if values.ndim > 1:
+            columns = {f"{name}[{i}]": column for i, column in enumerate(values.T)}
+        found.update(columns)
+    return found
 
 
 class Rule(NamedTuple):
@@ -210,33 +190,16 @@ def whole(value: float) -> int:
     return round(value) if np.isfinite(value) else 0
 
 
-def gathered(data: bytes, starts: list[int], dtype: np.dtype) -> np.ndarray:
-    """Return the messages of one type that start at these bytes, (n,)."""
-    return np.frombuffer(
-        b"".join([data[start : start + dtype.itemsize] for start in starts]), dtype
-    )
-
-
-def damage(skipped: int, cut: bool = False, lost: int = 0) -> tuple[str, ...]:
-    """Return remarks on bytes that could not be read, messages of no topic, and a file that ends within a message."""
+def damage(skipped: int = 0, cut: bool = False, lost: int = 0) -> tuple[str, ...]:
+    """Return remarks on skipped bytes, lost messages, and a file that ends within a message."""
     remarks = {
         f"{skipped} bytes could not be read and were skipped": skipped,
-        f"{lost} messages belong to no topic that the log defines": lost,
+        f"{lost} messages do not fit the definition of their topic and were skipped": lost,
         "the file ends within a message: it was cut off": cut,
     }
-    return tuple(words for words, found in remarks.items() if found)
+    return tuple(words for words, applies in remarks.items() if applies)
 
 
 def instance_name(name: str, instance: int) -> str:
     """Return the name of an instance of a topic."""
     return f"{name}#{instance}" if instance else name
-
-
-def _leaves(dtype: np.dtype) -> Iterator[str]:
-    for name in dtype.names or ():
-        inner, shape = dtype[name].base, dtype[name].shape
-        elements = [name] if not shape else [f"{name}[{i}]" for i in range(shape[0])]
-        if inner.names is None:
-            yield from elements
-        else:
-            yield from (f"{element}.{leaf}" for element in elements for leaf in _leaves(inner))

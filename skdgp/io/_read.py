@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
+from skdgp._flight.checks import suggestions, unknown_columns, unknown_columns_message
 from skdgp._flight.clock import check_clock, flight_codes, part_restarts
-from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.faults import FlightDataWarning, seconds_origin
 from skdgp._flight.frames import with_air_data
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._csv import read_csv
@@ -30,7 +31,7 @@ from skdgp.io._tables import (
 )
 
 UNKNOWN = "unknown_columns"
-TABLES: dict[str, Callable[[Path], pd.DataFrame]] = {
+TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat,
 }  # fmt: skip
 """Readers of tables by suffix; another format is one more entry."""
@@ -46,6 +47,7 @@ def read_flight(
     servos: PathLike | Mapping[str, Any] | None = None,
     airborne: bool | float = True,
     imu_position: Sequence[float] | None = None,
+    rename: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
@@ -62,10 +64,10 @@ def read_flight(
     Parameters
     ----------
     path : str or path, or several
-        ``.csv``, ``.parquet`` or ``.pq`` (parquet needs the extra ``parquet``), ``.mat`` (MATLAB v5
-        to v7: vectors named as in the vocabulary, loose or in one struct), ``.ulg`` (PX4), ``.bin``
-        (ArduPilot), ``.tlog`` (MAVLink telemetry of both, by the extra ``mavlink``), a folder with
-        a Parquet file of each topic (Flight Review of PX4). Several: as :func:`read_flights`.
+        ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.mat`` (MATLAB v5 to v7:
+        vectors named as columns, loose or in one struct), ``.ulg`` (PX4) and ``.tlog`` (MAVLink
+        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot), a folder with a Parquet file
+        of each topic (Flight Review of PX4). Several: as :func:`read_flights`.
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -83,6 +85,9 @@ def read_flight(
     imu_position : sequence of 3 floats, optional
         Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the
         centre of gravity.
+    rename : mapping of str to str, optional
+        Names of a flight table for columns of a table, ``{"de": "elevator"}``; a unit in the header
+        stays with its column.
 
     Returns
     -------
@@ -117,10 +122,15 @@ def read_flight(
                 "Got several paths and one flight, but expected a mapping of flight identifier to "
                 "path."
             )
-        return read_flights(path, **options)
+        return read_flights(path, rename=rename, **options)
     path = Path(path)
     with reading(path):
         if is_log(path):
+            if rename:
+                raise FlightReadError(
+                    f"Got rename={dict(rename)} for a log of an autopilot, but expected it only "
+                    f"with tables: its columns follow from its messages."
+                )
             return _from_autopilot(path, flight, options)
         kind = path.suffix.lower()
         if kind not in TABLES:
@@ -136,8 +146,10 @@ def read_flight(
             raise FlightReadError(
                 f"Got {given} for a table, but expected these only with logs of autopilots."
             )
+        rename = dict(rename or {})
+        table = TABLES[kind](path, rename) if kind == ".csv" else TABLES[kind](path)
         return _as_flight(
-            TABLES[kind](path),
+            _renamed(table, rename),
             path.stem if flight is None else flight,
             overrides=flight is not None,
         )
@@ -211,13 +223,31 @@ def _from_autopilot(path, flight, options):
     return table
 
 
+def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
+    """Return the table with new names; raise FlightReadError if it has a column by neither name."""
+    names = [str(name).strip() for name in table.columns]
+    for old, new in rename.items():
+        if base_name(new) not in CHANNELS:
+            raise FlightReadError(
+                f"Got rename of {old!r} to {new!r}, but expected a name of a flight table: "
+                f"docs/notation.md lists them."
+            )
+        if old not in names and new not in names:
+            near = get_close_matches(old, names, n=3, cutoff=0.5) or names[:12]
+            raise FlightReadError(
+                f"Got rename of {old!r}, but the file has no such column: expected one such as "
+                f"{near}."
+            )
+    return table.set_axis([rename.get(name, name) for name in names], axis="columns")
+
+
 def _as_flight(table, flight, *, overrides):
     """Return a raw table in the order and types of a flight table."""
     if table.empty:
         raise FlightReadError(
             f"Got a table of {len(table)} rows and {table.shape[1]} columns, but expected samples."
         )
-    table = table.reset_index(drop=True).rename(columns=lambda name: str(name).strip())
+    table = table.reset_index(drop=True)
     check_names(table.columns)
     _hint_at_names(table)
     if "time" not in table:
@@ -244,7 +274,7 @@ def _as_flight(table, flight, *, overrides):
     table = with_air_data(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
     table = table[order]
-    table.attrs = {UNKNOWN: [name for name in order if base_name(name) not in CHANNELS]}
+    table.attrs = {UNKNOWN: unknown_columns(table)}
     return table
 
 
@@ -299,8 +329,10 @@ def _split_at_restarts(table):
     names, restarts = part_restarts(time, table["flight"].to_numpy())
     if not restarts.size:
         return table
+    origin = seconds_origin(time)
     steps = [
-        f"from {time[row - 1]:.6g} s to {time[row]:.6g} s at row {row}: {names[row]!r}"
+        f"from {time[row - 1] - origin:.6g} s to {time[row] - origin:.6g} s at row {row}: "
+        f"{names[row]!r}"
         for row in restarts[:8]
     ]
     warnings.warn(
@@ -313,16 +345,8 @@ def _split_at_restarts(table):
 
 
 def _hint_at_names(table):
-    """Warn once of unknown columns that look like a missing name of the vocabulary."""
-    free = [name for name in CHANNELS if name not in table]
-    hints = {}
-    for name in table.columns:
-        if base_name(name) not in CHANNELS:
-            near = [word for word in free if word.lower() == name.lower()]
-            if len(name) > 4:
-                near += get_close_matches(name.lower(), free, n=1, cutoff=0.87)
-            if near:
-                hints[name] = near[0]
-    if hints:
-        names = ", ".join(f"{name!r} (did you mean {near!r}?)" for name, near in hints.items())
-        warnings.warn(f"Unknown columns are kept as they are: {names}.", stacklevel=4)
+    """Warn once of unknown columns that look like a missing name of a flight table."""
+    unknown = unknown_columns(table)
+    if suggestions(unknown, table.columns):
+        words = unknown_columns_message(unknown, table.columns)
+        warnings.warn(f"Unknown columns are kept as they are: {words}.", stacklevel=4)

@@ -41,6 +41,9 @@ LIMITS = {
     **dict.fromkeys(RATES, 20.0),
 }
 LONGEST_STEP = 5.0  # s
+LARGEST_MIDDLE = (
+    30.0  # median of the size of an angle in degrees, but for roll and heading; a guess
+)
 
 
 class FlightReadError(ValueError):
@@ -160,6 +163,14 @@ def check_magnitudes(table: pd.DataFrame) -> None:
         for name, most in large.items()
         if most > limits[name] and not (name in GYROS and is_unwrapped(table, name))
     }
+    middles = {name: float(np.nanmedian(np.abs(table[name]))) for name in degrees}
+    shifted = {name: round(most, 1) for name, most in middles.items() if most > LARGEST_MIDDLE}
+    if shifted.keys() - GYROS.keys():
+        raise FlightReadError(
+            f"Got {shifted} as medians of angles, more than an aircraft flies at even in degrees: "
+            f"these look like the values of another column. Check that each name in the header "
+            f"stands above its own values."
+        )
     if degrees:
         raise FlightReadError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "

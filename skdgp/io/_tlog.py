@@ -1,8 +1,9 @@
 """Reader of telemetry logs of ground stations (tlog): MAVLink messages of PX4 or ArduPilot.
 
-Each message stands after the time of its arrival, 8 bytes, big-endian, in microseconds. pymavlink
-decodes it; see https://mavlink.io/en/messages/ardupilotmega.html. Messages of other systems, such
-as the ground station, are left out.
+Each message stands after the time of its arrival, 8 bytes. pymavlink decodes it; see
+https://mavlink.io/en/messages/ardupilotmega.html. Radio links deliver messages late and in bursts,
+so the vehicle's own clock counts: a message without one was sent between its neighbours in the
+file. Messages of other systems, such as the ground station, are left out.
 """
 
 from __future__ import annotations
@@ -10,14 +11,12 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skdgp._compute.typing import Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._dataflash import mixing_of, servos_of
@@ -31,22 +30,18 @@ from skdgp.io._log import (
     density_at,
     from_rpm,
     instance_name,
+    numeric_fields,
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES
 
-STAMP, OVERHEAD, SIGNATURE = (
-    8,
-    {0xFE: 8, 0xFD: 12},
-    13,
-)  # bytes: of the arrival; beside a payload, by its first byte
-PX4, INT32 = (
-    12,
-    6,
-)  # MAV_AUTOPILOT; MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
+STAMP, SIGNATURE = 8, 13  # bytes of the arrival, of a signature
+OVERHEAD = {0xFE: 8, 0xFD: 12}  # bytes of a message beside its payload, by its first byte
+PX4 = 12  # MAV_AUTOPILOT
+INT32 = 6  # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
-# where the vehicle's clock and the arrival differ more [s] from the usual, the arrival counts
-LONGEST_DELAY = 5.0
+# seconds from the clock of ATTITUDE beyond which the place in the file counts, as where there is none
+LARGEST_DIFFERENCE = 60.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
 
@@ -111,10 +106,10 @@ def read_tlog(path: Path) -> Log:
     except ImportError as error:
         raise ImportError(
             "Reading a tlog needs pymavlink, which is not installed: pip install "
-            "'skdgp[mavlink]', or take the log of "
+            "'skdgp[logs]', or take the log of "
             "the autopilot itself."
         ) from error
-    arrivals, messages, skipped = _messages(path.read_bytes(), mavlink)
+    messages, skipped = _messages(path.read_bytes(), mavlink)
     systems = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
     if not systems:
         raise FlightReadError(
@@ -137,20 +132,17 @@ def read_tlog(path: Path) -> Log:
         name: np.array([_clock(messages[place]) for place in places])
         for name, places in by_name.items()
     }
-    delay = float(np.median(arrivals[by_name["ATTITUDE"]] - clocks["ATTITUDE"]))
     topics = {}
     for name, places in sorted(by_name.items()):
-        found, arrived, clock = (
-            [messages[place] for place in places],
-            arrivals[places] - delay,
-            clocks[name],
-        )
-        time = np.where(np.abs(clock - arrived) < LONGEST_DELAY, clock, arrived)
+        found = [messages[place] for place in places]
+        by_place = np.interp(places, by_name["ATTITUDE"], clocks["ATTITUDE"])
+        clock = clocks[name]
+        time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
         numbers = [
             key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)
         ]
         fields = {key: [getattr(each, key) for each in found] for key in numbers}
-        topics[name] = replace(Topic.of(time, **fields), order=np.array(places, dtype=float))
+        topics[name] = Topic(time, np.array(places, dtype=float), numeric_fields(fields))
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
     speeds = [
         parameters[name]
@@ -173,10 +165,11 @@ def read_tlog(path: Path) -> Log:
     )
 
 
-def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
-    """Return times of arrival [s], the messages that are of use, and how many bytes are none."""
+def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
+    """Return the messages that are of use, and how many bytes are none."""
     decoder, known = mavlink.MAVLink(None), mavlink.mavlink_map
-    arrivals, messages, position, skipped = [], [], 0, 0
+    messages: list[Any] = []
+    position = skipped = 0
     while position + STAMP + min(OVERHEAD.values()) <= len(data):
         start = position + STAMP
         size = data[start + 1] + OVERHEAD.get(data[start], len(data))
@@ -199,9 +192,8 @@ def _messages(data: bytes, mavlink: Any) -> tuple[Vector, list[Any], int]:
             continue
         position = start + size
         if message.get_type() in READ:  # not a message that this version of pymavlink does not know
-            arrivals.append(int.from_bytes(data[start - STAMP : start], "big") * 1e-6)
             messages.append(message)
-    return np.array(arrivals), messages, skipped
+    return messages, skipped
 
 
 def _parameter(message: Any, px4: bool) -> tuple[str, float]:

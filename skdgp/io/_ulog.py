@@ -1,21 +1,22 @@
-"""Reader of PX4 logs (ULog).
+"""Reader of PX4 logs (ULog) by pyulog, and of folders with a Parquet file for each topic.
 
-The format is that of https://docs.px4.io/main/en/dev_log/ulog_file_format. A file
-has a header, definitions and messages, little-endian, each after its length and type. Every length
-is checked: invalid bytes are skipped, and reading continues at the next position with three valid
-messages in a row. The topics are those of https://docs.px4.io/main/en/msg_docs.
+The topics are those of https://docs.px4.io/main/en/msg_docs. What pyulog skips of a damaged file is
+counted, and definitions that ask for far more fields than a message can hold are refused.
 """
 
 from __future__ import annotations
 
-import re
+import io
 import struct
+from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from skdgp._compute.files import read_json
+from skdgp._compute.typing import Vector
 from skdgp.io._log import (
     QUATERNION,
     Log,
@@ -24,28 +25,22 @@ from skdgp.io._log import (
     Topic,
     damage,
     from_rpm,
-    gathered,
     instance_name,
+    numeric_fields,
     whole,
 )
 from skdgp.io._tables import FlightReadError
 
-HEADER, HEADER_SIZE = b"ULog\x01\x12\x35", 16
-SYNC = bytes.fromhex("2f731320250cbb12")
-KINDS = b"BFIMPQARDLCSO"
-HEAD = struct.Struct("<HB")
-NEXT = re.compile(rb"(?=..[" + KINDS + rb"])", re.DOTALL)
-NAME, FORMAT = re.compile(rb"[\w/]{1,255}"), re.compile(rb"([\w/]{1,255}+):([\w\[\] ;]*+)")
-KEY = re.compile(rb"(\w+)(?:\[(\d{1,5})\])? ([\w.\-/]+)")
-FIELD = re.compile(r"(\w+)(?:\[(\d{1,5})\])? (\w+)")
-TYPES = {
-    **{f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
-    "float": "<f4", "double": "<f8", "bool": "u1", "char": "u1",
-}  # fmt: skip
-LARGEST = 2**16  # a message cannot be longer [bytes]: its length is 16 bits
-LONGEST_TEXT = 2000
+HEADER = b"ULog\x01\x12\x35"
+SPARE_READS = 1000  # beyond one for each byte: a sound file has two for each message
+HEAD_SIZE = 3  # bytes before each message
 LATEST = 1_000_000  # microseconds from sampling to publishing, at most
-DEEPEST = 8  # levels of nested messages
+MOST_FIELDS = 2**16  # of one message, whose length has 16 bits
+MOST_FIELDS_IN_ALL = 2**18  # of all topics of a log; a VTOL's has 4,000
+SHORT_MESSAGES = (  # classes of pyulog that may raise struct.error, which ends its reading
+    *("_MessageInfo", "_MessageParameterDefault", "MessageLogging", "MessageLoggingTagged"),
+    "MessageDropout",
+)
 # the last byte of a version from which it is an alpha, beta or release, not a state of development
 RELEASED = 64
 MAV_TYPES = {
@@ -130,28 +125,125 @@ CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
 
 
 def read_ulog(path: Path) -> Log:
-    """Return a ULog; raise FlightReadError if it is none, of a later incompatible format, or holds no message."""
+    """Return a ULog; raise FlightReadError if it is none, of a later format, or holds no message.
+
+    Raises ImportError without pyulog.
+    """
+    try:
+        from pyulog import ULogException
+    except ImportError as error:
+        raise ImportError(
+            "Reading a ULog needs pyulog, which is not installed: pip install 'skdgp[logs]'."
+        ) from error
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it "
             "empty, or of another kind?"
         )
-    reader = _Reader(data)
-    reader.read()
-    topics = reader.topics()
+    file = _Bytes(data)
+    try:
+        with redirect_stdout(io.StringIO()):  # where pyulog tells of damage
+            log, order, lost = _parsed(file)
+    except (ULogException, EOFError) as error:
+        raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
+    topics = {}
+    for each in log.data_list:
+        fields = numeric_fields(each.data)
+        time = _sampled(each.name, fields) * 1e-6
+        topics[instance_name(each.name, each.multi_id)] = Topic(time, order[each.msg_id], fields)
     if not topics:
         raise FlightReadError(
             f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut "
             f"off?"
         )
-    return _log(
-        "PX4 ULog",
-        topics,
-        reader.parameters,
-        reader.information,
-        damage(reader.skipped, reader.cut, reader.lost),
-    )
+    remarks = damage(len(data) - file.end, file.cut, lost)
+    if log.file_corruption and not remarks:
+        remarks = ("parts of the file could not be read and were skipped",)
+    changed = {name: value for _, name, value in log.changed_parameters}
+    parameters = _numbers(log.initial_parameters | changed)
+    return _log("PX4 ULog", topics, parameters, log.msg_info_dict, remarks)
+
+
+class _Bytes(io.BytesIO):
+    """A file that keeps where reading ended, and whether a read got less than it asked for."""
+
+    cut, end, reads = False, 0, 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return the next bytes; raise EOFError if pyulog reads the same place without an end."""
+        self.reads += 1
+        if self.reads > self.getbuffer().nbytes + SPARE_READS:
+            raise EOFError("most of it is damaged")
+        found = super().read(size)
+        wanted = size or 0
+        self.cut = len(found) < wanted and (bool(found) or wanted != HEAD_SIZE)
+        self.end = self.tell()
+        return found
+
+
+def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
+    """Return pyulog's log, the order of the messages in the file by topic, and how many it lost."""
+    from pyulog import ULog
+
+    places: dict[int, list[int]] = {}
+    n_lost = n_fields = 0
+
+    class Reader(ULog):
+        class _MessageAddLogged(ULog._MessageAddLogged):
+            def __init__(self, data, header, formats):
+                nonlocal n_fields
+                if len(data) < 4:
+                    raise ValueError("no topic is named")
+                n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, {})
+                if n_fields > MOST_FIELDS_IN_ALL:
+                    raise ValueError("the topics have too many fields")
+                super().__init__(data, header, formats)
+                if "timestamp" not in self.dtype.names or self.dtype["timestamp"] != "<u8":
+                    raise ValueError(f"{self.message_name} has no time")
+                places[self.msg_id] = []
+
+        class _MessageData(ULog._MessageData):
+            def initialize(self, data, header, subscriptions, log):
+                nonlocal n_lost
+                lost = len(data) < 2 or super().initialize(data, header, subscriptions, log)
+                n_lost += lost
+                if not lost:
+                    places[int.from_bytes(data[:2], "little")].append(file.end)
+                return lost
+
+    for name in SHORT_MESSAGES:
+        setattr(Reader, name, _forgiving(getattr(ULog, name)))
+    log = Reader(file)
+    return log, {number: np.array(each, float) for number, each in places.items()}, n_lost
+
+
+def _forgiving(message: type) -> type:
+    """Return a class of messages of pyulog of which one that is too short does not end the reading."""
+
+    class Message(message):
+        def __init__(self, *args, **options):
+            try:
+                super().__init__(*args, **options)
+            except struct.error as error:
+                raise ValueError("a message is too short") from error
+
+    return Message
+
+
+def _n_fields(name: str, formats: Mapping[str, Any], known: dict[str, int]) -> int:
+    """Return how many fields a message has; raise ValueError if it holds itself, or too many."""
+    if name not in known:
+        known[name] = (
+            MOST_FIELDS + 1
+        )  # until it is counted: a message that holds itself has too many
+        known[name] = sum(
+            max(n, 1) * (_n_fields(kind, formats, known) if kind in formats else 1)
+            for kind, n, _ in formats[name].fields
+        )
+    if known[name] > MOST_FIELDS:
+        raise ValueError(f"{name} has more fields than a message can hold")
+    return known[name]
 
 
 def read_topic_tables(path: Path) -> Log:
@@ -175,35 +267,24 @@ def read_topic_tables(path: Path) -> Log:
             raise FlightReadError(f"Got metadata.json, but expected JSON: {error}") from error
     for file in sorted(path.glob("*.parquet")):
         try:
-            table = read_table(file)
+            table = read_table(file).to_pandas()
         except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
             raise FlightReadError(
                 f"Got no whole Parquet file {file.name} ({error}): copy it again."
             ) from error
-        records = table.to_pandas().select_dtypes(["number", "bool"]).to_records(index=False)
-        if len(records) and "timestamp" in (records.dtype.names or ()):
-            name, _, number = file.stem.rpartition("_")
-            is_instance = (
-                name and number.isdecimal() and file.stem not in TOPICS
-            )  # some topics end in a number
-            name = instance_name(name, int(number)) if is_instance else file.stem
-            topics[name] = Topic(
-                _sampled(name, records) * 1e-6, records["timestamp"].astype(float), records
-            )
+        fields = numeric_fields({str(name): table[name] for name in table})
+        if len(table) and "timestamp" in fields:
+            stem, _, number = file.stem.rpartition("_")
+            is_instance = stem and number.isdecimal() and file.stem not in TOPICS
+            name = instance_name(stem, int(number)) if is_instance else file.stem
+            order = fields["timestamp"].astype(float)
+            topics[name] = Topic(_sampled(name, fields) * 1e-6, order, fields)
     if not topics:
         raise FlightReadError(
             "Got a folder, but expected Parquet files of the topics of PX4 in it, with a "
-            "timestamp, such as "
-            "vehicle_attitude.parquet."
+            "timestamp, such as vehicle_attitude.parquet."
         )
-    numbers = {
-        key: value
-        for key, value in metadata.get("parameters", {}).items()
-        if type(value) in (int, float)
-    }
-    return _log(
-        "PX4 Parquet", topics, {key: float(value) for key, value in numbers.items()}, metadata, ()
-    )
+    return _log("PX4 Parquet", topics, _numbers(metadata.get("parameters", {})), metadata, ())
 
 
 def _log(kind, topics, parameters, information, remarks) -> Log:
@@ -223,217 +304,23 @@ def _log(kind, topics, parameters, information, remarks) -> Log:
     )
 
 
-class _Subscription(NamedTuple):
-    """Layout of one topic, and the positions of its messages."""
-
-    name: str
-    instance: int
-    dtype: np.dtype
-    largest: int
-    starts: list[int]
-
-
-class _Reader:
-    def __init__(self, data):
-        self.data = data
-        self.formats, self.dtypes, self.layouts = {}, {}, {}
-        self.subscriptions, self.finished = {}, []
-        self.parameters, self.information = {}, {}
-        self.appended, self.skipped, self.lost, self.cut = [], 0, 0, False
-        by_kind = {"B": self._flags, "F": self._format, "A": self._subscribe, "D": self._datum}
-        by_kind |= {
-            "I": self._information,
-            "P": self._parameter,
-            "S": lambda start, end: data[start:end] == SYNC,
-        }
-        by_kind |= dict.fromkeys(
-            "MQ", lambda start, end: end - start > 1 and self._keyed(start + 1, end) is not None
-        )
-        by_kind |= dict.fromkeys("OR", lambda start, end: end - start == 2)
-        by_kind |= dict.fromkeys("LC", lambda start, end: 9 <= end - start <= LONGEST_TEXT)
-        self.handlers = {ord(kind): makes_sense for kind, makes_sense in by_kind.items()}
-
-    def read(self):
-        """Collect definitions and the places of all messages."""
-        data, position = self.data, HEADER_SIZE
-        while position + HEAD.size <= len(data):
-            size, kind = HEAD.unpack_from(data, position)
-            start, end = position + HEAD.size, position + HEAD.size + size
-            if (
-                self.appended and end > self.appended[0]
-            ):  # a crash report was appended there, perhaps to half a message
-                position = max(position, self.appended.pop(0))
-            elif self._read_message(kind, start, end):
-                position = end
-            else:
-                starts = (match.start() for match in NEXT.finditer(data, position + 1))
-                following = next((start for start in starts if self._chain(start, 3)), len(data))
-                complete = end <= len(data) or kind not in KINDS
-                self.cut = self.cut or (following == len(data) and not complete)
-                self.skipped += following - position if complete else 0
-                position = following
-
-    def _read_message(self, kind, start, end) -> bool:
-        """Return whether there is a message: of a known kind that makes sense, or of a new kind between known ones."""
-        if start == end or end > len(self.data):
-            return False
-        return self.handlers[kind](start, end) if kind in self.handlers else self._chain(end, 3)
-
-    def _chain(self, position, n):
-        """Whether n messages of known kinds follow each other, or fewer up to the end of the file."""
-        for _ in range(n):
-            if position == len(self.data):
-                return True
-            if position + HEAD.size > len(self.data):
-                return False
-            size, kind = HEAD.unpack_from(self.data, position)
-            position += HEAD.size + size
-            if kind not in KINDS or not size or position > len(self.data):
-                return False
-        return True
-
-    # Each of these reads the bytes of one message from start to end, and returns whether they make
-    # sense.
-
-    def _flags(self, start, end):
-        if start != HEADER_SIZE + HEAD.size or end - start < 40:
-            return False
-        incompatible = self.data[start + 8 : start + 16]
-        if incompatible[0] & ~1 or any(incompatible[1:]):
-            raise FlightReadError(
-                f"Got a ULog with incompatible flags {incompatible.hex()}, but expected none but "
-                f"'data appended': "
-                "it is of a later format than this reader."
-            )
-        if incompatible[0] & 1:
-            self.appended = sorted(
-                o for o in struct.unpack_from("<3Q", self.data, start + 16) if o > end
-            )
-        return True
-
-    def _format(self, start, end):
-        match = FORMAT.fullmatch(self.data, start, end)
-        if match is None:
-            return False
-        self.formats.setdefault(match[1].decode(), match[2].decode())
-        return True
-
-    def _subscribe(self, start, end):
-        match = NAME.fullmatch(self.data, start + 3, end)
-        if match is None:
-            return False
-        instance, number = struct.unpack_from("<BH", self.data, start)
-        name = match[0].decode()
-        if name not in self.layouts:
-            self.layouts[name] = self._layout(name)
-        if (layout := self.layouts[name]) is not None:
-            if number in self.subscriptions and self.subscriptions[number].starts:
-                self.finished.append(self.subscriptions[number])
-            self.subscriptions[number] = _Subscription(name, instance, layout[0], layout[1], [])
-        return True
-
-    def _layout(self, name):
-        """Return the layout of a topic as it is logged and its largest size; None if its definition makes no sense."""
-        try:
-            dtype = self._dtype(name)
-        except (KeyError, ValueError, TypeError):  # a definition that is lost, or makes no sense
-            return None
-        names = list(dtype.names)
-        while names and names[-1].startswith("_padding"):  # at the end it is not logged
-            names.pop()
-        timed = "timestamp" in names and dtype["timestamp"] == np.dtype("<u8")
-        return (
-            (np.dtype([(name, dtype[name]) for name in names]), dtype.itemsize) if timed else None
-        )
-
-    def _dtype(self, name, depth=0):
-        """Return the layout of a message, made once; nested messages stay nested, so that no size can be abused."""
-        if name not in self.dtypes:
-            self.dtypes[name] = None  # until it is made: a message that holds itself is none
-            self.dtypes[name] = self._new_dtype(name, depth)
-        if self.dtypes[name] is None:
-            raise ValueError(f"Got a definition of {name} that is no message.")
-        return self.dtypes[name]
-
-    def _new_dtype(self, name, depth):
-        if depth > DEEPEST:
-            raise ValueError(f"Got messages nested deeper than {DEEPEST}.")
-        fields = [FIELD.fullmatch(text) for text in self.formats[name].split(";") if text]
-        layout = []
-        for kind, length, field in (match.groups() for match in fields if match is not None):
-            inner = np.dtype(TYPES[kind]) if kind in TYPES else self._dtype(kind, depth + 1)
-            layout.append((field, inner) if length is None else (field, inner, (int(length),)))
-        dtype = np.dtype(layout)
-        if len(layout) < len(fields) or not 0 < dtype.itemsize < LARGEST:
-            raise ValueError(f"Got a definition of {name} that is no message.")
-        return dtype
-
-    def _datum(self, start, end):
-        if end - start < 2:
-            return False
-        subscription = self.subscriptions.get(
-            int.from_bytes(self.data[start : start + 2], "little")
-        )
-        if subscription is None:
-            known = self._chain(end, 1)
-            self.lost += known
-            return known
-        if not subscription.dtype.itemsize <= end - start - 2 <= subscription.largest:
-            return False
-        subscription.starts.append(start + 2)
-        return True
-
-    def _keyed(self, start, end):
-        """Return type, key and value, or None where the length is not that of the type."""
-        match = KEY.fullmatch(self.data, start + 1, min(start + 1 + self.data[start], end))
-        if match is None:
-            return None
-        kind, length, key = (group and group.decode() for group in match.groups())
-        value = self.data[match.end() : end]
-        sound = kind in TYPES and len(value) == np.dtype(TYPES[kind]).itemsize * int(length or 1)
-        return (kind, key, value) if sound else None
-
-    def _information(self, start, end):
-        keyed = self._keyed(start, end)
-        if keyed is not None:
-            kind, key, value = keyed
-            scalar = "int" in kind and len(value) == np.dtype(TYPES[kind]).itemsize
-            text = value.decode("utf-8", "replace").strip("\x00")
-            self.information[key] = int(np.frombuffer(value, TYPES[kind])[0]) if scalar else text
-        return keyed is not None
-
-    def _parameter(self, start, end):
-        keyed = self._keyed(start, end)
-        if keyed is not None and len(keyed[2]) == np.dtype(TYPES[keyed[0]]).itemsize:
-            self.parameters[keyed[1]] = float(np.frombuffer(keyed[2], TYPES[keyed[0]])[0])
-        return keyed is not None
-
-    def topics(self) -> dict[str, Topic]:
-        """Return the topics by name; of two of one name the longer."""
-        by_name: dict[str, Topic] = {}
-        for each in [*self.subscriptions.values(), *self.finished]:
-            name = instance_name(each.name, each.instance)
-            if each.starts and len(each.starts) > len(by_name.get(name, ())):
-                records = gathered(self.data, each.starts, each.dtype)
-                by_name[name] = Topic(
-                    _sampled(each.name, records) * 1e-6, np.array(each.starts), records
-                )
-        return dict(sorted(by_name.items()))
-
-
-def _sampled(name, records):
+def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     """Return when something was sampled, or if that is not logged or an output, published [us]."""
-    published = records["timestamp"]
-    if "timestamp_sample" not in records.dtype.names or name.startswith("actuator"):
+    published = fields["timestamp"]
+    if "timestamp_sample" not in fields or name.startswith("actuator"):
         return published
-    sampled = records["timestamp_sample"]
+    sampled = fields["timestamp_sample"]
     believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
     return np.where(believed, sampled, published)
 
 
-def _firmware(information) -> str:
+def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    return {key: float(value) for key, value in values.items() if type(value) in (int, float)}
+
+
+def _firmware(information: Mapping[str, Any]) -> str:
     name, release = information.get("sys_name") or "PX4", information.get("ver_sw_release")
-    if release and release & 255 >= RELEASED:
+    if isinstance(release, int) and release & 255 >= RELEASED:
         version = f" {release >> 24 & 255}.{release >> 16 & 255}.{release >> 8 & 255}"
     else:
         version = " development " + str(information.get("ver_sw") or "")[:8]

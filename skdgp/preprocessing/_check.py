@@ -11,19 +11,21 @@ import pandas as pd
 
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Vector
+from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import WRAPPED, check_columns, check_table, numeric, unwrapped
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
 from skdgp._flight.faults import (
-    POSSIBLE,
     Finding,
     FlightDataWarning,
     faults_message,
     find_faults,
+    seconds_origin,
     usual_spacing,
     without_faults,
 )
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
+BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
 NO_ERRORS = ("gap", "saturated")  # kinds in ``findings_`` of which no warning tells
 
 
@@ -139,7 +141,7 @@ class FlightCheck(TableTransformer):
             )
         table = without_faults(table, findings)
         names = [
-            name for name in POSSIBLE if self.bridge and name in table and name not in self.ignore
+            name for name in BRIDGED if self.bridge and name in table and name not in self.ignore
         ]
         names = [
             name
@@ -171,10 +173,12 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> tuple[pd.DataFrame, 
         )
     check_clock(time, names)
     table, findings = table.assign(flight=names) if restarts.size else table, []
+    origin = seconds_origin(time)
     for row in restarts:
-        words = f"goes back from {time[row - 1]:.6g} s, a restart: from there on the flight is named {names[row]!r}"
+        words = f"goes back from {time[row - 1] - origin:.6g} s, a restart: "
+        words += f"from there on the flight is named {names[row]!r}"
         place = float(time[row]), float(time[row]), np.array([row])
-        findings.append(Finding(names[row - 1], "time", "restart", *place, words))
+        findings.append(Finding(names[row - 1], "time", "restart", *place, words, origin))
     return table, findings + find_faults(table, ignore)
 
 

@@ -101,9 +101,17 @@ class TableTransformer(  # type: ignore[call-arg]
     def _check_other_input(self, X: Any, *, reset: bool = False) -> Any:
         """Return an array, or a table without a known name, as scikit-learn validates it."""
         named = isinstance(X, pd.DataFrame)
-        checked = validate_data(
-            self, X, reset=reset, ensure_all_finite=False, skip_check_array=named
-        )
+        try:
+            checked = validate_data(
+                self, X, reset=reset, ensure_all_finite=False, skip_check_array=named
+            )
+        except ValueError as error:
+            if "could not convert string" not in str(error):
+                raise
+            raise ValueError(
+                f"Got {type(X).__name__} of shape {np.shape(X)} with texts in it, but expected a "
+                f"DataFrame with named columns: give the flight table itself, not its values."
+            ) from error
         return X if named else checked
 
     def _as_output(self, result: Any) -> Any:

@@ -332,22 +332,6 @@ class TestFlights:
 
 
 class TestRefusals:
-    def test_a_multicopter(self, write, ulog):
-        t = np.arange(0, 30, 0.02)
-        log = ulog(MAV_TYPE=2).topic(
-            "vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3)))
-        )
-        log.topic(
-            "vehicle_local_position",
-            t,
-            vx=("float", np.full(t.size, 15.0)),
-            vy=("float", np.zeros(t.size)),
-        )
-        with pytest.raises(
-            FlightReadError, match="the vehicle is a multicopter, there is no valid airspeed"
-        ):
-            read_flight(write("quad.ulg", log))
-
     def test_a_bench_log(self, write, ulog):
         t = np.arange(0, 30, 0.02)
         log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))

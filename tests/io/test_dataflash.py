@@ -5,8 +5,10 @@ import struct
 import numpy as np
 import pytest
 
-from skdgp.io import FlightReadError
-from skdgp.io._dataflash import DEFINITIONS, read_dataflash
+from skdgp.io import AUTOPILOTS, FlightReadError
+
+read_dataflash = AUTOPILOTS[".bin"]
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 
 
 @pytest.fixture

@@ -84,10 +84,10 @@ class TestSummary:
         assert "alpha or reconstruction" in missing["regressors"]
 
     def test_a_multicopter_is_called_one(self, quad):
-        assert (
-            inspect_log(quad).no_flight
-            == "the vehicle is a multicopter, there is no valid airspeed"
-        )
+        assert inspect_log(quad).no_flight == "multicopter: not for this program"
+        for airborne in (True, False):
+            with pytest.raises(FlightReadError, match="log of a multicopter: not for this program"):
+                read_flight(quad, airborne=airborne)
 
     def test_a_sensor_that_never_changes_is_missing(self, tmp_path, ulog):
         t = np.arange(0, 20, 0.02)
@@ -137,7 +137,29 @@ class TestSummary:
         assert "flight from" not in text
         assert all(len(line) <= 110 for line in text.splitlines() if " Hz " in line)
         assert len(summary.remarks) == 2  # of q and r in each record
-        assert all("and 8 more like it" in remark for remark in summary.remarks)
+        assert all("9 times, the longest: " in remark for remark in summary.remarks)
+
+    def test_columns_of_unknown_names_are_one_line(self, tmp_path):
+        names = ["ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))]
+        table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
+        table.to_csv(tmp_path / "a.csv", index=False)
+        words = r"'ias' \(did you mean 'airspeed'\?\), 'de' \(.* 'elevator'\?\), 'aoa' \(.* 'alpha'"
+        with pytest.warns(UserWarning, match=words):
+            (remark,) = inspect_log(tmp_path / "a.csv").remarks
+        assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed'?)")
+        assert "and 66 others: sensor_0, sensor_1" in remark
+        rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
+        found = {column.name for column in inspect_log(tmp_path / "a.csv", rename=rename).columns}
+        assert found == {"airspeed", "elevator", "alpha"}
+
+    def test_times_are_seconds_of_the_log(self, tmp_path):
+        rng = np.random.default_rng(0)
+        table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500)})
+        table = table.assign(flight="a", alpha=rng.normal(0.1, 0.01, 500))
+        table.loc[200:260, "alpha"] = table.alpha[200]
+        table.to_csv(tmp_path / "a.csv", index=False)
+        (remark,) = inspect_log(tmp_path / "a.csv").remarks
+        assert "(4.02 to 5.2 s, 60 samples)" in remark
 
     def test_the_faults_of_a_table(self, tmp_path):
         rng = np.random.default_rng(0)

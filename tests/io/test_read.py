@@ -153,6 +153,13 @@ class TestUnitsThatNumbersGiveAway:
             read_flight(write("log.csv", table(**{name: values})))
         read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
 
+    def test_values_of_another_column(self, write):
+        """A name is missing in the header, so the airspeed stands under alpha."""
+        rows = table(alpha=0.05)[["time", "airspeed", "alpha", "q"]]
+        shifted = rows.set_axis(["time", "alpha", "q", "extra"], axis="columns")
+        with pytest.raises(FlightReadError, match="look like the values of another column"):
+            read_flight(write("log.csv", shifted))
+
     def test_heading(self, write):
         degrees = np.linspace(300, 420, 50) % 360
         with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
@@ -253,6 +260,32 @@ class TestRemarks:
         np.testing.assert_allclose(
             read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50)
         )
+
+
+class TestRename:
+    NAMES = {"de": "elevator", "ias": "airspeed"}
+
+    def test_names_and_units(self, write):
+        text = "time,de [deg],ias\n0,18,20\n0.02,9,21\n"
+        flight = read_flight(write("log.csv", text), rename=self.NAMES)
+        np.testing.assert_allclose(flight.elevator, [np.pi / 10, np.pi / 20])
+        assert flight.airspeed.tolist() == [20, 21]
+        expected = table().rename(columns={"elevator": "de", "airspeed": "ias"})
+        both = [write("a.parquet", expected), write("b.csv", expected)]
+        assert {"elevator", "airspeed"} <= set(read_flights(both, rename=self.NAMES))
+
+    @pytest.mark.parametrize(
+        ("rename", "message"),
+        [
+            ({"dee": "elevator"}, "the file has no such column: expected one such as .'de'"),
+            ({"de": "elevatr"}, "expected a name of a flight table"),
+            ({"de": "alpha"}, r"columns \['alpha'\] repeated"),
+        ],
+    )
+    def test_refusals(self, write, rename, message):
+        path = write("a.parquet", table().rename(columns={"elevator": "de"}))
+        with pytest.raises(FlightReadError, match=message):
+            read_flight(path, rename=rename)
 
 
 class TestSeveral:

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.io import FlightReadError, inspect_log, read_flight
-from skdgp.io._ulog import read_ulog
+from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
 
 
 class TestFlightReview:
@@ -17,7 +16,7 @@ class TestFlightReview:
         """The topics of a ULog, a Parquet file for each, arrays and instances as PX4/flight-review-rs writes them."""
         pytest.importorskip("pyarrow")
         (tmp_path / "log.ulg").write_bytes(px4)
-        log, folder = read_ulog(tmp_path / "log.ulg"), tmp_path / "log"
+        log, folder = AUTOPILOTS[".ulg"](tmp_path / "log.ulg"), tmp_path / "log"
         folder.mkdir()
         for name, topic in log.topics.items():
             table = pd.DataFrame(
@@ -141,6 +140,18 @@ class TestTelemetry:
             table["airspeed"], flight["airspeed"](time), atol=0.3
         )  # it has no clock but arrival
         assert abs(np.mean(table["airspeed"] - flight["airspeed"](time))) < 0.05
+
+    def test_arrival_in_bursts_changes_nothing(self, tlog, tmp_path):
+        """A slow link delivers what was sent within four seconds at once."""
+        arrival = [struct.unpack(">Q", each[:8])[0] for each in tlog]
+        late = [struct.pack(">Q", (stamp // 4_000_000 + 1) * 4_000_000) for stamp in arrival]
+        bursts = [stamp + each[8:] for stamp, each in zip(late, tlog, strict=True)]
+        tables = []
+        for name, content in (("a", tlog), ("b", bursts)):
+            (tmp_path / f"{name}.tlog").write_bytes(b"".join(content))
+            tables.append(read_flight(tmp_path / f"{name}.tlog", flight="sortie"))
+        pd.testing.assert_frame_equal(*tables)
+        assert tables[0]["airspeed"].notna().all()
 
     def test_damage_costs_only_itself(self, tlog, tmp_path):
         (tmp_path / "whole.tlog").write_bytes(b"".join(tlog))

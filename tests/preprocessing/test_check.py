@@ -341,6 +341,29 @@ class TestDownstream:
             )
         assert len(flights["sortie"]) == 2388
 
+    def test_single_lost_samples_leave_no_rows_out(self):
+        """3 % of the cells of each channel are missing, one sample at a time."""
+        table, rng = log(), np.random.default_rng(0)
+        sparse = table.copy()
+        for name in sparse.columns.difference(["time", "flight"]):
+            lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
+            sparse.loc[lost, name] = np.nan
+        with pytest.warns(FlightDataWarning, match="gaps up to 0.25 s are interpolated"):
+            found = usable_flights({"sortie": sparse}, ["alpha", "q"], ["alpha", "q"])["sortie"]
+        assert len(found) == len(table)
+        assert found.notna().all(axis=None)
+
+    def test_a_coarse_resolution_in_steady_flight_is_not_stuck(self):
+        """Airspeed rounded to 0.01 m/s, slow and almost without noise, interpolated to another clock."""
+        time = np.arange(0, 60, 0.02)
+        slow = np.arange(0, 60, 0.05)
+        speed = 24.98 + 0.02 * np.sin(0.2 * slow) + 3 * np.exp(-slow / 4)
+        airspeed = np.interp(time, slow, np.round(speed, 2))
+        assert inspect_flight(pd.DataFrame({"time": time, "airspeed": airspeed})).empty
+        airspeed[150:250] = airspeed[150]
+        found = inspect_flight(pd.DataFrame({"time": time, "airspeed": airspeed}))
+        assert found.kind.tolist() == ["stuck"]
+
 
 class TestWhatCannotBeLearned:
     def test_regressors_that_never_moved_are_named(self):

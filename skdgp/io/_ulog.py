@@ -187,6 +187,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
     from pyulog import ULog
 
     places: dict[int, list[int]] = {}
+    known: dict[str, int] = {}
     n_lost = n_fields = 0
 
     class Reader(ULog):
@@ -195,7 +196,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
                 nonlocal n_fields
                 if len(data) < 4:
                     raise ValueError("no topic is named")
-                n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, {})
+                n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, known)
                 if n_fields > MOST_FIELDS_IN_ALL:
                     raise ValueError("the topics have too many fields")
                 super().__init__(data, header, formats)

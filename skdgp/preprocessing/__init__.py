@@ -11,6 +11,7 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.turns import airspeed_from_turns
+from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
@@ -18,6 +19,7 @@ from skdgp.preprocessing._lag import LagCorrector
 from skdgp.preprocessing._smoother import FlightSmoother
 
 __all__ = [
+    "AirMotion",
     "ElevonSplitter",
     "FlightCheck",
     "FlightDataWarning",
@@ -27,5 +29,6 @@ __all__ = [
     "RateNondimensionalizer",
     "RegressorSelector",
     "airspeed_from_turns",
+    "estimate_air_motion",
     "inspect_flight",
 ]

@@ -1,0 +1,522 @@
+"""estimate_air_motion: derivatives, gusts and wind of flights without vanes, by the filter-error method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, SURFACES
+from skdgp._flight.checks import check_columns, check_radians, check_table
+from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
+from skdgp._mechanics.aircraft import Aircraft, check_aircraft
+from skdgp._mechanics.loads import propulsive_loads
+from skdgp.preprocessing._air_motion_equations import (
+    ARM,
+    FAST,
+    GUST,
+    N_STATES,
+    TURN,
+    WINDS,
+    Layout,
+    Record,
+    air_velocity,
+    linearised,
+    noise,
+)
+from skdgp.preprocessing._air_motion_filter import (
+    Linearisation,
+    Pass,
+    filtered,
+    innovation_slopes,
+    smoothed,
+    state_slopes,
+    varied,
+)
+from skdgp.preprocessing._air_motion_model import Inputs
+from skdgp.preprocessing._air_motion_parameters import (
+    OWN,
+    OWN_NOISES,
+    SHARED,
+    SHARED_NOISES,
+    TERMS,
+    Parameters,
+    derivatives_of,
+)
+from skdgp.preprocessing._path import (
+    CONSTANTS,
+    GUSTS,
+    INERTIAL,
+    MEAN_WIND,
+    NEEDED,
+    NOISE,
+    Log,
+    estimate,
+    first_guess,
+    flight_logs,
+)
+
+PATH_CONSTANTS = (*INERTIAL, "velocity_lag", "attitude_lag", *MEAN_WIND)
+FEWEST = 100  # samples of a record
+MOVE = 1e-4  # of a slope by alpha or beta, for the derivatives of the gain
+LOG_MOVE = 1e-3  # of the logarithm of a noise
+NOISE_SAMPLES = 2000  # of each record, from its middle, that tell the noises
+MAX_PASSES = 30
+TOLERANCE = 0.1  # squared length of the last two steps, in standard deviations
+NOISE_TOLERANCE = 5.0  # that of the last step of the noises
+LARGEST_LOG = 0.7  # step of the logarithm of a noise
+START_NOISE = 2.0  # of the sensors, over the prior median
+LIFT_SLOPE = 4.5  # 1/rad, typical
+MEAN_GUST = 0.2  # m/s, standard deviation of the mean vertical gust of a record
+BLOCK = 2.0  # s of scores that are summed before their covariance is taken
+LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in steps
+MODEL_ERROR = 0.03  # standard deviation of a derivative by what the model leaves out, relative
+
+
+@dataclass(frozen=True)
+class AirMotion:
+    """What the flights of `estimate_air_motion` show.
+
+    Attributes
+    ----------
+    derivatives : DataFrame
+        A row per derivative, such as CZ_alpha [1/rad]: ``value``, ``std``, and ``prior_std``, which
+        ``std`` comes near where the flights cannot tell.
+    covariance : DataFrame
+        Of the derivatives.
+    constants : DataFrame
+        The same columns, of servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
+        sensors arm_x, arm_y, arm_z [m], and for each flight wind and biases.
+    noise : dict of str to float
+        Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
+    air : DataFrame
+        For each row of the table, the smoothed airspeed, alpha, beta, p, q, r, and wind with gusts,
+        and ``_std`` of each; NaN in rows that no record contains.
+    converged : bool
+        Whether the last steps were small. Otherwise the bands are those of the prior, and the results
+        are not to be used.
+    seconds : float
+        Length of the records.
+    """
+
+    derivatives: pd.DataFrame
+    covariance: pd.DataFrame
+    constants: pd.DataFrame
+    noise: dict[str, float]
+    air: pd.DataFrame
+    converged: bool
+    seconds: float
+
+    @property
+    def summary(self) -> str:
+        """What was found, in one line.
+
+        For example "gusts 1.0 m/s rms, 20 m; wind 3.6 m/s from 326 deg; servos 47 ± 2 ms late".
+        """
+        gust, length = self.gusts
+        wind = self.constants["value"].loc[["wind_north 0", "wind_east 0"]].to_numpy(float)
+        lag, std = 1e3 * self.constants.loc[["servo_lag"], ["value", "std"]].to_numpy(float)[0]
+        parts = [
+            f"gusts {gust:.1f} m/s rms, {length:.0f} m",
+            f"wind {np.hypot(*wind):.1f} m/s from {_origin(wind):.0f} deg",
+            f"servos {lag:.0f} ± {std:.0f} ms late",
+        ]
+        if not self.converged:
+            parts.append("not converged: do not use")
+        return "; ".join(parts)
+
+    @property
+    def gusts(self) -> tuple[float, float]:
+        """Intensity of the gusts of the first flight [m/s], and the length [m] over which they fall to 1/e."""
+        axes = [self.noise[f"gust_{axis} 0"] for axis in ("north", "east", "down")]
+        ratio = [self.noise["fast_h"], self.noise["fast_h"], self.noise["fast_v"]]
+        variances = np.square(axes) * (1 + np.square(ratio))
+        share, slow = self.noise["fast_h"] ** 2, self.noise["time_h"]
+        times = np.geomspace(0.01, 10.0, 500) * slow
+        correlation = np.exp(-times / slow) + share * np.exp(-times / slow / self.noise["faster_h"])
+        time = times[np.argmax(correlation < (1 + share) / np.e)]
+        return float(np.sqrt(np.mean(variances))), float(time * np.nanmean(self.air["airspeed"]))
+
+
+def estimate_air_motion(
+    table: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    terms: Mapping[str, Sequence[str]] | None = None,
+    thrust: str | None = "auto",
+) -> AirMotion:
+    r"""Estimate derivatives, gusts, wind and lag of the servos from flights with or without vanes.
+
+    The filter-error method (Maine & Iliff 1981; Jategaonkar 2015, chapter 5). Coefficients are
+    linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. With innovations
+    :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
+    :math:`D_k = \partial e_k / \partial \theta`, the derivatives solve
+
+    .. math:: \sum_k D_k^T S_k^{-1} e_k + \Lambda (\theta - \theta_0) = 0,
+
+    an equation that holds on average whatever the gusts' spectrum, since an innovation has the
+    mean zero given the past. Noises maximise the likelihood of the innovations. Priors
+    :math:`\Lambda` are wide; they bound what a flight does not tell. The covariance is that of the
+    sandwich form where it is larger than the inverse information, and 3 % of each derivative are
+    added for what a linear model leaves out.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Flights with time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed,
+        density, surfaces (deflections or commands), thrust or what it follows from; ``flight``
+        names them. alpha and beta are used where they are. SI, radians.
+    aircraft : Aircraft
+    terms : mapping of str to sequence of str, optional
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
+    thrust : str or None, default="auto"
+        As in `skdgp.dynamics.aerodynamic_coefficients`.
+
+    Returns
+    -------
+    AirMotion
+    """
+    check_aircraft(aircraft)
+    check_columns(check_table(table), ["time", *NEEDED, "density"])
+    check_radians(table, ("theta", "p", "q", "r", "alpha", "beta"))
+    surfaces = [name for name in SURFACES if name in table and np.ptp(table[name]) > 0]
+    records = _records(table, aircraft, surfaces, thrust)
+    if not records:
+        raise ValueError(
+            f"Got no record of {FEWEST} samples without a gap, but expected one: give a longer flight."
+        )
+    return _Fit(records, aircraft, surfaces, TERMS if terms is None else terms).run(len(table))
+
+
+def _records(
+    table: pd.DataFrame, aircraft: Aircraft, surfaces: list[str], thrust: str | None
+) -> list[Record]:
+    """Return the records of a table, with paths that need no aerodynamics."""
+    loads = np.concatenate(propulsive_loads(table, aircraft, thrust), axis=1)
+    deflections, density = table[surfaces].to_numpy(float), table["density"].to_numpy(float)
+    vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
+    records = []
+    for flight, (_, rows, log) in enumerate(flight_logs(table)):
+        path = _path(log)
+        to_body = np.swapaxes(path.attitude.as_matrix(), 1, 2)
+        velocity = (to_body @ path.velocity[..., None])[..., 0]
+        sensed = np.column_stack([path.force(log), path.rate(log), vanes[rows]])
+        inputs = Inputs(deflections[rows], loads[rows], density[rows])
+        for number in np.unique(log.segment):
+            at = np.flatnonzero(log.segment == number)
+            if len(at) < FEWEST:
+                continue
+            part = slice(at[0], at[-1] + 1)
+            records.append(
+                Record(
+                    flight,
+                    rows[part],
+                    np.diff(log.time[part]),
+                    velocity[part],
+                    to_body[part],
+                    sensed[part],
+                    inputs.part(part),
+                )
+            )
+    return records
+
+
+def _path(log: Log):
+    """Return the path over the ground, without vanes; lags of GPS and attitude and biases are removed."""
+    log = log._replace(air=np.column_stack([log.air[:, 0], np.full((len(log.time), 2), np.nan)]))
+    return estimate(
+        log,
+        first_guess(log, np.zeros(len(CONSTANTS))),
+        NOISE | GUSTS,
+        learn=NOISE | GUSTS,
+        free=list(PATH_CONSTANTS),
+        gust_time=10.0,
+    ).path
+
+
+class _Sums(NamedTuple):
+    """Score and information of the parameters, and what else one pass shows."""
+
+    score: Vector
+    information: Matrix
+    blocks: Matrix  # (b, p) scores summed over blocks
+    states: list[Matrix]
+    passes: list[Pass]
+
+
+class _Fit:
+    """Passes of the filter over the records, in turn with steps of the parameters."""
+
+    def __init__(
+        self,
+        records: list[Record],
+        aircraft: Aircraft,
+        surfaces: list[str],
+        terms: Mapping[str, Sequence[str]],
+    ) -> None:
+        self.records, self.aircraft = records, aircraft
+        derivatives = derivatives_of(terms, surfaces)
+        n_flights = 1 + max(record.flight for record in records)
+        self.layout = Layout.of(list(derivatives), surfaces)
+        self.parameters = Parameters.of(dict(derivatives) | dict(SHARED), OWN, n_flights)
+        self.noises = Parameters.of(SHARED_NOISES, OWN_NOISES, n_flights)
+        self.log_noises = np.log(self.noises.mean)
+        self.x, self.psi = self.parameters.mean.copy(), self.log_noises.copy()
+        for name in ("ax", "ay", "az", "gyro"):
+            self.psi[self.noises.names.index(name)] += np.log(START_NOISE)
+        self.states = [_rates_alone(record) for record in records]
+        self._start()
+
+    def run(self, n_rows: int) -> AirMotion:
+        """Return the estimate, for a table of ``n_rows``."""
+        damping, small, converged = 0.3, False, False
+        for number in range(MAX_PASSES):
+            sums = self._pass()
+            self.states = sums.states
+            damped = sums.information + damping * np.diag(np.diag(sums.information))
+            step = -np.linalg.solve(damped, sums.score)
+            self.x = self.x + step
+            settled = self._noise_step() if number else np.inf
+            before, small = small, bool(step @ sums.information @ step < TOLERANCE)
+            if converged := before and small and settled < NOISE_TOLERANCE:
+                break
+            damping /= 4
+        return self._result(self._pass(), converged, n_rows)
+
+    def linearised(self, record: Record, states: Matrix) -> Linearisation:
+        """Return the filter's linearisation at the parameters."""
+        value = self.parameters.values(self.x, record.flight)
+        decay = self.noise(self.psi, record).decay
+        return linearised(record, self.layout, self.aircraft, value, states, decay)
+
+    def noise(self, psi: Array, record: Record):
+        """Return the noises of a record at logarithms (..., p)."""
+        return noise(self.noises.values(np.exp(psi), record.flight), record.sampled)
+
+    def _start(self) -> None:
+        """Set the wind by the airspeed, and derivatives by least squares but slopes by alpha and beta.
+
+        In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
+        """
+        for flight, places in enumerate(self.parameters.places):
+            wind = _steady_wind([r for r in self.records if r.flight == flight])
+            at = [self.parameters.local_names.index(name) for name in WINDS[:2]]
+            self.x[places[at]] = wind
+        pairs = [self._regression(record) for record in self.records]
+        X, C = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        rows, columns, by_air = self.layout.rows, self.layout.columns, self.layout.by_air
+        for row in range(6):
+            given = by_air[rows[by_air] == row]
+            free = np.setdiff1d(np.flatnonzero(rows == row), given)
+            rest = C[:, row] - X[:, columns[given]] @ self.x[given]
+            self.x[free] = np.linalg.lstsq(X[:, columns[free]], rest, rcond=None)[0]
+
+    def _regression(self, record: Record) -> tuple[Matrix, Matrix]:
+        """Return terms (n, k) and coefficients (n, 6) in steady wind."""
+        value = self.parameters.values(self.x, record.flight)
+        air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
+        rates = record.measured[:, 3:6]
+        width = 2 * round(0.05 / np.median(record.step)) + 1
+        smooth = np.apply_along_axis(_averaged, 0, rates, width)
+        spin = np.gradient(smooth, np.append(0.0, np.cumsum(record.step)), axis=0)
+        aircraft, thrust = self.aircraft, record.inputs.thrust
+        moment = spin @ aircraft.inertia + cross(rates, rates @ aircraft.inertia) - thrust[:, 3:]
+        force = record.measured[:, :3] * aircraft.mass - thrust[:, :3]
+        pressure = 0.5 * record.inputs.density * np.sum(air**2, axis=1)
+        loads = np.concatenate([force, moment / aircraft.moment_lengths], axis=1)
+        C = loads / (pressure * aircraft.wing_area)[:, None]
+        model = self.layout.model(aircraft, value)
+        return model.terms(air, rates, record.inputs.surfaces), C
+
+    def _add_mean_lift(self, record: Record, information: Matrix, score: Vector) -> None:
+        """Add that the mean lift of a record is that of steady wind, but for a mean vertical gust.
+
+        Alpha shows in forces alone, so that its mean and CZ_0 would not be told apart.
+        """
+        X, C = self._regression(record)
+        lift = np.flatnonzero(self.layout.rows == COEFFICIENTS.index("CZ"))
+        row = X.mean(axis=0)[self.layout.columns[lift]]
+        slope = LIFT_SLOPE * MEAN_GUST / np.linalg.norm(record.velocity, axis=1).mean()
+        information[np.ix_(lift, lift)] += np.outer(row, row) / slope**2
+        score[lift] += row * (row @ self.x[lift] - C[:, 2].mean()) / slope**2
+
+    def _pass(self) -> _Sums:
+        """Return score and information of the parameters, with those of the prior."""
+        p, by_air = len(self.x), self.layout.by_air
+        moves = np.full(len(by_air), MOVE)
+        information = np.diag(self.parameters.precision)
+        score = (self.x - self.parameters.mean) * self.parameters.precision
+        blocks, states, passes = [], [], []
+        for record in self.records:
+            self._add_mean_lift(record, information, score)
+        for record, before in zip(self.records, self.states, strict=True):
+            linear = self.linearised(record, before)
+            sets = np.tile(self.psi, (len(moves) + 1, 1))
+            run = filtered(varied(linear, moves), self.noise(sets, record))
+            slopes = innovation_slopes(linear, run, by_air, moves)
+            run = run.first()
+            whitener = np.linalg.inv(np.linalg.cholesky(run.covariance))
+            D, e = whitener @ slopes, (whitener @ run.innovation[..., None])[..., 0]
+            at = self.parameters.places[record.flight]
+            information[np.ix_(at, at)] += np.tensordot(D, D, axes=((0, 1), (0, 1)))
+            scores = np.einsum("nmk,nm->nk", D, e)
+            score[at] += scores.sum(axis=0)
+            number = np.arange(len(scores)) // max(round(BLOCK / np.median(record.step)), 1)
+            sums = np.zeros((number[-1] + 1, p))
+            for k, place in enumerate(at):
+                sums[:, place] = np.bincount(number, scores[:, k])
+            blocks.append(sums)
+            states.append(run.filtered)
+            passes.append(run)
+        return _Sums(score, information, np.concatenate(blocks), states, passes)
+
+    def _noise_step(self) -> float:
+        """Move the logarithms of the noises by a step of Fisher scoring; return its squared length."""
+        precision = self.noises.precision
+        information, score = np.diag(precision), (self.psi - self.log_noises) * precision
+        for record, states in zip(self.records, self.states, strict=True):
+            linear = _middle(self.linearised(record, states), NOISE_SAMPLES)
+            at = self.noises.places[record.flight]
+            sets = np.tile(self.psi, (len(at) + 1, 1))
+            sets[np.arange(1, len(at) + 1), at] += LOG_MOVE
+            run = filtered(linear, self.noise(sets, record), keep=False)
+            weight = (len(states) - 1) / len(linear.step)
+            slope, square = _likelihood_slopes(run)
+            score[at] += weight * slope
+            information[np.ix_(at, at)] += weight * square
+        step = -np.linalg.solve(information + 0.02 * np.diag(np.diag(information)), score)
+        self.psi = self.psi + np.clip(step, -LARGEST_LOG, LARGEST_LOG)
+        return float(step @ information @ step)
+
+    def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:
+        nd = len(self.layout.rows)
+        covariance = _covariance(sums) if converged else np.diag(self.parameters.std**2)
+        derivatives = self.x[:nd]
+        covariance[:nd, :nd] += np.diag((MODEL_ERROR * derivatives) ** 2)
+        columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
+        columns["std"][self.parameters.names.index("servo_lag")] += LAG_ERROR * float(
+            np.median(self.records[0].step)
+        )
+        columns["prior_std"] = self.parameters.std
+        estimates = pd.DataFrame(columns, index=self.parameters.names)
+        names = self.parameters.names[:nd]
+        shown = pd.DataFrame(covariance[:nd, :nd], index=names, columns=names)
+        noises = dict(zip(self.noises.names, np.exp(self.psi).tolist(), strict=True))
+        seconds = float(sum(record.step.sum() for record in self.records))
+        air = self._air(sums, covariance, n_rows)
+        return AirMotion(estimates[:nd], shown, estimates[nd:], noises, air, converged, seconds)
+
+    def _air(self, sums: _Sums, covariance: Matrix, n_rows: int) -> pd.DataFrame:
+        """Return the smoothed motion through the air, with standard deviations, in the rows of the table."""
+        names = [*AIR_DATA, "p", "q", "r", "wind_north", "wind_east", "wind_down"]
+        out = np.full((n_rows, 18), np.nan)
+        for record, before, run in zip(self.records, self.states, sums.passes, strict=True):
+            linear = self.linearised(record, before)
+            states, P = smoothed(linear, run)
+            value = self.parameters.values(self.x, record.flight)
+            velocity, by_state = air_velocity(record, value, states)
+            slopes = np.zeros((len(states), 9, N_STATES))
+            slopes[:, :3] = air_data_slopes(velocity) @ by_state
+            slopes[:, 3:6, TURN] = slopes[:, 6:, GUST] = slopes[:, 6:, FAST] = np.eye(3)
+            wind = states[:, GUST] + states[:, FAST] + [value[name] for name in WINDS]
+            out[record.rows, :9] = np.column_stack([*air_data(velocity), states[:, TURN], wind])
+            variance = np.einsum("nij,njk,nik->ni", slopes, P, slopes)
+            at = self.parameters.places[record.flight]
+            shift = self._shift(record, linear, run, slopes, velocity)
+            variance += np.einsum("nij,jk,nik->ni", shift, covariance[np.ix_(at, at)], shift)
+            out[record.rows, 9:] = np.sqrt(variance)
+        return pd.DataFrame(out, columns=[*names, *(f"{name}_std" for name in names)])
+
+    def _shift(
+        self, record: Record, linear: Linearisation, run: Pass, slopes: Array, velocity: Matrix
+    ) -> Array:
+        """Return d (air data, rates, wind) / d parameters (n, 9, k), as of the filtered states."""
+        wind, arm = self.layout.place(*WINDS), self.layout.place(*ARM)
+        shift = slopes @ state_slopes(linear, run)
+        by_air = air_data_slopes(velocity)
+        shift[:, :3, wind] -= by_air @ record.attitude
+        shift[:, :3, arm] -= by_air @ cross_matrix(record.measured[:, 3:6])
+        shift[:, 6:, wind] += np.eye(3)
+        return shift
+
+
+def _origin(wind: Vector) -> float:
+    """Return the direction that a wind, north and east, comes from [deg]."""
+    return float(np.rad2deg(np.arctan2(-wind[1], -wind[0])) % 360)
+
+
+def _rates_alone(record: Record) -> Matrix:
+    """Return states (n, N) of measured rates without gusts."""
+    states = np.zeros((len(record.rows), N_STATES))
+    states[:, TURN] = record.measured[:, 3:6]
+    return states
+
+
+def _steady_wind(records: list[Record]) -> Vector:
+    """Return the wind north and east with which the ground velocity explains the airspeed best."""
+    ground = np.concatenate(
+        [(np.swapaxes(r.attitude, 1, 2) @ r.velocity[..., None])[..., 0] for r in records]
+    )
+    airspeed = np.concatenate([r.measured[:, 6] for r in records])
+    ground, airspeed = ground[np.isfinite(airspeed)], airspeed[np.isfinite(airspeed)]
+    wind = np.zeros(2)
+    for _ in range(5):
+        air = ground - np.append(wind, 0.0)
+        speed = np.linalg.norm(air, axis=1)
+        rows = np.vstack([-air[:, :2] / speed[:, None], 0.1 * np.eye(2)])
+        wind = wind + np.linalg.lstsq(rows, np.append(airspeed - speed, -0.1 * wind), rcond=None)[0]
+    return wind
+
+
+def _averaged(values: Vector, width: int) -> Vector:
+    """Return the moving average over an odd ``width``."""
+    padded = np.pad(values, width // 2, mode="edge")
+    return np.convolve(padded, np.full(width, 1 / width), "valid")
+
+
+def _middle(linear: Linearisation, n_samples: int) -> Linearisation:
+    """Return the linearisation of ``n_samples`` in the middle."""
+    excess = len(linear.step) - n_samples
+    if excess <= 0:
+        return linear
+    part = slice(excess // 2, excess // 2 + n_samples)
+    n = len(linear.states)
+    fields = {}
+    for name, values in linear._asdict().items():
+        if name.startswith("gain"):
+            continue
+        rows = slice(part.start, part.stop + 1) if len(values) == n else part
+        fields[name] = values[rows]
+    return linear._replace(**fields)
+
+
+def _likelihood_slopes(run: Pass) -> tuple[Vector, Matrix]:
+    """Return gradient and Fisher information of -log likelihood, by differences of the sets to the first."""
+    whitener = np.linalg.inv(np.linalg.cholesky(run.covariance[0]))
+    e = (whitener @ run.innovation[0][..., None])[..., 0]
+    gradient, changes = [], []
+    for innovation, covariance in zip(run.innovation[1:], run.covariance[1:], strict=True):
+        d = (whitener @ ((innovation - run.innovation[0]) / LOG_MOVE)[..., None])[..., 0]
+        V = whitener @ ((covariance - run.covariance[0]) / LOG_MOVE) @ np.swapaxes(whitener, 1, 2)
+        trace = np.einsum("nii->", V) - np.einsum("ni,nij,nj->", e, V, e)
+        gradient.append(np.sum(d * e) + 0.5 * trace)
+        changes.append(np.concatenate([d.ravel(), np.sqrt(0.5) * V.ravel()]))
+    rows = np.array(changes)
+    return np.array(gradient), rows @ rows.T
+
+
+def _covariance(sums: _Sums) -> Matrix:
+    """Return the covariance of the parameters, in sandwich form where its variance is larger.
+
+    Scores of neighbouring blocks may be correlated (Newey & West 1987).
+    """
+    inverse = np.linalg.inv(sums.information)
+    later = sums.blocks[1:].T @ sums.blocks[:-1]
+    scatter = sums.blocks.T @ sums.blocks + 0.5 * (later + later.T)
+    robust = np.diag(inverse @ scatter @ inverse)
+    scale = np.sqrt(np.maximum(robust / np.diag(inverse), 1.0))
+    return scale[:, None] * inverse * scale

@@ -1,0 +1,336 @@
+"""The filter's linearisation of a record: states are gusts, errors of the path and rates."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.atmosphere import STANDARD_GRAVITY
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.frames import air_data_slopes, cross_matrix
+from skdgp._mechanics.aircraft import Aircraft
+from skdgp.preprocessing._air_motion_filter import Linearisation, Noise
+from skdgp.preprocessing._air_motion_model import (
+    AIR,
+    ERRORS,
+    RATES,
+    STATE_TERMS,
+    AirMotionModel,
+    Inputs,
+    differentiated,
+)
+from skdgp.preprocessing._air_motion_parameters import OWN, SHARED
+
+GUST, FAST, PATH, TURN = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11)
+"""Places of the states: two parts of the gust, north, east, down; what errors of the path and of
+attitude add to the air velocity, body axes y and z [m/s]; rates [rad/s].
+"""
+N_STATES = 11
+PATH_TIME = 10.0  # s, correlation of errors of the path; guess
+RATE_START = 0.1  # (rad/s)^2, variance of the rates of the first sample
+NOT_SAMPLED = 1e12
+LAG_STEP = 1e-4  # s
+WINDS = ("wind_north", "wind_east", "wind_down")
+ARM = ("arm_x", "arm_y", "arm_z")
+BIASES = {"p_bias": 3, "q_bias": 4, "r_bias": 5, "alpha_bias": 7, "beta_bias": 8}
+"""Places of the biased among the sensors."""
+AIRSPEED = 6
+ANGLES = {1: 1, 3: 2}
+"""Alpha and beta: places among the terms of a coefficient, and in air data."""
+
+
+class Record(NamedTuple):
+    """n samples of a flight without a gap, and its path over the ground."""
+
+    flight: int
+    rows: Indices  # (n,) of the table
+    step: Vector  # (n - 1,) [s]
+    velocity: Matrix  # (n, 3) over the ground, body axes [m/s]
+    attitude: Array  # (n, 3, 3) NED to body
+    measured: Matrix  # (n, 9) ax, ay, az, p, q, r, airspeed, alpha, beta; NaN where not sampled
+    inputs: Inputs  # as logged
+
+    @property
+    def sampled(self) -> Mask:
+        """Whether a sensor has any sample, (9,)."""
+        return np.any(np.isfinite(self.measured[1:]), axis=0)
+
+
+class Layout(NamedTuple):
+    """Places of the derivatives in the matrix (6, k) of the model, and among the parameters."""
+
+    rows: Indices
+    columns: Indices
+    names: list[str]
+    n_features: int
+
+    @classmethod
+    def of(cls, derivatives: list[str], surfaces: list[str]) -> Layout:
+        """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
+        features = [*STATE_TERMS, *surfaces]
+        parts = [name.split("_", 1) for name in derivatives]
+        rows = np.array([COEFFICIENTS.index(row) for row, _ in parts])
+        columns = np.array([features.index(term) for _, term in parts])
+        return cls(rows, columns, [*derivatives, *SHARED, *OWN], len(features))
+
+    @property
+    def by_air(self) -> Indices:
+        """Places of the slopes by alpha and beta, on which the gain depends most."""
+        return np.flatnonzero(np.isin(self.columns, list(ANGLES)))
+
+    def place(self, *names: str) -> list[int]:
+        """Return places among the parameters of a flight."""
+        return [self.names.index(name) for name in names]
+
+    def model(self, aircraft: Aircraft, value: dict) -> AirMotionModel:
+        """Return the aircraft's equations of motion at parameters by name."""
+        derivatives = np.zeros((6, self.n_features))
+        names = self.names[: len(self.rows)]
+        derivatives[self.rows, self.columns] = [value[name] for name in names]
+        return AirMotionModel(aircraft, derivatives, np.array([value[name] for name in ARM]))
+
+
+def lagged(surfaces: Matrix, lag: float, step: float) -> Matrix:
+    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
+    r = max(lag, 1e-4) / step
+    a = np.exp(-1 / r)
+    numerator, denominator = [1 - (1 - a) * r, (1 - a) * r - a], [1, -a]
+    return lfilter(numerator, denominator, surfaces - surfaces[0], axis=0) + surfaces[0]
+
+
+def actual_inputs(record: Record, value: dict) -> tuple[Inputs, Matrix]:
+    """Return the inputs with lag and scale of the thrust, and d surfaces / d lag."""
+    step, raw = float(np.median(record.step)), record.inputs
+    here = lagged(raw.surfaces, value["servo_lag"], step)
+    more = lagged(raw.surfaces, max(value["servo_lag"], 0.0) + LAG_STEP, step)
+    inputs = Inputs(here, raw.thrust * (1 + value["thrust_scale"]), raw.density)
+    return inputs, (more - lagged(raw.surfaces, max(value["servo_lag"], 0.0), step)) / LAG_STEP
+
+
+def noise(value: dict, sampled: Mask) -> Noise:
+    """Return the noises at parameters by name, each (...), of the sensors that are ``sampled`` (9,)."""
+    one = np.ones_like(value["ax"])
+    gust = [value["gust_north"], value["gust_east"], value["gust_down"]]
+    time = [value["time_h"], value["time_h"], value["time_v"]]
+    fast = [value["fast_h"], value["fast_h"], value["fast_v"]]
+    faster = [value["faster_h"], value["faster_h"], value["faster_v"]]
+    both = [*gust, *(a * b for a, b in zip(gust, fast, strict=True))]
+    sd = np.stack([*both, value["path_y"], value["path_z"]], axis=-1)
+    both = [*time, *(a * b for a, b in zip(time, faster, strict=True))]
+    times = np.stack([*both, PATH_TIME * one, PATH_TIME * one], axis=-1)
+    drive = np.stack([value["drive_p"], value["drive_q"], value["drive_r"]], axis=-1)
+    forces = [value["ax"], value["ay"], value["az"]]
+    sensors = [*forces, *[value["gyro"]] * 3, value["airspeed"], *[value["vane"]] * 2]
+    return Noise(
+        rate=np.concatenate([2 * sd**2 / times, drive**2], axis=-1),
+        decay=np.concatenate([1 / times, np.zeros_like(drive)], axis=-1),
+        surface=value["surface"] ** 2,
+        sensor=np.stack(sensors, axis=-1)[..., sampled] ** 2,
+        start=np.concatenate([sd**2, np.full_like(drive, RATE_START)], axis=-1),
+    )
+
+
+class Point(NamedTuple):
+    """Values of a function (n, k) at states (n, 12) of the model, and what its derivatives need."""
+
+    state: Matrix
+    values: Matrix
+    slopes: Array  # (n, k, 12)
+    terms: Matrix  # (n, f) of the coefficients
+    changes: Array  # (n, 6, 2) d coefficients / d (lag, thrust_scale)
+
+    def by_parameters(self, layout: Layout, attitude: Array | None) -> Array:
+        """Return the derivatives (n, k, parameters); those by wind and arm where the air velocity contains them."""
+        out = np.zeros((*self.slopes.shape[:2], len(layout.names)))
+        by_error = self.slopes[:, :, ERRORS]
+        nd = len(layout.rows)
+        out[:, :, :nd] = by_error[:, :, layout.rows] * self.terms[:, None, layout.columns]
+        out[:, :, layout.place("servo_lag", "thrust_scale")] = by_error @ self.changes
+        if attitude is not None:
+            by_air = self.slopes[:, :, AIR]
+            out[:, :, layout.place(*WINDS)] = -by_air @ attitude
+            out[:, :, layout.place(*ARM)] = -by_air @ cross_matrix(self.state[:, RATES])
+        return out
+
+
+class Predictions(NamedTuple):
+    """Predictions of each sample but the first, at filtered states."""
+
+    by_state: Array  # (n, 3, N) d air velocity / d states
+    terms: Matrix  # (n - 1, f) where a step starts
+    start: Point  # air velocity and rates at the end of a step, about its start
+    past: Point  # sensors, from the past alone
+    known: Point  # sensors, with the recorded path
+    states: Matrix  # (n - 1, N)
+    kept: Matrix  # (n - 1, N) fraction of a state at the end of a step
+
+
+def _predictions(
+    record: Record, model: AirMotionModel, value: dict, states: Matrix, decay: Vector
+) -> Predictions:
+    """Return predictions from filtered states (n, N) whose ``decay`` is 1 / correlation time, 0 for rates."""
+    inputs, by_lag = actual_inputs(record, value)
+    later, step = inputs.part(slice(1, None)), record.step
+    by_state = _air_by_state(record, model.arm)
+    ground = record.velocity - record.attitude @ [value[name] for name in WINDS]
+    air = ground + (by_state @ states[:, :, None])[..., 0]
+    changes = _changes(model, record, by_lag, air)
+
+    def point(air: Matrix, rates: Matrix) -> Point:
+        state = np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
+        values, slopes = differentiated(lambda s: model.sensors(s, later), state)
+        terms = model.terms(air, rates, later.surfaces)
+        return _with_errors(Point(state, values, slopes, terms, changes[1:]), value)
+
+    # The step from the filtered state to the next sample.
+    rates = states[:-1, TURN]
+    state = np.concatenate([air[:-1], rates, np.zeros((len(step), 6))], axis=1)
+    gravity = STANDARD_GRAVITY * record.attitude[:-1, :, 2]
+    drift = -(by_state[:-1] * decay @ states[:-1, :, None])[..., 0]
+    end, slopes = differentiated(lambda s: model.step(s, gravity, drift, inputs, step), state)
+    past = point(end[:, AIR], end[:, RATES])
+    terms = model.terms(air[:-1], rates, inputs.surfaces[:-1])
+    middle = 0.5 * (past.terms + terms), 0.5 * (changes[1:] + changes[:-1])
+    start = Point(state, end, slopes, *middle)
+
+    kept = np.exp(-step[:, None] * decay)
+    predicted = states[:-1] * kept
+    predicted[:, TURN] = end[:, RATES]
+    known = point(ground[1:] + (by_state[1:] @ predicted[..., None])[..., 0], end[:, RATES])
+    return Predictions(by_state, terms, start, past, known, predicted, kept)
+
+
+def linearised(
+    record: Record, layout: Layout, aircraft: Aircraft, value: dict, states: Matrix, decay: Vector
+) -> Linearisation:
+    """Return the linear filter about filtered states (n, N) and parameters by name.
+
+    ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
+    """
+    model = layout.model(aircraft, value)
+    at = _predictions(record, model, value, states, decay)
+    inputs, _ = actual_inputs(record, value)
+    later, before = inputs.part(slice(1, None)), at.by_state[:-1]
+    moved = _chained(at.start.slopes, before)
+    moved[:, AIR] -= record.step[:, None, None] * before * decay
+    transition = at.kept[:, :, None] * np.eye(N_STATES)
+    transition[:, TURN] = moved[:, RATES]
+
+    by_parameters = at.start.by_parameters(layout, record.attitude[:-1])
+    transition_slopes = np.zeros((len(moved), N_STATES, len(layout.names)))
+    transition_slopes[:, TURN] = by_parameters[:, RATES]
+    past_slopes = at.past.by_parameters(layout, None) + at.past.slopes[:, :, :6] @ by_parameters
+    past_slopes += _direct(at.past, layout, model, later, value)
+    known_slopes = at.known.by_parameters(layout, record.attitude[1:])
+    known_slopes += _direct(at.known, layout, model, later, value)
+
+    gain_transition, gain_residual = _gain_slopes(layout, at)
+    measured, use = record.measured[1:], record.sampled
+    there = np.isfinite(measured)
+    return Linearisation(
+        states=states,
+        predicted=at.states,
+        transition=transition,
+        transition_slopes=transition_slopes,
+        innovation=np.where(there, measured - at.past.values, 0.0)[:, use],
+        innovation_states=(at.past.slopes[:, :, :6] @ moved)[:, use],
+        innovation_noise=_chained(at.past.slopes, at.by_state[1:])[:, use],
+        innovation_slopes=past_slopes[:, use],
+        residual=np.where(there, measured - at.known.values, 0.0)[:, use],
+        residual_states=_chained(at.known.slopes, at.by_state[1:])[:, use],
+        residual_slopes=known_slopes[:, use],
+        step=record.step,
+        surface_noise=_surface_noise(at.start.slopes, model, inputs),
+        gain_transition=gain_transition,
+        gain_residual=gain_residual[:, :, use],
+        weight=np.where(there, 1.0, NOT_SAMPLED)[:, use],
+    )
+
+
+def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Array:
+    """Return the covariance (n, N, N) by surfaces that are off by their change in the step."""
+    jump = np.diff(inputs.surfaces, axis=0)
+    push = slopes[:, RATES, ERRORS] @ model.derivatives[:, len(STATE_TERMS) :] * jump[:, None]
+    covariance = np.zeros((len(jump), N_STATES, N_STATES))
+    covariance[:, TURN, TURN] = push @ np.swapaxes(push, 1, 2)
+    return covariance
+
+
+def air_velocity(record: Record, value: dict, states: Matrix) -> tuple[Matrix, Array]:
+    """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
+    by_state = _air_by_state(record, np.array([value[name] for name in ARM]))
+    ground = record.velocity - record.attitude @ [value[name] for name in WINDS]
+    return ground + (by_state @ states[:, :, None])[..., 0], by_state
+
+
+def _air_by_state(record: Record, arm: Vector) -> Array:
+    """Return d air velocity / d states (n, 3, N), at the centre of gravity."""
+    slopes = np.zeros((len(record.velocity), 3, N_STATES))
+    slopes[:, :, GUST] = slopes[:, :, FAST] = -record.attitude
+    slopes[:, 1, 6] = slopes[:, 2, 7] = -1.0
+    slopes[:, :, TURN] = cross_matrix(arm)
+    return slopes
+
+
+def _chained(slopes: Array, air_by_state: Array) -> Array:
+    """Return derivatives (n, k, N) by the filter's states, from those by the model's (n, k, 12)."""
+    by_states = slopes[:, :, AIR] @ air_by_state
+    by_states[:, :, TURN] += slopes[:, :, RATES]
+    return by_states
+
+
+def _changes(model: AirMotionModel, record: Record, by_lag: Matrix, air: Matrix) -> Array:
+    """Return d coefficients / d (lag, thrust_scale), (n, 6, 2)."""
+    aircraft, thrust = model.aircraft, record.inputs.thrust
+    pressure = 0.5 * record.inputs.density * np.sum(air**2, axis=1)
+    lengths = np.append(np.ones(3), aircraft.moment_lengths)
+    by_thrust = thrust / lengths / (pressure * aircraft.wing_area)[:, None]
+    return np.stack([by_lag @ model.derivatives[:, len(STATE_TERMS) :].T, by_thrust], axis=-1)
+
+
+def _with_errors(point: Point, value: dict) -> Point:
+    """Return what sensors with scale and biases read."""
+    scale, offset = np.ones(9), np.zeros(9)
+    scale[AIRSPEED] += value["airspeed_scale"]
+    for name, place in BIASES.items():
+        offset[place] = value[name]
+    return point._replace(
+        values=scale * point.values + offset, slopes=scale[:, None] * point.slopes
+    )
+
+
+def _direct(
+    point: Point, layout: Layout, model: AirMotionModel, inputs: Inputs, value: dict
+) -> Array:
+    """Return derivatives of the sensors by their own errors (n, 9, parameters)."""
+    slopes = np.zeros((len(point.values), 9, len(layout.names)))
+    for name, sensor in BIASES.items():
+        slopes[:, sensor, layout.names.index(name)] = 1.0
+    (scale,) = layout.place("airspeed_scale")
+    slopes[:, AIRSPEED, scale] = point.values[:, AIRSPEED] / (1 + value["airspeed_scale"])
+    slopes[:, :3, layout.place(*ARM)] = model.arm_slopes(point.state, inputs)
+    return slopes
+
+
+def _gain_slopes(layout: Layout, at: Predictions) -> tuple[Array, Array]:
+    """Return d transition / d slopes by alpha and beta (j, n, N, N), and of the sensors (j, n, 9, N)."""
+    transitions, residuals = [], []
+    for j in layout.by_air:
+        row, column = layout.rows[j], layout.columns[j]
+        pair = []
+        for point, terms, by_state in (
+            (at.start, at.terms, at.by_state[:-1]),
+            (at.known, at.known.terms, at.by_state[1:]),
+        ):
+            air = point.state[:, AIR]
+            by_air = air_data_slopes(air)[:, ANGLES[column]]
+            by_air = by_air + 2 * terms[:, [column]] * air / np.sum(air**2, axis=1)[:, None]
+            pair.append(point.slopes[:, :, 6 + row, None] * (by_air[:, None] @ by_state))
+        transition = np.zeros((len(at.terms), N_STATES, N_STATES))
+        transition[:, TURN] = pair[0][:, RATES]
+        transitions.append(transition)
+        residuals.append(pair[1])
+    return np.array(transitions), np.array(residuals)

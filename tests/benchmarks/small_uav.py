@@ -1,0 +1,335 @@
+"""Known derivatives of small aircraft without vanes, flown in gusts: how many lie inside their bands?
+
+    python tests/benchmarks/small_uav.py [--aircraft NAME ...] [--air NAME ...] [--sensors ideal real]
+
+Rigid bodies of 1 to 25 kg fly 3-2-1-1 inputs under a simple controller, in turbulence around a
+steady wind. Ideal sensors have white noise alone; real ones are late, biased and scaled, and log
+commands of late servos. Prints for each aircraft and air the known derivatives inside value +/-
+1.96 std, the median error, the median half band, the root mean square error of alpha with its mean
+removed, of the lag of the servos, and seconds of processor time.
+"""
+
+import itertools
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parent))
+from _common import parser_of
+
+from skdgp.dynamics import Aircraft
+from skdgp.preprocessing import estimate_air_motion
+
+DENSITY, GRAVITY = 1.2, 9.80665
+STEP, EVERY = 0.005, 4  # s of the simulation, steps between logged samples
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+TERMS = ("0", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
+SIZES = ("mass", "wing_area", "span", "chord", "airspeed", "thrust", "inertia")
+STALL = (
+    0.3  # rad, at which the softened lift and moment of some aircraft have lost half their slope
+)
+
+
+def aircraft(sizes, stalls=False, **derivatives):
+    """Return sizes in the order of `SIZES` (inertia as Ixx, Iyy, Izz, -Ixz) and derivatives by coefficient."""
+    size = dict(zip(SIZES, sizes, strict=True))
+    x, y, z, xz = size["inertia"]
+    size["inertia"] = np.array([[x, 0, xz], [0, y, 0], [xz, 0, z]])
+    W = np.array([[derivatives[C].get(term, 0.0) for term in TERMS] for C in COEFFICIENTS])
+    return size | {"derivatives": W, "stalls": stalls}
+
+
+AIRCRAFT = {
+    # after the Ultra Stick 25e (Paw 2009), a trainer
+    "trainer": aircraft(
+        (1.9, 0.32, 1.27, 0.25, 17.0, 14.0, (0.09, 0.11, 0.17, -0.015)),
+        CX={"0": -0.045, "alpha": 0.25},
+        CY={"beta": -0.6, "r": 0.2, "rudder": 0.2},
+        CZ={"0": -0.12, "alpha": -4.7, "q": -7.0, "elevator": -0.15},
+        Cl={"beta": -0.06, "p": -0.42, "r": 0.12, "aileron": 0.16, "rudder": 0.01},
+        Cm={"alpha": -0.8, "q": -13.0, "elevator": -0.9},
+        Cn={"beta": 0.08, "p": -0.03, "r": -0.18, "aileron": -0.01, "rudder": -0.16},
+    ),
+    # after the Aerosonde (Beard & McLain 2012, appendix E)
+    "aerosonde": aircraft(
+        (13.5, 0.55, 2.9, 0.19, 27.0, 60.0, (0.824, 1.135, 1.759, -0.12)),
+        CX={"0": -0.03, "alpha": 0.3},
+        CY={"beta": -0.98, "rudder": 0.17},
+        CZ={"0": -0.28, "alpha": -3.45, "q": -4.0, "elevator": -0.36},
+        Cl={"beta": -0.12, "p": -0.26, "r": 0.14, "aileron": 0.17},
+        Cm={"alpha": -0.38, "q": -3.6, "elevator": -0.5},
+        Cn={"beta": 0.25, "p": 0.022, "r": -0.35, "aileron": -0.011, "rudder": -0.069},
+    ),
+    # after the Zagi (Beard & McLain 2012, appendix E), with winglets
+    "flying wing": aircraft(
+        (1.56, 0.259, 1.42, 0.33, 16.0, 9.0, (0.115, 0.058, 0.171, -0.0015)),
+        CX={"0": -0.02, "alpha": 0.15},
+        CY={"beta": -0.2},
+        CZ={"0": -0.09, "alpha": -3.5, "q": -2.9, "elevator": -0.27},
+        Cl={"beta": -0.07, "p": -0.32, "r": 0.04, "aileron": 0.17},
+        Cm={"0": 0.02, "alpha": -0.5, "q": -1.4, "elevator": -0.33},
+        Cn={"beta": 0.04, "p": -0.013, "r": -0.05, "aileron": -0.006},
+    ),
+    "delta": aircraft(
+        (2.8, 0.62, 1.2, 0.65, 20.0, 22.0, (0.10, 0.21, 0.30, -0.004)), True,
+        CX={"0": -0.025, "alpha": 0.1},
+        CY={"beta": -0.45, "rudder": 0.12},
+        CZ={"0": -0.02, "alpha": -2.6, "q": -2.0, "elevator": -0.6},
+        Cl={"beta": -0.09, "p": -0.22, "r": 0.08, "aileron": 0.14, "rudder": 0.01},
+        Cm={"0": 0.015, "alpha": -0.25, "q": -1.2, "elevator": -0.3},
+        Cn={"beta": 0.09, "p": -0.02, "r": -0.2, "aileron": -0.01, "rudder": -0.07},
+    ),
+    "glider": aircraft(
+        (4.2, 0.6, 3.2, 0.19, 15.0, 18.0, (0.75, 0.35, 1.05, -0.02)), True,
+        CX={"0": -0.02, "alpha": 0.35},
+        CY={"beta": -0.35, "r": 0.15, "rudder": 0.12},
+        CZ={"0": -0.25, "alpha": -5.2, "q": -8.0, "elevator": -0.35},
+        Cl={"beta": -0.07, "p": -0.52, "r": 0.13, "aileron": 0.25, "rudder": 0.005},
+        Cm={"0": 0.02, "alpha": -0.9, "q": -18.0, "elevator": -1.3},
+        Cn={"beta": 0.05, "p": -0.05, "r": -0.08, "aileron": -0.015, "rudder": -0.055},
+    ),
+    "carrier": aircraft(
+        (25.0, 1.05, 3.3, 0.32, 26.0, 130.0, (3.6, 4.4, 7.4, -0.3)),
+        CX={"0": -0.04, "alpha": 0.3},
+        CY={"beta": -0.7, "r": 0.25, "rudder": 0.22},
+        CZ={"0": -0.3, "alpha": -4.9, "q": -7.0, "elevator": -0.4},
+        Cl={"beta": -0.08, "p": -0.46, "r": 0.15, "aileron": 0.2, "rudder": 0.015},
+        Cm={"0": 0.03, "alpha": -1.1, "q": -15.0, "elevator": -1.2},
+        Cn={"beta": 0.1, "p": -0.05, "r": -0.14, "aileron": -0.015, "rudder": -0.1},
+    ),
+}  # fmt: skip
+AIRS = {  # intensity [m/s], correlation time [s], spectrum
+    "calm": (0.0, 1.0, "first order"),
+    "0.5 m/s, 1 s": (0.5, 1.0, "first order"),
+    "1 m/s, 1 s": (1.0, 1.0, "Dryden"),
+    "1 m/s, 5 s": (1.0, 5.0, "first order"),
+    "1 m/s, 2 s": (1.0, 2.0, "von Karman"),
+}
+
+
+def spectrum(kind, x, axis):
+    """Return the spectrum of unit variance over T, at x = omega T, of a longitudinal (axis 0) or other gust."""
+    if kind == "first order" or (kind == "Dryden" and axis == 0):
+        return 2 / (1 + x**2)
+    if kind == "Dryden":
+        return (1 + 3 * x**2) / (1 + x**2) ** 2
+    x = (1.339 * x) ** 2
+    return 2 / (1 + x) ** (5 / 6) if axis == 0 else (1 + 8 / 3 * x) / (1 + x) ** (11 / 6)
+
+
+def gusts(rng, n, intensity, correlation, kind):
+    """Return gusts (n, 3) north, east, down, those down weaker."""
+    x = 2 * np.pi * np.fft.rfftfreq(2 * n, STEP) * correlation
+    white = np.fft.rfft(rng.standard_normal((3, 2 * n)))
+    shape = np.array([spectrum(kind, x, axis) for axis in range(3)])
+    colored = np.fft.irfft(white * np.sqrt(shape * correlation / STEP))[:, :n]
+    return intensity * np.array([1.0, 1.0, 0.7]) * colored.T
+
+
+def pulses(rng, n, axes):
+    """Return surface commands (n, 3): a 3-2-1-1 every 5 s, on one of the first ``axes``."""
+    out = np.zeros((n, 3))
+    for start in np.arange(4, n * STEP - 6, 5.0):
+        axis = rng.integers(axes)
+        unit, size = rng.uniform(0.15, 0.3), rng.choice([-1, 1]) * rng.uniform(0.5, 1)
+        for begin, end, sign in ((0, 3, 1), (3, 5, -1), (5, 6, 1), (6, 7, -1)):
+            rows = slice(round((start + begin * unit) / STEP), round((start + end * unit) / STEP))
+            out[rows, axis] = size * sign * (0.09, 0.12, 0.15)[axis]
+    return out
+
+
+class Fleet:
+    """Flights of aircraft in airs, side by side: arrays have an axis of flights."""
+
+    def __init__(self, planes, airs, rngs, seconds, lags):
+        n = round(seconds / STEP)
+        self.planes, self.lags = planes, np.array(lags)[:, None]
+        for name in ("mass", "wing_area", "airspeed", "thrust"):
+            setattr(self, name, np.array([plane[name] for plane in planes]))
+        self.lengths = np.array([[p["span"], p["chord"], p["span"]] for p in planes])
+        self.inertia = np.array([plane["inertia"] for plane in planes])
+        self.inverse = np.linalg.inv(self.inertia)
+        self.W = np.array([plane["derivatives"] for plane in planes])
+        self.stalls = np.array([plane["stalls"] for plane in planes])
+        self.gusts = np.stack([gusts(rng, n, *air) for rng, air in zip(rngs, airs, strict=True)], 1)
+        steady = [[3.0, -2.0, 0.0] if air[0] else [0.0, 0.0, 0.0] for air in airs]
+        self.gusts += np.array(steady)
+        axes = [3 if plane["derivatives"][:, 8].any() else 2 for plane in planes]
+        self.pulses = np.stack([pulses(rng, n, k) for rng, k in zip(rngs, axes, strict=True)], 1)
+        self.legs = [(rng.choice([-0.5, 0.0, 0.5], n), rng.uniform(0.85, 1.2, n)) for rng in rngs]
+
+    def fly(self):
+        """Return what is logged, (rows, flights, 26)."""
+        V0, zero = self.airspeed, np.zeros(len(self.planes))
+        state = np.stack([V0, zero, 0.05 * V0, *[zero] * 4, zero + 0.05, zero], axis=1)
+        actuator, rows = np.zeros((len(V0), 3)), []
+        for i, (wind, pulse) in enumerate(zip(self.gusts, self.pulses, strict=True)):
+            if i % round(15 / STEP) == 0:
+                bank = np.array([banks[i] for banks, _ in self.legs])
+                speed = V0 * [speeds[i] for _, speeds in self.legs]
+            k1, log = self.rates(state, actuator, wind, speed)
+            command = [
+                0.5 * (state[:, 7] - 0.1) + 0.08 * state[:, 4],
+                0.25 * (bank - state[:, 6]) - 0.05 * state[:, 3],
+                zero,
+            ]
+            command = np.clip(np.stack(command, axis=1) + pulse, -0.4, 0.4)
+            if i % EVERY == 0:
+                rows.append(np.concatenate([log, state, actuator, command], axis=1))
+            state = state + STEP * self.rates(state + STEP / 2 * k1, actuator, wind, speed)[0]
+            actuator = actuator + STEP / self.lags * (command - actuator)
+        return np.array(rows)
+
+    def rates(self, state, surfaces, wind, speed):
+        """Return d state / dt (velocity, rates, angles), and loads with air data and ground velocity."""
+        v, w = state[:, :3], state[:, 3:6]
+        R = rotation(state[:, 6:])
+        air = v - np.einsum("nji,nj->ni", R, wind)
+        V = np.sqrt((air**2).sum(axis=1))
+        alpha, beta = np.arctan2(air[:, 2], air[:, 0]), np.arcsin(air[:, 1] / V)
+        soft = np.where(self.stalls, softened(alpha), alpha)
+        X = np.empty((len(V), 9))
+        X[:, 0], X[:, 1], X[:, 2], X[:, 6:] = 1.0, soft, beta, surfaces
+        X[:, 3:6] = w * self.lengths / (2 * V[:, None])
+        C = np.einsum("nij,nj->ni", self.W, X) * (0.5 * DENSITY * V**2 * self.wing_area)[:, None]
+        throttle = np.clip(0.4 + 0.08 * (speed - V), 0.05, 1)
+        thrust = throttle * self.thrust * (1 - V / (2.3 * self.airspeed))
+        C[:, 0] += thrust
+        f = C[:, :3] / self.mass[:, None]
+        H = np.einsum("nij,nj->ni", self.inertia, w)
+        dw = np.einsum("nij,nj->ni", self.inverse, C[:, 3:] * self.lengths - cross(w, H))
+        (sf, st), (cf, ct) = np.sin(state[:, 6:8]).T, np.cos(state[:, 6:8]).T
+        turn = sf * w[:, 1] + cf * w[:, 2]
+        angles = np.stack([w[:, 0] + st / ct * turn, cf * w[:, 1] - sf * w[:, 2], turn / ct], 1)
+        dv = f + GRAVITY * R[:, 2] - cross(w, v)
+        ground = np.einsum("nij,nj->ni", R, v)
+        log = np.column_stack([f, dw, V, alpha, beta, thrust, throttle, ground])
+        return np.concatenate([dv, dw, angles], axis=1), log
+
+
+def softened(alpha):
+    """Return an angle whose slope falls with its size."""
+    return STALL * np.tanh(alpha / STALL)
+
+
+def cross(a, b):
+    """Return a x b (n, 3)."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+
+
+def rotation(angles):
+    """Return matrices (n, 3, 3), body to NED."""
+    (sf, st, sp), (cf, ct, cp) = np.sin(angles).T, np.cos(angles).T
+    rows = [[ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
+            [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp], [-st, sf * ct, cf * ct]]  # fmt: skip
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def logged(rows, rng, real):
+    """Return the table of one flight (n, 29), with the noise of sensors, and the errors of real ones."""
+    n, dt = len(rows), STEP * EVERY
+    t = np.arange(n) * dt
+    f, spin, air, thrust, throttle, ground = np.split(rows[:, :14], [3, 6, 9, 10, 11], axis=1)
+    rates, angles, commands = rows[:, 17:20], rows[:, 20:23], rows[:, 26:29]
+    surfaces, airspeed = rows[:, 23:26], air[:, 0]
+    if real:
+        arm = rng.uniform(-1, 1, 3) * [0.03, 0.005, 0.02]
+        f = f + cross(spin, arm + 0 * f) + cross(rates, cross(rates, arm + 0 * f))
+        f, rates = f + 0.08 * rng.standard_normal(3), rates + 0.003 * rng.standard_normal(3)
+        for k, (std, correlation) in enumerate(((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))):
+            angles[:, k] += std * gusts(rng, n * EVERY, 1.0, correlation, "first order")[::EVERY, 0]
+        every, late = rng.integers(5, 11), rng.uniform(0.1, 0.2)
+        ground = np.stack([np.interp(t - late, t, v) for v in ground.T], axis=1)
+        ground = ground[np.arange(n) // every * every]
+        airspeed = airspeed * (1 + 0.03 * rng.uniform(-1, 1))
+        thrust, surfaces = thrust * (1 + 0.1 * rng.uniform(-1, 1)), commands
+    noisy = {
+        ("airspeed",): (airspeed[:, None], 0.3), ("ax", "ay", "az"): (f, 0.1), ("p", "q", "r"): (rates, 0.005),
+        ("phi", "theta", "psi"): (angles, 0.005), ("v_north", "v_east", "v_down"): (ground, 0.1),
+        ("elevator", "aileron", "rudder"): (surfaces, 0.0), ("throttle",): (throttle, 0.0),
+        ("thrust_x",): (thrust, 0.0), ("alpha_true",): (air[:, [1]], 0.0),
+    }  # fmt: skip
+    table = {"time": t, "density": DENSITY}
+    for names, (values, std) in noisy.items():
+        values = values + std * rng.standard_normal(values.shape)
+        table |= dict(zip(names, values.T, strict=True))
+    return pd.DataFrame(table)
+
+
+def truth_of(plane, alpha):
+    """Return the known derivatives by name, at the mean angle of attack where they depend on it."""
+    W = plane["derivatives"].copy()
+    if plane["stalls"]:
+        W[:, 1] *= 1 - np.tanh(alpha / STALL) ** 2
+    return {
+        f"{C}_{term}": W[i, j]
+        for i, C in enumerate(COEFFICIENTS)
+        for j, term in enumerate(TERMS)
+        if i and j and W[i, j]
+    }
+
+
+def score(table, plane, lag):
+    """Return z, relative errors and half bands of the derivatives, then other figures, of one flight."""
+    sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
+    began, alpha = time.process_time(), table.pop("alpha_true")
+    found = estimate_air_motion(table, Aircraft(**sizes))
+    seconds, truth = time.process_time() - began, truth_of(plane, alpha.mean())
+    known = [name for name in truth if name in found.derivatives.index]
+    value, std = found.derivatives.loc[known, ["value", "std"]].to_numpy().T
+    exact = np.array([truth[name] for name in known])
+    of_alpha = np.rad2deg(np.std(found.air["alpha"].to_numpy() - alpha.to_numpy()))
+    late = 1e3 * abs(found.constants.loc["servo_lag", "value"] - lag)
+    columns = (value - exact) / std, abs(value / exact - 1), 1.96 * std / abs(exact)
+    return np.array(columns), of_alpha, late, seconds, found.converged
+
+
+def line(title, scores):
+    """Return one line of the table, over flights."""
+    z, error, half = np.concatenate([each[0] for each in scores], axis=1)
+    of_alpha, late, seconds, converged = np.mean([each[1:] for each in scores], axis=0)
+    return (
+        f"{title:44s} {100 * np.mean(abs(z) < 1.96):4.0f} % of {len(z):3d} inside, rms z "
+        f"{np.sqrt(np.mean(z**2)):5.2f}, error {100 * np.median(error):5.1f} %, half band "
+        f"{100 * np.median(half):5.1f} %, alpha {of_alpha:4.2f} deg, lag {late:4.1f} ms, "
+        f"{seconds:4.0f} s, {100 * converged:3.0f} % converged"
+    )
+
+
+def main(words=None):
+    parser = parser_of(__doc__, smoke=True)
+    parser.add_argument("--aircraft", nargs="+", choices=AIRCRAFT, default=list(AIRCRAFT))
+    parser.add_argument("--air", nargs="+", choices=AIRS, default=list(AIRS))
+    parser.add_argument("--sensors", nargs="+", choices=("ideal", "real"), default=["ideal"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1])
+    parser.add_argument("--seconds", type=float, default=120.0)
+    options = parser.parse_args(words)
+    cases = list(itertools.product(options.sensors, options.aircraft, options.air, options.seeds))
+    seconds = options.seconds
+    if options.smoke:
+        cases, seconds = cases[:1], 20.0
+    warnings.simplefilter("ignore")
+    rngs = [np.random.default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
+    lags = [rng.uniform(0.02, 0.08) for rng in rngs]
+    planes = [AIRCRAFT[name] for _, name, _, _ in cases]
+    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, seconds, lags).fly()
+    results = {}
+    for k, (case, plane) in enumerate(zip(cases, planes, strict=True)):
+        real = case[0] == "real"
+        table = logged(flown[:, k], rngs[k], real)
+        found = results.setdefault(case[:3], [])
+        found.append(score(table, plane, lags[k] if real else 0.0))
+        if len(found) == len(options.seeds) or options.smoke:
+            print(line(", ".join(case[:3]), found), flush=True)
+    for sensors in options.sensors:
+        chosen = [each for key, part in results.items() if key[0] == sensors for each in part]
+        if chosen:
+            print(line(f"all, {sensors}", chosen))
+
+
+if __name__ == "__main__":
+    main()

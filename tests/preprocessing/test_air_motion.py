@@ -1,0 +1,327 @@
+"""The filter-error method: its linear filter, its derivatives, and what it recovers from flights."""
+
+import importlib.util
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from skdgp._flight.frames import euler_to_matrix
+from skdgp.dynamics import Aircraft
+from skdgp.preprocessing import estimate_air_motion
+from skdgp.preprocessing._air_motion_equations import (
+    N_STATES,
+    TURN,
+    Layout,
+    Record,
+    lagged,
+    linearised,
+    noise,
+)
+from skdgp.preprocessing._air_motion_filter import (
+    Linearisation,
+    Noise,
+    filtered,
+    innovation_slopes,
+    smoothed,
+    varied,
+)
+from skdgp.preprocessing._air_motion_model import Inputs
+from skdgp.preprocessing._air_motion_parameters import (
+    DERIVATIVES,
+    OWN,
+    OWN_NOISES,
+    SHARED,
+    SHARED_NOISES,
+    TERMS,
+    derivatives_of,
+)
+
+BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
+SURFACES = ["elevator", "aileron", "rudder"]
+AIRCRAFT = Aircraft(
+    mass=1.9,
+    inertia=[[0.09, 0.002, -0.015], [0.002, 0.11, 0.001], [-0.015, 0.001, 0.17]],
+    wing_area=0.32,
+    span=1.27,
+    chord=0.25,
+)
+
+
+@cache
+def benchmark():
+    """The simulation of the benchmark."""
+    sys.path.insert(0, str(BENCHMARK.parent))
+    spec = importlib.util.spec_from_file_location("small_uav", BENCHMARK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.path.remove(str(BENCHMARK.parent))
+    return module
+
+
+def linear_system(rng, n=7, N=3, m=2):
+    """A filter that is linear, with predictions of a sample by way of the predicted state alone."""
+    Phi = 0.5 * rng.standard_normal((n - 1, N, N))
+    H = rng.standard_normal((n - 1, m, N))
+    y = rng.standard_normal((n - 1, m))
+    zero = np.zeros((n - 1, 0, 0))
+    linear = Linearisation(
+        states=np.zeros((n, N)),
+        predicted=np.zeros((n - 1, N)),
+        transition=Phi,
+        transition_slopes=zero,
+        innovation=y,
+        innovation_states=H @ Phi,
+        innovation_noise=H,
+        innovation_slopes=zero,
+        residual=y,
+        residual_states=H,
+        residual_slopes=zero,
+        step=rng.uniform(0.1, 0.2, n - 1),
+        surface_noise=np.zeros((n - 1, N, N)),
+        gain_transition=zero,
+        gain_residual=zero,
+        weight=np.ones((n - 1, m)),
+    )
+    noises = Noise(
+        rng.uniform(1, 2, N), np.zeros(N), np.zeros(()), rng.uniform(1, 2, m), rng.uniform(1, 2, N)
+    )
+    return linear, noises
+
+
+def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
+    linear, noises = linear_system(np.random.default_rng(0))
+    run = filtered(linear, noises)
+    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    # x = M (x_0, w_1, ...), y = H x + v; the noise of a step by Simpson's rule
+    M = np.zeros((n, N, n * N))
+    M[0, :, :N] = np.eye(N)
+    Q = [np.diag(noises.start)]
+    for k in range(1, n):
+        Phi = linear.transition[k - 1]
+        M[k] = Phi @ M[k - 1]
+        M[k, :, k * N : (k + 1) * N] += np.eye(N)
+        half, rate = 0.5 * (np.eye(N) + Phi), np.diag(noises.rate * linear.step[k - 1])
+        Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
+    M = M.reshape(n * N, n * N)
+    X = M @ block_diag(*Q) @ M.T
+    H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
+    S = H @ X @ H.T + np.diag(np.tile(noises.sensor, n - 1))
+    y = linear.innovation.ravel()
+    for k in range(n - 1):
+        past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
+        gain = S[now, past] @ np.linalg.inv(S[past, past])
+        np.testing.assert_allclose(run.innovation[k], y[now] - gain @ y[past], atol=1e-10)
+        np.testing.assert_allclose(run.covariance[k], S[now, now] - gain @ S[past, now], atol=1e-10)
+    states, covariance = smoothed(linear, run)
+    gain = X @ H.T @ np.linalg.inv(S)
+    np.testing.assert_allclose(states.ravel(), gain @ y, atol=1e-10)
+    P = X - gain @ H @ X
+    for k in range(n):
+        at = slice(k * N, (k + 1) * N)
+        np.testing.assert_allclose(covariance[k], P[at, at], atol=1e-10)
+
+
+def test_sets_of_noises_are_filtered_as_one_by_one():
+    linear, noises = linear_system(np.random.default_rng(1))
+    sets = Noise(*(np.stack([part, 2 * part]) for part in noises))
+    run = filtered(linear, sets, keep=False)
+    for k in range(2):
+        alone = filtered(linear, Noise(*(part[k] for part in sets)))
+        np.testing.assert_allclose(run.innovation[k], alone.innovation)
+        np.testing.assert_allclose(run.covariance[k], alone.covariance)
+
+
+@cache
+def flight_of_sines(n=30):
+    """A record at states where nothing vanishes, parameters by name, and states of the filter."""
+    rng = np.random.default_rng(2)
+    t = 0.02 * np.arange(n)[:, None]
+    wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
+    attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
+    inputs = Inputs(0.1 * wave(3), wave(6) + 2, np.full(n, 1.2))
+    measured = np.column_stack([3 * wave(3), 0.5 * wave(3), 17 + wave(1), 0.1 * wave(2)])
+    record = Record(
+        0,
+        np.arange(n),
+        np.full(n - 1, 0.02),
+        0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
+        attitude,
+        measured,
+        inputs,
+    )
+    derivatives = derivatives_of(TERMS, SURFACES)
+    value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
+    value |= {
+        name: mean + 0.3 * min(std, 5.0) for name, (mean, std) in (dict(SHARED) | OWN).items()
+    }
+    value |= {"servo_lag": 0.03}
+    states = 0.2 * wave(N_STATES)
+    return record, Layout.of(list(derivatives), SURFACES), value, states
+
+
+DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
+
+
+def moved(name, move):
+    record, layout, value, states = flight_of_sines()
+    value = value | {name: value[name] + move}
+    return linearised(record, layout, AIRCRAFT, value, states, DECAY)
+
+
+@pytest.mark.parametrize("name", flight_of_sines()[1].names)
+def test_slopes_by_parameters_are_those_of_the_predictions(name):
+    here, step = moved(name, 0.0), 1e-5
+    later, before = moved(name, step), moved(name, -step)
+    j = flight_of_sines()[1].names.index(name)
+    pairs = (
+        ("predicted", here.transition_slopes),
+        ("innovation", -here.innovation_slopes),
+        ("residual", -here.residual_slopes),
+    )
+    for field, slopes in pairs:
+        numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
+        if field == "residual":  # the state that it starts from moves as well
+            numeric += (here.residual_states @ here.transition_slopes)[..., j]
+        scale = np.abs(numeric).max() + 1e-3
+        # terms within a step are taken as the mean of its ends, which is least true of rates
+        atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
+        np.testing.assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
+
+
+def test_slopes_by_states_are_those_of_the_predictions():
+    record, layout, value, states = flight_of_sines()
+    here = linearised(record, layout, AIRCRAFT, value, states, DECAY)
+    for i in range(N_STATES):
+        shift = np.zeros(N_STATES)
+        shift[i] = 1e-5
+        later, before = (
+            linearised(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
+            for sign in (1, -1)
+        )
+        for field, slopes in (
+            ("predicted", here.transition),
+            ("innovation", -here.innovation_states),
+            ("residual", -here.residual_states @ here.transition),
+        ):
+            numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
+            np.testing.assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
+
+
+def test_innovations_move_with_a_slope_as_the_filter_run_again():
+    """The gain depends on CZ_alpha: a larger slope makes the gusts smaller."""
+    record, layout, value, states = flight_of_sines()
+    noises = {name: median for name, (median, _) in (dict(SHARED_NOISES) | OWN_NOISES).items()}
+    noises = noise({name: np.asarray(v) for name, v in noises.items()}, record.sampled)
+
+    def innovation(move):
+        X = np.zeros_like(states)
+        X[:, TURN] = record.measured[:, 3:6]
+        for _ in range(6):
+            changed = value | {"CZ_alpha": value["CZ_alpha"] + move}
+            linear = linearised(record, layout, AIRCRAFT, changed, X, noises.decay)
+            run = filtered(linear, noises)
+            X = run.filtered
+        return linear, run.innovation
+
+    linear, _ = innovation(0.0)
+    moves = np.full(len(layout.by_air), 1e-4)
+    run = filtered(
+        varied(linear, moves),
+        Noise(*(np.stack([part] * (len(moves) + 1)) for part in noises)),
+    )
+    slopes = innovation_slopes(linear, run, layout.by_air, moves)
+    j = layout.names.index("CZ_alpha")
+    numeric = (innovation(1e-3)[1] - innovation(-1e-3)[1]) / 2e-3
+    first = slice(0, 8)  # before the sensors, which contradict each other, make it diverge
+    for sensor in (0, 2, 4):
+        error = slopes[first, sensor, j] - numeric[first, sensor]
+        assert np.abs(error).max() < 0.1 * np.abs(numeric[first, sensor]).max()
+
+
+def test_lag_of_a_ramp_is_the_lag():
+    ramp = np.arange(200.0)[:, None]
+    np.testing.assert_allclose(lagged(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
+
+
+def simulated(case, seconds, *, pulses=True, seed=3):
+    """Return table and plane of a flight of the benchmark's trainer, with commands of servos 50 ms late."""
+    module = benchmark()
+    rng = np.random.default_rng(seed)
+    plane = module.AIRCRAFT["trainer"]
+    fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
+    fleet.legs = [(0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
+    fleet.pulses[:] = 0.0
+    time = module.STEP * np.arange(len(fleet.pulses))
+    for k, start in enumerate(np.arange(0.5, seconds - 2, 2.0) if pulses else ()):
+        sign = np.select(
+            [time < start, time < start + 0.6, time < start + 1.0, time < start + 1.2, time < start + 1.4],
+            [0, 1, -1, 1, -1],
+        )  # fmt: skip
+        fleet.pulses[:, 0, k % 3] += 0.12 * sign * (-1) ** (k // 3)
+    rows = fleet.fly()[:, 0]
+    table = module.logged(rows, rng, real=False)
+    table[SURFACES] = rows[:, 26:29]
+    return table, plane
+
+
+def as_aircraft(plane):
+    sizes = ("mass", "wing_area", "span", "chord", "inertia")
+    return Aircraft(**{name: plane[name] for name in sizes})
+
+
+@cache
+def found_in_gusts():
+    table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
+    return estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane)), table, plane
+
+
+def test_derivatives_lie_inside_their_bands():
+    found, table, plane = found_in_gusts()
+    assert found.converged
+    truth = benchmark().truth_of(plane, table["alpha_true"].mean())
+    known = [name for name in truth if name in found.derivatives.index]
+    value, std, prior = found.derivatives.loc[known].to_numpy().T
+    z = (value - [truth[name] for name in known]) / std
+    assert len(known) >= 19
+    assert np.mean(abs(z) < 1.96) >= 0.85
+    assert np.median(1.96 * std / np.abs(value)) < 0.4
+    assert np.all(std < 1.05 * prior)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
+
+
+def test_lag_wind_and_gusts_are_found():
+    found, *_ = found_in_gusts()
+    value, std = found.constants["value"], found.constants["std"]
+    assert abs(value["servo_lag"] - 0.05) < 0.005 + 2 * std["servo_lag"]
+    for name, wind in (("wind_north 0", 3.0), ("wind_east 0", -2.0)):
+        assert abs(value[name] - wind) < 3 * std[name]
+        assert std[name] < 1.5
+    assert 0.3 < found.gusts[0] < 0.8
+    assert "servos" in found.summary
+
+
+def test_angle_of_attack_follows_the_gusts():
+    found, table, _ = found_in_gusts()
+    error = found.air["alpha"] - table["alpha_true"]
+    assert error.std() < np.deg2rad(0.5) < 0.5 * table["alpha_true"].std()
+    assert np.mean(abs(error) < 1.96 * found.air["alpha_std"]) > 0.8
+
+
+def test_flight_without_inputs_has_wide_bands():
+    table, plane = simulated("calm", seconds=4.0, pulses=False)
+    found = estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane)).derivatives
+    truth = benchmark().truth_of(plane, 0.0)
+    known = [name for name in truth if name in found.index]
+    value, std, prior = found.loc[known].to_numpy().T
+    assert np.all(abs(value - [truth[name] for name in known]) < 3 * std)
+    assert np.median(std / prior) > 0.3
+
+
+def test_table_that_is_too_short_is_refused():
+    table, plane = simulated("calm", seconds=1.5, pulses=False)
+    with pytest.raises(ValueError, match="Got no record of 100 samples"):
+        estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))

@@ -69,7 +69,7 @@ MAX_PASSES = 30
 TOLERANCE = 0.1  # squared length of the last two steps, in standard deviations
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
 LARGEST_LOG = 0.7  # step of the logarithm of a noise
-START_NOISE = 2.0  # of the sensors, over the prior median
+LEAST_NOISE = 1e-4  # of accelerometers and gyros, SI
 LIFT_SLOPE = 4.5  # 1/rad, typical
 MEAN_GUST = 0.2  # m/s, standard deviation of the mean vertical gust of a record
 BLOCK = 2.0  # s of scores that are summed before their covariance is taken
@@ -266,8 +266,9 @@ class _Fit:
         self.noises = Parameters.of(SHARED_NOISES, OWN_NOISES, n_flights)
         self.log_noises = np.log(self.noises.mean)
         self.x, self.psi = self.parameters.mean.copy(), self.log_noises.copy()
-        for name in ("ax", "ay", "az", "gyro"):
-            self.psi[self.noises.names.index(name)] += np.log(START_NOISE)
+        for names, sensors in ((("ax", "ay", "az"), slice(0, 3)), (("gyro",), slice(3, 6))):
+            at = [self.noises.names.index(name) for name in names]
+            self.log_noises[at] = self.psi[at] = np.log(_white_noise(records, sensors))
         self.states = [_rates_alone(record) for record in records]
         self._start()
 
@@ -447,6 +448,15 @@ class _Fit:
 def _origin(wind: Vector) -> float:
     """Return the direction that a wind, north and east, comes from [deg]."""
     return float(np.rad2deg(np.arctan2(-wind[1], -wind[0])) % 360)
+
+
+def _white_noise(records: list[Record], sensors: slice) -> float:
+    """Return the standard deviation of white noise of the quietest of some sensors, by third differences.
+
+    Gusts shake one axis more than another; all have the same sensor.
+    """
+    differences = np.concatenate([np.diff(r.measured[:, sensors], 3, axis=0) for r in records])
+    return float(max(np.sqrt(np.mean(differences**2, axis=0).min() / 20), LEAST_NOISE))
 
 
 def _rates_alone(record: Record) -> Matrix:

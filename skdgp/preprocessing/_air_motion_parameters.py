@@ -52,18 +52,18 @@ OWN: Prior = {
 SHARED_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
-    "fast_h": (0.3, 0.5),  # intensity of the faster part of gusts, over that of the slower one
-    "fast_v": (0.3, 0.5),
+    "fast_h": (0.1, 0.5),  # intensity of the faster part of gusts, over that of the slower one
+    "fast_v": (0.1, 0.5),
     "faster_h": (0.2, 0.5),  # its correlation time, over that of the slower one
     "faster_v": (0.2, 0.5),
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),
     "surface": (0.05, 1.0),  # error of a surface's position, in its change within a step
-    "ax": (0.1, 1.5),  # sensors, with what the model leaves out
-    "ay": (0.1, 1.5),
-    "az": (0.1, 1.5),
-    "gyro": (0.005, 1.5),
+    "ax": (0.1, 0.3),  # sensors, with what the model leaves out; medians follow the log
+    "ay": (0.1, 0.3),
+    "az": (0.1, 0.3),
+    "gyro": (0.005, 0.3),
     "airspeed": (0.3, 1.0),
     "vane": (0.01, 1.0),
 }

@@ -189,8 +189,9 @@ class PlanCheck:
         """
         try:
             plan = json.loads(Path(path).read_text(encoding="utf-8"))
-            errors = pd.DataFrame.from_dict(plan["errors"], orient="index").astype(float)
-            errors = errors[["before", "promised"]]
+            columns = ["before", "promised"]
+            rows = [[float(row[name]) for name in columns] for row in plan["errors"].values()]
+            errors = pd.DataFrame(rows, index=list(plan["errors"]), columns=columns)
             found = std_at(model, aircraft, plan["trims"], thrust)
         except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError):
             raise ValueError(

@@ -353,8 +353,7 @@ def main(arguments=None):
         pipeline, aircraft, options.airspeed, altitude=options.altitude, air=Air(density=density)
     )
     model = portable_model(pipeline, aircraft)
-    envelope = zip(model.regressor_names, model.envelope.low, model.envelope.high, strict=True)
-    flown_range = {name: (low, high) for name, low, high in envelope}
+    flown_range = dict(zip(model.regressor_names, model.limits.T.tolist(), strict=True))
     limits = [
         flown_range["alpha"][1],
         options.load_factor,

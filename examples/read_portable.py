@@ -19,28 +19,21 @@ import numpy as np
 class Model:
     def __init__(self, path):
         with np.load(path, allow_pickle=False) as file:
-            self.head, self.arrays = (
-                json.loads(file["model.json"]),
-                {name: file[name] for name in file.files[1:]},
-            )
-        if self.head["format"] != "skdgp portable model" or self.head["version"] != 3:
-            raise ValueError(
-                f"{path} is of the format {self.head['format']} {self.head['version']}"
-            )
+            self.head = json.loads(file["model.json"])
+            self.arrays = {name: file[name] for name in file.files if name != "model.json"}
+        found = self.head["format"], self.head["version"]
+        if found != ("skdgp portable model", 4):
+            raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
         """Regressors (n, d) of a flight table, a dict of columns in SI units and radians."""
         columns = []
         for r in self.head["regressors"]:
-            x = sum(
-                c * np.asarray(table[name])
-                for c, name in zip(r["factors"], r["sources"], strict=True)
-            )
-            columns.append(
-                x * (r["length"] / (2 * np.asarray(table["airspeed"]))) ** r["power"]
-                if r["power"]
-                else x
-            )
+            sources = [np.asarray(table[name], dtype=float) for name in r["sources"]]
+            x = np.tensordot(r["factors"], sources, 1)
+            if r["power"]:
+                x *= (r["length"] / (2 * np.asarray(table["airspeed"]))) ** r["power"]
+            columns.append(x)
         return np.column_stack(columns)
 
     def predict(self, X, input_noise=1.0):
@@ -56,32 +49,31 @@ class Model:
         p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
         means, variances = np.empty((2, len(z), *mixture.shape))
         slopes = np.zeros((len(z), P, len(a["shift"])))
+        ends = np.cumsum(a["term_place"][:, 2])
         for j, k in enumerate(a["readout_of"]):
-            member, i = divmod(j, P)
-            w, g = a[f"weights_{k}"], np.zeros((len(z), len(a[f"weights_{k}"])))
+            component, i = divmod(j, P)
+            w = a[f"weights_{k}"]
+            g = np.zeros((len(z), len(w)))
             slope = np.tile(a["trend_weights"][j, 1:], (len(z), 1))
-            blocks = (a[f"block_{name}"] for name in ("place", "gain", "shift", "root"))
-            for (part, centre, column, size), gain, shift, root in zip(*blocks, strict=True):
+            for t, (part, first, size) in enumerate(a["term_place"]):
                 if part == j:
-                    away = (z - shift)[:, None] - a["centres"][centre : centre + size]
-                    root = np.diag(root) if root.ndim == 1 else root
-                    values = gain * np.exp(-0.5 * ((away @ root) ** 2).sum(axis=2))
-                    g[:, column : column + size] += values
-                    slope -= (
-                        (values * w[column : column + size])[:, None] @ (away @ root @ root.T)
-                    )[:, 0]
+                    root, own = a["term_root"][t], slice(first, first + size)
+                    away = (z @ root)[:, None] - a["centres"][ends[t] - size : ends[t]]
+                    values = a["term_gain"][t] * np.exp(-0.5 * (away**2).sum(axis=2))
+                    g[:, own] += values
+                    slope -= np.einsum("nk,nkr,dr->nd", values * w[own], away, root)
             triangle = np.zeros((len(w), len(w)))
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
             half = p @ a[f"trend_root_{j}"]
             half[:, half.shape[1] - len(w) :] += g @ triangle
             prior = a["prior_variance"][j] + ((p * a["trend_scale"][j]) ** 2).sum(axis=1)
-            means[:, member, i] = p @ a["trend_weights"][j] + g @ w
-            variances[:, member, i] = np.maximum(
-                prior - (half**2).sum(axis=1), np.finfo(float).eps * prior
-            )
-            slopes[:, i] += mixture[member, i] * slope / a["scale"]
+            variance = prior - (half**2).sum(axis=1)
+            means[:, component, i] = p @ a["trend_weights"][j] + g @ w
+            variances[:, component, i] = np.maximum(variance, np.finfo(float).eps * prior)
+            slopes[:, i] += mixture[component, i] * slope
         mean = (mixture * means).sum(axis=1)
         variance = (mixture * (variances + (means - mean[:, None]) ** 2)).sum(axis=1)
+        slopes /= a["scale"]
         variance += input_noise * ((slopes @ a["input_covariance"]) * slopes).sum(axis=2)
         return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
 
@@ -96,7 +88,7 @@ def main(arguments=None):
     path = parser.parse_args(arguments).file
     if path is not None:
         model = Model(path)
-        mean, std = model.predict(model.arrays["envelope_samples"][:1])
+        mean, std = model.predict(model.arrays["samples"][:1])
         for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
             print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
 

@@ -10,24 +10,21 @@ from pathlib import Path
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._cli._predict import read_model
-from skdgp.export import CHOICES, FORMATS, export_model, load_portable
+from skdgp.export import FORMATS, export_model, load_portable
 
 
 def export(run: Run) -> None:
     """Write a model in a form that other programs read, without Python or without pickle.
 
     portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
-    c         aero.h, aero.c: mean, deviation, slopes and envelope in C99; "make test" compares them with the model
+    c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
+    jsbsim    aircraft/NAME/NAME.xml: an aircraft whose coefficients are the sums of their effects
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
-    build-up  build_up.json: derivatives and tables with standard deviations
-    jsbsim    aircraft/NAME/NAME.xml: an aircraft with the coefficients as functions, or as tables with --form tables
 
-    MODEL is the model.joblib that identify wrote; for the first four also a model.npz. With
-    --max-kb the form gets fewer basis functions; the loss is printed in standard deviations of the
-    posterior. Derivatives and tables are fitted to the model at the samples; the loss is printed
-    beside the posterior deviation; jsbsim writes it into its file. All files are written into
-    DIR, or none.
+    MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the model gets
+    fewer basis functions; the loss is printed in standard deviations of the posterior. All files
+    are written into DIR, or none.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable
@@ -45,10 +42,8 @@ def export(run: Run) -> None:
     else:
         model = load_portable(options.model)
     run.console.stage(f"exporting to {options.to}")
-    names = ("max_kb", "precision", "form", "draws")
-    choices = {name: value for name in names if (value := getattr(options, name)) is not None}
     with tempfile.TemporaryDirectory(dir=run.folder.path if run.folder else None) as temporary:
-        facts = export_model(temporary, model, options.to, **choices)
+        facts = export_model(temporary, model, options.to, max_kb=options.max_kb)
         files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         for name in files:
@@ -62,17 +57,9 @@ def _text(folder, numbers) -> str:
     width = max(map(len, numbers["files"])) + 2
     lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
     if loss := numbers.get("loss"):
-        columns = list(next(iter(loss.values())))
-        what = ", in posterior deviations" if columns == ["mean", "std"] else ""
-        lines += [
-            "",
-            f"loss, root mean square{what}",
-            f"{'':6}" + "".join(f"{column:>12}" for column in columns),
-        ]
-        lines += [
-            f"{name:6}" + "".join(f"{row[column]:>12.2g}" for column in columns)
-            for name, row in loss.items()
-        ]
+        lines += ["", "loss, root mean square, in posterior deviations"]
+        lines += [f"{'':6}{'mean':>12}{'std':>12}"]
+        lines += [f"{name:6}{row['mean']:>12.2g}{row['std']:>12.2g}" for name, row in loss.items()]
     return "\n".join([*lines, "", f"written into {folder}"])
 
 
@@ -89,20 +76,7 @@ COMMANDS: opt.Commands = {
             "--max-kb": {
                 "metavar": "KB",
                 "type": opt.positive("kB"),
-                "help": "largest size of code or portable form (default: whole model)",
-            },
-            "--precision": {
-                "choices": CHOICES["precision"],
-                "help": "of arguments and results, of c (default: double)",
-            },
-            "--form": {
-                "choices": CHOICES["form"],
-                "help": "of jsbsim: functions (default) or tables",
-            },
-            "--draws": {
-                "metavar": "K",
-                "type": opt.at_least(1),
-                "help": "aircraft drawn from the posterior, of jsbsim (default: none)",
+                "help": "largest size of the code, or of the portable form (default: whole model)",
             },
         },
     },

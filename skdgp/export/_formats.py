@@ -2,35 +2,51 @@
 
 from __future__ import annotations
 
-import inspect
-import json
 import os
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
+import numpy as np
 from sklearn.utils import Bunch
 
-from skdgp.dynamics import Aircraft
-from skdgp.export._build_up import build_up, write_build_up
-from skdgp.export._c import C_FILES, TOLERANCE, c_bytes, write_c
+from skdgp.export._c import c_bytes, write_c
+from skdgp.export._file import file_bytes, save_portable
 from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import PortableModel, save_portable
+from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
-from skdgp.export._reduce import loss_of, reduced_to_kb
+from skdgp.export._reduce import loss_of, reduced
 
-Facts: TypeAlias = dict[str, Any]
-MEMBER_BYTES = 300  # of an array in a file, besides its numbers
+MAX_BYTES = 2**26  # compilers and simulators take no larger source in reasonable time
+
+
+class Format(NamedTuple):
+    """What writes a format into a folder and returns the files, the size of a model in it, and the largest."""
+
+    write: Callable[[Path, PortableModel], list[Path]]
+    size: Callable[[PortableModel], int] = file_bytes
+    most: float = MAX_BYTES
+
+
+FORMATS: dict[str, Format] = {
+    "portable": Format(
+        lambda folder, model: [save_portable(folder / "model.npz", model)], most=np.inf
+    ),
+    "c": Format(write_c, c_bytes),
+    "jsbsim": Format(write_jsbsim),
+    "casadi": Format(write_casadi),
+    "onnx": Format(write_onnx),
+}
+"""Formats of :func:`export_model` by name."""
 
 
 def export_model(
-    folder: str | os.PathLike[str], model: Any, to: str, **options: Any
+    folder: str | os.PathLike[str], model: Any, to: str, *, max_kb: float | None = None
 ) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return facts of it.
 
-    Raises ValueError if there is no such format, it has no such option, or the model has no such
+    Raises ValueError if there is no such format, the model is too large for it, or has no portable
     form.
 
     Parameters
@@ -40,93 +56,27 @@ def export_model(
         What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
     to : str
         Name of the format.
-    **options
-        Of the format: ``max_kb``, ``precision``, ``form``, ``draws``.
+    max_kb : float, optional
+        Largest size [kB], of C its flash memory, of other formats that of the portable file: the
+        model gets fewer basis functions. Default: the whole model.
 
     Returns
     -------
     dict
-        ``files``, paths, and ``loss`` of each coefficient: by a smaller size "mean" and "std" in
-        posterior deviations; by tables and derivatives "loss" and "deviation", root mean squares.
+        ``files``, paths, and ``loss`` by a smaller size of each coefficient: root mean square
+        changes of "mean" and "std", in posterior standard deviations.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
-    known = [
-        name
-        for name in inspect.signature(FORMATS[to]).parameters
-        if name not in ("folder", "model", "aircraft")
-    ]
-    unknown = [name for name in options if name not in known]
-    if unknown:
+    write, size, most = FORMATS[to]
+    portable = portable_model(**model) if isinstance(model, Bunch) else model
+    if max_kb is not None:
+        if not 0 < max_kb < np.inf:
+            raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+        portable = reduced(portable, size, int(1024 * max_kb))
+    if (found := size(portable)) > most:
         raise ValueError(
-            f"Got the options {unknown} for the format {to}, but expected {known or 'none'}."
+            f"Got a model of {found / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
+            f"format {to}: give max_kb=256 (--max-kb 256), or another size."
         )
-    if to in ARRAY_FORMATS:
-        portable = portable_model(**model) if isinstance(model, Bunch) else model
-        return ARRAY_FORMATS[to](Path(folder), portable, **options)
-    if not isinstance(model, Bunch):
-        raise ValueError(
-            f"Got a portable model for the format {to}, but expected the model.joblib that "
-            f"identify wrote: the format "
-            "needs the pipeline and its samples, which a portable model does not hold."
-        )
-    return SAMPLE_FORMATS[to](Path(folder), model.pipeline, model.aircraft, **options)
-
-
-def _one_file(
-    name: str, write: Callable, folder: Path, model: PortableModel, *, max_kb: float | None = None
-) -> Facts:
-    """Write the portable model, in at most ``max_kb`` of a portable file, in one file of another format."""
-    model = reduced_to_kb(model, _file_bytes, max_kb)
-    return {"files": [write(folder / name, model)], "loss": loss_of(model)}
-
-
-def _c(
-    folder: Path, model: PortableModel, *, precision: str = "double", max_kb: float | None = None
-) -> Facts:
-    model = reduced_to_kb(model, partial(c_bytes, precision=precision), max_kb)
-    write_c(folder, model, precision=precision)
-    return {"files": [folder / name for name in C_FILES], "loss": loss_of(model)}
-
-
-def _file_bytes(model: PortableModel) -> int:
-    """Return the size of the file of a model."""
-    arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
-    return (
-        arrays
-        + 4 * MEMBER_BYTES * (1 + len(model.regressors))
-        + len(json.dumps(model.provenance, indent=1))
-    )
-
-
-def _tables(folder: Path, model: Any, aircraft: Aircraft) -> Facts:
-    """Write the build-up."""
-    build, files = build_up(model, aircraft), [folder / "build_up.json"]
-    write_build_up(files[0], build)
-    return {"files": files, "loss": build.loss.to_dict("index")}
-
-
-def _jsbsim(
-    folder: Path, model: Any, aircraft: Aircraft, *, form: str = "functions", draws: int = 0
-) -> Facts:
-    return {"files": write_jsbsim(folder, model, aircraft, form=form, n_draws=draws)}
-
-
-ARRAY_FORMATS: dict[str, Callable[..., Facts]] = {
-    "portable": partial(_one_file, "model.npz", save_portable),
-    "c": _c,
-    "casadi": partial(_one_file, "aero.casadi", write_casadi),
-    "onnx": partial(_one_file, "aero.onnx", write_onnx),
-}
-"""Formats of a portable model."""
-SAMPLE_FORMATS: dict[str, Callable[..., Facts]] = {
-    "build-up": _tables,
-    "jsbsim": _jsbsim,
-}
-"""Formats of a pipeline and its samples."""
-CHOICES = {"precision": [*TOLERANCE], "form": ["functions", "tables"]}
-"""The values of options that are words, of one format or another."""
-FORMATS = ARRAY_FORMATS | SAMPLE_FORMATS
-"""The function of each format: it writes a model into a folder, takes the options of the format,
-and returns facts.
-"""
+    return {"files": write(Path(folder), portable), "loss": loss_of(portable)}

@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 import json
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel
-from skdgp.export._reduce import check_terms
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp.export._model import ROUNDING, Part, PortableModel, Term
 from skdgp.export._text import extra
 
 OPSET, IR_VERSION = 17, 8
+
+
+class Columns(NamedTuple):
+    """Entries of the basis of a part that are not zero: their terms, weights and rows of the root."""
+
+    terms: list[list[Term]]
+    """In the order of the basis; those of one list add up."""
+    weights: Vector
+    root: Matrix
+
+
+def columns_of(part: Part) -> Columns:
+    """Return the entries of the basis of a part that are not zero."""
+    order = sorted(part.terms, key=attrgetter("first"))
+    terms = [list(each) for _, each in groupby(order, key=attrgetter("first"))]
+    size = len(part.readout.weights)
+    rows = np.concatenate([np.arange(0), *(np.arange(size)[each[0].entries] for each in terms)])
+    if len(rows) == size:
+        return Columns(terms, part.readout.weights, part.readout.root)
+    return Columns(terms, part.readout.weights[rows], part.readout.root[rows])
+
+
+def mixer(model: PortableModel) -> Array:
+    """Return the matrix (K P, P) by which values of parts (n, K P) become those of outputs, weighted sums."""
+    return np.vstack([np.diag(weights) for weights in model.mixture])
 
 
 def casadi_function(model: PortableModel) -> Any:
@@ -21,43 +47,45 @@ def casadi_function(model: PortableModel) -> Any:
 
     The function is named ``aero``. The regressors are in their units, in the order of
     ``model.regressor_names``. The Jacobian is that of the mean. The function can be differentiated
-    further, also the deviation, and be saved with its method ``save``. A reduced model (``export
-    --max-kb``) is faster. Raises ImportError if CasADi is not installed, ValueError if the model is
-    too large, such as an exact one of many samples.
+    further, also the deviation, and be saved with its method ``save``. A reduced model
+    (``export_model`` with ``max_kb``) is faster. Raises ImportError if CasADi is not installed.
     """
     ca = extra("casadi")
-    check_terms(model)
     x = ca.MX.sym("x", len(model.regressors))
     z = (x - ca.DM(model.shift)) / ca.DM(model.scale)
     p = ca.vertcat(1, z - ca.DM(model.trend_center))
+
+    def functions(term):
+        away = ca.repmat(ca.DM(term.root.T) @ z, 1, len(term.centres)) - ca.DM(term.centres.T)
+        return term.gain * ca.exp(-0.5 * ca.sum1(away**2)).T
+
     means, variances = [], []
-    for j in range(len(model.readout_of)):
-        value = ca.dot(ca.DM(model.trend_weights[j]), p)
-        half = ca.mtimes(ca.DM(model.trend_roots[j].T), p)
-        for block, weights, rows in model.terms(j):
-            away = ca.repmat(z - ca.DM(block.shift), 1, block.size) - ca.DM(
-                model.centres[block.rows].T
-            )
-            F = np.diag(block.root) if block.root.ndim == 1 else block.root.T
-            g = block.gain * ca.exp(-0.5 * ca.sum1(ca.mtimes(ca.DM(F), away) ** 2)).T
-            value += ca.dot(ca.DM(weights), g)
-            half += ca.mtimes(ca.DM(rows.T), g)
-        prior = model.prior_variance[j] + ca.sumsqr(ca.DM(model.trend_scale[j]) * p)
+    for part in model.parts:
+        columns = columns_of(part)
+        g = ca.vertcat(*(sum(map(functions, terms)) for terms in columns.terms))
+        value = ca.dot(ca.DM(part.trend_weights), p)
+        half = ca.DM(part.trend_root.T) @ p
+        if columns.terms:
+            value += ca.dot(ca.DM(columns.weights), g)
+            explained = ca.DM(columns.root.T) @ g
+            half += ca.vertcat(ca.DM.zeros(half.shape[0] - explained.shape[0]), explained)
+        prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_scale) * p)
         means.append(value)
-        variances.append(ca.fmax(prior - ca.sumsqr(half), np.finfo(float).eps * prior))
-    parts, mixer = ca.vertcat(*means), ca.DM(model.mixer.T)
-    mixed = ca.mtimes(mixer, parts)
-    away = parts - ca.repmat(mixed, len(model.mixture), 1)
-    variance = ca.mtimes(mixer, ca.vertcat(*variances) + away**2)
+        variances.append(ca.fmax(prior - ca.sumsqr(half), ROUNDING * prior))
+    of_parts = ca.vertcat(*means)
+    mixed = ca.DM(mixer(model).T) @ of_parts
+    away = of_parts - ca.repmat(mixed, len(model.mixture), 1)
+    variance = ca.DM(mixer(model).T) @ (ca.vertcat(*variances) + away**2)
     mean = ca.DM(model.center) + ca.DM(model.output_scale) * mixed
     values = [mean, ca.DM(model.deviation_scale) * ca.sqrt(variance), ca.jacobian(mean, x)]
     return ca.Function("aero", [x], values, ["x"], ["mean", "std", "jacobian"])
 
 
-def write_casadi(path: Path, model: PortableModel) -> Path:
+def write_casadi(folder: Path, model: PortableModel) -> list[Path]:
     """Save the function of a model; ``casadi.Function.load`` reads it, in Python, C++ and MATLAB."""
+    path = folder / "aero.casadi"
     casadi_function(model).save(str(path))
-    return path
+    return [path]
 
 
 def onnx_model(model: PortableModel) -> Any:
@@ -65,41 +93,56 @@ def onnx_model(model: PortableModel) -> Any:
 
     The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds
     regressors and outputs as identifiers, "names" with the identifier of each name, the range of
-    the training data and the content hash. A reduced model (``export --max-kb``) is faster. Raises
-    ImportError if ONNX is not installed, ValueError if the model is too large, such as an exact one
-    of many samples.
+    the training data and the content hash. A reduced model (``export_model`` with ``max_kb``) is
+    faster. Raises ImportError if ONNX is not installed.
     """
     onnx = extra("onnx")
-    check_terms(model)
-    graph, helper = _Graph(onnx), onnx.helper
+    graph = _Graph(onnx)
     z = graph("Div", graph("Sub", "x", model.shift), model.scale)
-    trend = graph("Sub", z, model.trend_center)
-    means, variances = [], []
-    for j in range(len(model.readout_of)):
-        weights, root = model.trend_weights[j], model.trend_roots[j]
-        value = graph("Add", graph("MatMul", trend, weights[1:, None]), weights[:1, None])
-        half = graph("Add", graph("MatMul", trend, root[1:]), root[:1])
-        for block, w, rows in model.terms(j):
-            square = graph.squares(
-                graph("Sub", z, block.shift), block.root, model.centres[block.rows]
-            )
-            g = graph("Exp", graph("Mul", square, np.array(-0.5)))
-            value = graph("Add", value, graph("MatMul", g, block.gain * w[:, None]))
-            half = graph("Add", half, graph("MatMul", g, block.gain * rows))
-        tau = model.trend_scale[j]
-        prior = graph.sum(graph("Mul", graph("Mul", trend, trend), tau[1:] ** 2), 1)
-        prior = graph("Add", prior, np.array(model.prior_variance[j] + tau[0] ** 2))
-        explained = graph.sum(graph("Mul", half, half), 1)
-        least = graph("Mul", prior, np.array(np.finfo(float).eps))
-        means.append(value)
-        variances.append(graph("Max", graph("Sub", prior, explained), least))
-    parts, spread = (graph("Concat", *values, axis=1) for values in (means, variances))
-    mean = graph("MatMul", parts, model.mixer)
-    away = graph("Sub", parts, graph("Concat", *[mean] * len(model.mixture), axis=1))
-    variance = graph("MatMul", graph("Add", spread, graph("Mul", away, away)), model.mixer)
-    graph("Add", graph("Mul", mean, model.output_scale), model.center, out="mean")
-    graph("Mul", graph("Sqrt", variance), model.deviation_scale, out="std")
+    p = graph("Sub", z, model.trend_center)
 
+    def functions(term):
+        away = graph(
+            "Sub", graph("Unsqueeze", graph("MatMul", z, term.root), [1]), term.centres[None]
+        )
+        square = graph("Squeeze", graph.squares(away, 2), [2])
+        return graph("Mul", graph("Exp", graph("Mul", square, np.array(-0.5))), np.array(term.gain))
+
+    def plane(weights):
+        """Return p (1, ...) @ weights."""
+        return graph("Add", graph("MatMul", p, weights[1:]), weights[:1])
+
+    means, variances = [], []
+    for part in model.parts:
+        value = plane(part.trend_weights[:, None])
+        half = plane(part.trend_root)
+        columns = columns_of(part)
+        if columns.terms:
+            values = [graph.total(map(functions, terms)) for terms in columns.terms]
+            g = graph("Concat", *values, axis=1)
+            left = part.trend_root.shape[1] - len(part.readout.weights)
+            value = graph("Add", value, graph("MatMul", g, columns.weights[:, None]))
+            explained = graph("MatMul", g, columns.root)
+            half = graph("Add", half, graph("Pad", explained, [0, left, 0, 0]))
+        tau = part.trend_scale
+        prior = graph.squares(graph("Mul", p, tau[1:]), 1)
+        prior = graph("Add", prior, np.array(part.prior_variance + tau[0] ** 2))
+        least = graph("Mul", prior, np.array(ROUNDING))
+        means.append(value)
+        variances.append(graph("Max", graph("Sub", prior, graph.squares(half, 1)), least))
+    of_parts = graph("Concat", *means, axis=1)
+    mixed = graph("MatMul", of_parts, mixer(model))
+    away = graph("Sub", of_parts, graph("Concat", *[mixed] * len(model.mixture), axis=1))
+    spread = graph("Add", graph("Concat", *variances, axis=1), graph("Mul", away, away))
+    deviation = graph("Sqrt", graph("MatMul", spread, mixer(model)))
+    graph("Add", graph("Mul", mixed, model.output_scale), model.center, out="mean")
+    graph("Mul", deviation, model.deviation_scale, out="std")
+    return _checked(onnx, graph, model)
+
+
+def _checked(onnx: Any, graph: _Graph, model: PortableModel) -> Any:
+    """Return the model of a graph, with its metadata."""
+    helper = onnx.helper
     sizes = {"x": len(model.regressors), "mean": len(model.outputs), "std": len(model.outputs)}
     x, *results = (
         helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, ["n", n])
@@ -111,21 +154,24 @@ def onnx_model(model: PortableModel) -> Any:
         made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp"
     )
     written, names = model.with_identifiers()
-    lists = {"regressors": written.regressor_names, "outputs": written.outputs}
-    lists |= {
-        edge: tuple(map(repr, getattr(model.envelope, edge).tolist())) for edge in ("low", "high")
+    properties = {
+        "regressors": ",".join(written.regressor_names),
+        "outputs": ",".join(written.outputs),
+        "low": ",".join(map(repr, model.limits[0].tolist())),
+        "high": ",".join(map(repr, model.limits[1].tolist())),
+        "names": json.dumps(names),
+        "content_hash": model.content_hash,
     }
-    properties = {name: ",".join(values) for name, values in lists.items()}
-    properties |= {"names": json.dumps(names), "content_hash": model.content_hash}
     helper.set_model_props(proto, properties)
     onnx.checker.check_model(proto)
     return proto
 
 
-def write_onnx(path: Path, model: PortableModel) -> Path:
+def write_onnx(folder: Path, model: PortableModel) -> list[Path]:
     """Write the graph of a model."""
+    path = folder / "aero.onnx"
     path.write_bytes(onnx_model(model).SerializeToString())
-    return path
+    return [path]
 
 
 class _Graph:
@@ -135,30 +181,32 @@ class _Graph:
         self.onnx = onnx
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
+        self.names: dict[int, tuple[str, Any]] = {}  # with the constant itself, so that ids last
 
     def __call__(
-        self, kind: str, *inputs: str | Array, out: str | None = None, **attributes: Any
+        self, kind: str, *inputs: str | Array | list[int], out: str | None = None, **attributes: Any
     ) -> str:
-        out = f"v{len(self.nodes)}" if out is None else out
-        names = []
-        for each in inputs:
-            names.append(each if isinstance(each, str) else f"c{len(self.constants)}")
-            if not isinstance(each, str):
-                self.constants.append(
-                    self.onnx.numpy_helper.from_array(np.ascontiguousarray(each), names[-1])
-                )
+        out = out or f"v{len(self.nodes)}"
+        names = [each if isinstance(each, str) else self.constant(each) for each in inputs]
         self.nodes.append(self.onnx.helper.make_node(kind, names, [out], **attributes))
         return out
 
-    def sum(self, values: str, axis: int) -> str:
-        """Return the sum over an axis, which stays with length one."""
-        return self("ReduceSum", values, np.array([axis]), keepdims=1)
+    def constant(self, values: Array | list[int]) -> str:
+        """Return the name of a constant; one array is one constant."""
+        if id(values) not in self.names:
+            self.names[id(values)] = f"c{len(self.constants)}", values
+            array = np.array(values, order="C")
+            made = self.onnx.numpy_helper.from_array(array, self.names[id(values)][0])
+            self.constants.append(made)
+        return self.names[id(values)][0]
 
-    def squares(self, z: str, root: Array, centres: Array) -> str:
-        """Return |F^T (z - Z_k)|^2, (n, k)."""
-        wide, scaled = (self("Mul", z, root), centres * root) if root.ndim == 1 else (
-            self("MatMul", z, root), centres @ root,
-        )  # fmt: skip
-        away = self("Sub", self("Unsqueeze", wide, np.array([1])), scaled[None])
-        summed = self.sum(self("Mul", away, away), 2)
-        return self("Squeeze", summed, np.array([2]))
+    def squares(self, values: str, axis: int) -> str:
+        """Return the sum of squares over an axis, which stays with length one."""
+        return self("ReduceSum", self("Mul", values, values), [axis], keepdims=1)
+
+    def total(self, values: Any) -> str:
+        """Return the sum of values of one shape."""
+        first, *others = values
+        for other in others:
+            first = self("Add", first, other)
+        return first

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -18,13 +18,13 @@ from skdgp._mechanics.aerodynamics import SCALERS, scaling_of
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.export._model import Block, LearnedRange, PortableModel, Readout, Regressor
+from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 from skdgp.kernels._features import TrendFeatures
 
-MAX_SAMPLES = 1000  # rows of the training data that an envelope holds
+MAX_SAMPLES = 1000  # rows of the training data that a model holds
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -68,16 +68,12 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
             f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. "
             f"{REMEDY}"
         )
-    regressors, shift, scale, limits = _inputs(pipeline)
-    form = posterior_form(regressor.posterior_)
-    form["prior_variance"] += np.tile(
-        regressor.misfit_variance_ / regressor.scale_**2, len(form["mixture"])
-    )
-    drift = np.zeros((2, len(regressor.scale_)))
-    if np.any(regressor.drift_variance_):
-        drift = np.stack(
-            [regressor.drift_variance_ * np.square(deviation), regressor.drift_memory_]
-        )
+    regressors, shift, scale, limits = _inputs(pipeline, aircraft)
+    posterior = regressor.posterior_
+    misfit = regressor.misfit_variance_ / regressor.scale_**2
+    parts = [part for member in posterior.members for part in _parts(member, misfit)]
+    samples = training_inputs(posterior) * scale + shift
+    seen = samples if limits is None else np.vstack([samples, *limits])
     return PortableModel(
         regressors=regressors,
         outputs=tuple(regressor.output_names_),
@@ -87,17 +83,18 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         center=np.asarray(regressor.center_, dtype=float),
         output_scale=np.asarray(regressor.scale_, dtype=float),
         deviation_scale=np.asarray(regressor.scale_ * deviation, dtype=float),
+        trend_center=_trend_of(posterior.members[0].kernel)[0],
+        parts=tuple(parts),
+        mixture=np.asarray(posterior.mixture, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_ * np.square(deviation)),
-        drift_variance=drift[0],
-        drift_memory=drift[1],
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
-        envelope=_envelope(regressor.posterior_, shift, scale, limits),
+        limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
+        samples=samples[:: -(-len(samples) // MAX_SAMPLES)],
         provenance=plain(facts | {"inference": regressor.inference_}),
-        **form,
     )
 
 
-def _inputs(pipeline):
+def _inputs(pipeline, aircraft):
     """Return the regressors, their shift and scale, and their smallest and largest values or None."""
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
     roles = [getattr(step, "in_simulation", "measurements") for step in steps]
@@ -120,16 +117,17 @@ def _inputs(pipeline):
         )
     units = getattr(pipeline, "control_units_", {})
     regressors = tuple(
-        _regressor(name, by_role.get("rates"), by_role.get("controls"), units) for name in names
+        _regressor(name, by_role.get("rates", aircraft), by_role.get("controls"), units)
+        for name in names
     )
     low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
     return regressors, shift, scale, None if low is None or high is None else (low, high)
 
 
 def _regressor(name, rates, controls, units) -> Regressor:
-    """Return a regressor with the columns that the pipeline computes it from."""
+    """Return a regressor with the columns that the pipeline computes it from; ``rates`` has span and chord."""
     rate = name.removesuffix(HAT)
-    if name.endswith(HAT) and rate in LENGTHS and rates is not None:
+    if name.endswith(HAT) and rate in LENGTHS:
         power = 2 if rate in ACCELERATION_LENGTHS else 1
         return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, LENGTHS[rate])), power)
     unit = units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
@@ -146,169 +144,102 @@ def _regressor(name, rates, controls, units) -> Regressor:
     return Regressor(name, unit, (name,))
 
 
-def _envelope(posterior, shift, scale, limits) -> LearnedRange:
-    if posterior.samples() is None:
-        low, high = np.tile([[-np.inf], [np.inf]], len(shift)) if limits is None else limits
-        return LearnedRange(np.array(low), np.array(high), np.empty((0, len(shift))))
-    X = training_inputs(posterior) * scale + shift
-    seen = X if limits is None else np.vstack([X, *limits])
-    rows = np.unique(np.linspace(0, len(X) - 1, MAX_SAMPLES).astype(int))
-    return LearnedRange(seen.min(axis=0), seen.max(axis=0), X[rows])
+def _trend_of(kernel: Any) -> tuple[Vector, Matrix]:
+    """Return the centre of the linear trend, and the prior deviations of intercept and slopes (P, d + 1)."""
+    trends = [term for term in kernel.summands() if isinstance(term, LinearTrend)]
+    if len(trends) > 1:
+        raise ValueError(f"Got several linear trends, but only one has a portable form. {REMEDY}")
+    if not trends:
+        return np.zeros(kernel.n_features), np.zeros((kernel.n_outputs, kernel.n_features + 1))
+    center = np.broadcast_to(trends[0]._value("center"), kernel.n_features).astype(float)
+    values = [trends[0]._value(name) for name in ("intercept_scale", "slope_scale")]
+    return center, np.column_stack(values)
 
 
-def posterior_form(posterior: Any) -> dict[str, Any]:
-    """Return the arrays of a posterior, those of the members of an average one after another."""
-    forms, mixture = [_form(member) for member in posterior.members], posterior.mixture
-    centres, readouts = (
-        np.cumsum([0, *(len(form[name]) for form in forms)]) for name in ("centres", "readouts")
-    )
-    blocks = [
-        replace(
-            block,
-            output=block.output + k * mixture.shape[1],
-            first_centre=block.first_centre + int(centre),
-        )
-        for k, (form, centre) in enumerate(zip(forms, centres, strict=False))
-        for block in form["blocks"]
-    ]
-    joined = ("centres", "trend_scale", "trend_weights", "prior_variance")
-    return {
-        **{name: np.concatenate([form[name] for form in forms]) for name in joined},
-        **{
-            name: tuple(each for form in forms for each in form[name])
-            for name in ("readouts", "trend_roots")
-        },
-        "blocks": tuple(blocks),
-        "readout_of": np.concatenate(
-            [form["readout_of"] + n for form, n in zip(forms, readouts, strict=False)]
-        ),
-        "trend_center": forms[0]["trend_center"],
-        "mixture": mixture,
-    }
-
-
-def _form(posterior: ExactPosterior | SparsePosterior) -> dict[str, Any]:
-    """Return the arrays of a single posterior."""
-    terms = posterior.kernel.summands()
-    trends = [term for term in terms if isinstance(term, LinearTrend)]
-    gaussians = [term for term in terms if isinstance(term, ConvolvedGaussian)]
-    others = [
-        type(term).__name__
-        for term in terms
-        if not isinstance(term, LinearTrend | ConvolvedGaussian)
-    ]
-    if others or len(trends) > 1:
+def _parts(posterior: ExactPosterior | SparsePosterior, misfit: Vector) -> list[Part]:
+    """Return the parts of a single posterior, one for each output."""
+    terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
+    others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
+    if others:
         raise ValueError(
-            f"Got a model with the kernels {others or 'of several linear trends'}, but only "
-            f"ConvolvedGaussian and one "
-            f"LinearTrend have a portable form. {REMEDY}"
+            f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
+            f"have a portable form. {REMEDY}"
         )
-    P, d = posterior.kernel.n_outputs, posterior.kernel.n_features
-    center, tau = np.zeros(d), np.zeros((P, d + 1))  # tau: prior deviations of intercept and slopes
-    for trend in trends:
-        center = np.broadcast_to(trend._value("center"), (d,)).astype(float)
-        tau = np.column_stack([trend._value("intercept_scale"), trend._value("slope_scale")])
+    center, tau = _trend_of(posterior.kernel)
+    prior = misfit + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in terms)
     exact = isinstance(posterior, ExactPosterior)
-    form = _exact(posterior, gaussians, center, tau) if exact else _sparse(posterior, tau)
-    return form | {
-        "readout_of": np.arange(P) % len(form["readouts"]),
-        "trend_center": center,
-        "trend_scale": tau,
-        "prior_variance": np.zeros(P)
-        + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in gaussians),
-    }
+    found = _exact(posterior, terms, center, tau) if exact else _sparse(posterior, tau)
+    return [
+        Part(tuple(of_part), readout, trend_weights, tau[i], trend_root, float(prior[i]))
+        for i, (of_part, readout, trend_weights, trend_root) in enumerate(found)
+    ]
 
 
-def _exact(
-    posterior: Any, gaussians: list[ConvolvedGaussian], center: Vector, tau: Matrix
-) -> dict[str, Any]:
-    """Return the samples as centres, blocks, one readout with the inverse factor, weights and roots of the trends."""
-    X, (P, e) = posterior.data.X, tau.shape
+def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:
+    """Yield terms, readout, weights and root of the trend of each output; the samples are the centres.
+
+    The basis is the covariance with the observed values, the readout C^-1 y and L^-T of C = L L^T.
+    """
+    X = posterior.data.X
     places = np.cumsum([0, *map(len, X)])
-    blocks = []
-    for i in range(P):
-        for kernel in gaussians:
-            for j, first in enumerate(places[:-1]):
-                blocks += _blocks(kernel, i, j, first, first, len(X[j]), kernel)
     inverse, info = lapack.dtrtri(posterior.L, lower=1)
     if info:
-        raise np.linalg.LinAlgError(
-            f"The inverse of the Cholesky factor failed (trtri info {info})."
-        )
+        raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri {info}).")
     inverse = np.tril(inverse)
-    weights, roots = np.zeros((P, e)), []
+    none = Readout(np.empty(0), np.empty((0, 0)))
+    readout = Readout(posterior.alpha.copy(), inverse.T) if kernels else none
     for i, (a, b) in enumerate(pairwise(places)):
+        terms = [
+            term
+            for kernel in kernels
+            for j, first in enumerate(places[:-1])
+            for term in _terms(kernel, i, j, first, X[j], kernel)
+        ]
         columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
-        weights[i] = posterior.alpha[a:b] @ columns
-        roots.append((inverse[:, a:b] @ columns).T)
-    if gaussians:
-        centres = np.concatenate(X)
-        readout = Readout(posterior.alpha.copy(), inverse[np.tril_indices(len(inverse))])
-    else:
-        centres, readout = np.empty((0, e - 1)), Readout(np.empty(0), np.empty(0))
-        roots = [np.array(rq(root, mode="r"))[:, -e:] for root in roots]
-    readouts = [readout]
-    return {
-        "centres": centres,
-        "blocks": blocks,
-        "readouts": readouts,
-        "trend_weights": weights,
-        "trend_roots": roots,
-    }
+        root = (inverse[:, a:b] @ columns).T
+        if not kernels:
+            root = np.array(rq(root, mode="r"))[:, -tau.shape[1] :]
+        yield terms, readout, posterior.alpha[a:b] @ columns, root
 
 
-def _sparse(posterior: Any, tau: Matrix) -> dict[str, Any]:
-    """Return the same of a sparse posterior: inducing inputs are the centres, each output has a readout."""
-    P, e = tau.shape
-    summands, centres, m = [], [np.empty((0, e - 1))], 0
-    for features in posterior.features.summands():
-        sizes = [len(Z) for Z in getattr(features, "Z", ())]  # a trend has no inducing inputs
-        summands.append((features, m + np.cumsum([0, *sizes])))
-        centres += getattr(features, "Z", [])
-        m += sum(sizes)
-    blocks, readouts, weights, roots = [], [], np.zeros((P, e)), []
-    for i in range(P):
-        of_trend: list[int] = []
-        of_gaussians: list[int] = []
+def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
+    """Yield the same of a sparse posterior: the inducing inputs are the centres, each output has a readout."""
+    for i in range(len(tau)):
+        of_trend = np.zeros(0, int)
+        of_terms: list[Any] = []
+        terms: list[Term] = []
         first = 0
-        for features, places in summands:
-            index = list(range(first, first + len(features.columns(i))))
-            first += len(index)
+        for features in posterior.features.summands():
+            own = np.arange(first, first + len(features.columns(i)))
+            first += len(own)
             if isinstance(features, TrendFeatures):
-                of_trend = index
+                of_trend = own
                 continue
             for f in features._blocks[i]:
-                size = len(features.Z[f])
-                blocks += _blocks(
-                    features.joint, i, P + f, places[f], len(of_gaussians), size, features.kernel
+                pair = i, len(tau) + f
+                terms += _terms(
+                    features.joint, *pair, len(of_terms), features.Z[f], features.kernel
                 )
-                of_gaussians += index[:size]
-                index = index[size:]
-        order, n = of_trend + of_gaussians, len(of_trend)
+                of_terms += own[: len(features.Z[f])].tolist()
+                own = own[len(features.Z[f]) :]
+        order = [*of_trend, *of_terms]
+        n = len(of_trend)
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
-        if n:
-            weights[i] = w[:n] * tau[i]
-            root[:n] *= tau[i][:, None]
-        roots.append(root[:n] if n else np.zeros((e, len(order))))
-        readouts.append(Readout(w[n:], root[n:, n:].T[np.tril_indices(len(of_gaussians))]))
-    points = np.concatenate(centres)
-    return {
-        "centres": points,
-        "blocks": blocks,
-        "readouts": readouts,
-        "trend_weights": weights,
-        "trend_roots": roots,
-    }
+        units = tau[i] if n else np.zeros((len(tau[i]), 0))  # of weights of the trend
+        trend_root = units[:, None] * root[:n] if n else np.zeros((len(units), len(order)))
+        weights = units * w[:n] if n else np.zeros(len(units))
+        yield terms, Readout(w[n:], np.ascontiguousarray(root[n:, n:])), weights, trend_root
 
 
-def _blocks(kernel, i, j, first_centre, first_column, size, original) -> list[Block]:
-    """Return the blocks of output i for its covariance with output j; ``original`` is the kernel of the model."""
+def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
+    """Yield the terms of output i for its covariance with output j at X; ``original`` is the kernel of the model."""
     pair = kernel.pair(i, j)
     (regressors,) = original.term_regressors()
-    place = i, int(first_centre), int(first_column), int(size)
-    return [
-        Block(*place, float(gain), shift, root, regressors)
-        for gain, root, shift in zip(pair.gain, pair.F, pair.mu, strict=True)
-        if size
-    ]
+    unused = np.setdiff1d(np.arange(X.shape[1]), regressors)
+    for gain, root, shift in zip(pair.gain, pair.F, pair.mu, strict=True):
+        F = np.array(root if root.ndim == 2 else np.diag(root))
+        F[unused] = 0.0
+        F = F[:, F.any(axis=0)]
+        if len(X):
+            yield Term(int(first), float(gain), F, (X + shift) @ F)

@@ -4,96 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import qr, rq, solve_triangular
-from scipy.linalg.blas import dtrmm
 
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Matrix, Vector
-from skdgp.export._model import Block, PortableModel, Readout
+from skdgp._compute.typing import Indices, Matrix
+from skdgp.export._model import Part, PortableModel, Readout, Term
 
-FIRST, GROWTH = (
-    4,
-    1.15,
-)  # numbers of functions that are tried: the first, and the ratio of one to the next
-MAX_CANDIDATES, MAX_FUNCTIONS = 3000, 500  # functions of a part to choose from, and that may stay
+SIZES = np.unique((4 * 1.15 ** np.arange(36)).astype(int))  # numbers of functions that are tried
+MAX_CANDIDATES = 3000  # functions of a part to choose from
 MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
-PATIENCE = 8  # sizes without a smaller loss after which a part grows no more
-MOVED = (
-    0.5,
-    1.0,
-    1.5,
-)  # standard deviations by which copies of the points that functions are fitted at are moved
-MOVED_CHECK = (0.5,)  # the same of the points that the loss is measured at
-MAX_TERMS = 2**28  # bytes
+MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points to fit at are moved
+MOVED_CHECK = (0.5,)  # the same of the points to check at
+POINTS = 500  # least number of moved points
 NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
-
-
-class Loss(NamedTuple):
-    """Change of an output by the reduction of a part, at flown points and around them that it was not fitted to."""
-
-    mean: float
-    """Root mean square change of the mean, in posterior deviations."""
-    std: float
-    """Root mean square of the relative change of the deviation."""
-
-
-class _Fit(NamedTuple):
-    """The blocks and centres that stay for one part, its new weights and root, and the loss."""
-
-    blocks: list[Block]
-    centres: Matrix
-    trend_weights: Vector
-    weights: Vector
-    trend_root: Matrix
-    packed_root: Vector
-    loss: Loss
 
 
 @one_blas_thread()
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
-    r"""Return the model with so few basis functions that ``size(model) <= most``, at the least loss.
+    r"""Return the model with so few basis functions that ``size(model) <= most``, at a small loss.
 
     The Gaussian functions of a part overlap, so that a few of them, g_S, and the trend p span the
-    others nearly. A pivoted QR factorisation at flown points chooses them, as in an interpolative
-    decomposition (Cheng et al. 2005). Least squares fit mean and explained root as functions of p
-    and g_S. The part whose reduction changes its output most gets the next functions, until the
-    size is reached. ``provenance["reduction"]`` holds the loss of each output, the sum over its
-    parts. Raises ValueError if no model is small enough.
+    others nearly. A pivoted QR factorisation at points of the flights chooses them, as in an
+    interpolative decomposition (Cheng et al. 2005). Least squares fit mean and explained root as
+    functions of p and g_S. The part whose reduction changes its output most gets the next
+    functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output.
+    Raises ValueError if no model is small enough.
     """
     if size(model) <= most:
         return model
     Z, check = _points(model)
-    truth = np.empty((2, len(check), len(model.readout_of)))
-    parts = [_Part(model, j, Z, check, truth) for j in range(len(model.readout_of))]
-    best = _assembled(model, [part.best() for part in parts])
-    if size(best) > most:
+    choices = [_Choice(model, j, Z, check) for j in range(len(model.parts))]
+    numbers = [0] * len(choices)
+    fits = [choice.fit(0) for choice in choices]
+    if (smallest := size(_with_parts(model, fits))) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes "
-            f"{size(best)}: allow more."
+            f"{smallest}: allow more."
         )
-    while growing := [part for part in parts if part.can_grow()]:
-        worst = max(growing, key=lambda part: max(part.best().loss))
-        worst.number += 1
-        trial = _assembled(model, [part.best() for part in parts])
-        if size(trial) > most:
-            return best
-        best = trial
-    return best
-
-
-def reduced_to_kb(
-    model: PortableModel, size: Callable[[PortableModel], int], max_kb: float | None
-) -> PortableModel:
-    """Return the model in at most ``max_kb`` kilobytes, or as it is for None; ``size`` returns bytes."""
-    if max_kb is None:
-        return model
-    if not 0 < max_kb < np.inf:
-        raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
-    return reduced(model, size, int(1024 * max_kb))
+    while growing := [j for j, each in enumerate(choices) if numbers[j] + 1 < len(each.sizes)]:
+        worst = max(growing, key=lambda j: fits[j].loss)
+        numbers[worst] += 1
+        fit = choices[worst].fit(numbers[worst])
+        if fit.loss < fits[worst].loss:
+            grown = [*fits[:worst], fit, *fits[worst + 1 :]]
+            if size(_with_parts(model, grown)) > most:
+                break
+            fits = grown
+    best = _with_parts(model, fits)
+    return replace(best, provenance=model.provenance | {"reduction": _loss(model, best, check)})
 
 
 def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
@@ -101,162 +62,118 @@ def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
     return model.provenance.get("reduction", {})
 
 
-def check_terms(model: PortableModel) -> None:
-    """Raise ValueError if the terms of a model, each with its own rows of the root, are too large for a graph."""
-    sizes = [
-        block.size * model.readouts[model.readout_of[block.output]].size for block in model.blocks
-    ]
-    if 8 * sum(sizes) > MAX_TERMS:
-        raise ValueError(
-            f"Got a model whose terms take {8e-6 * sum(sizes):.0f} MB, but expected at most "
-            f"{MAX_TERMS / 1e6:.0f} MB: "
-            "give max_kb=256 (--max-kb 256), or another size."
-        )
-
-
-def _points(model) -> tuple[Matrix, Matrix]:
-    """Return scaled regressors to fit and to check at: flown ones, and around them."""
+def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
+    """Return scaled regressors to fit and to check at: those of the flights, and around them."""
     rng = np.random.default_rng(0)
-    samples = (model.points() - model.shift) / model.scale
-    if max(readout.size for readout in model.readouts) > MANY:
-        samples = samples[np.linspace(0, len(samples) - 1, min(len(samples), FEWER)).astype(int)]
+    samples = model.scaled(model.samples)
+    if max(len(readout.weights) for readout in model.readouts) > MANY:
+        samples = samples[:: -(-len(samples) // FEWER)]
 
     def around(Z, moved):
-        return np.concatenate(
-            [Z, *(Z + by * samples.std(axis=0) * rng.standard_normal(Z.shape) for by in moved)]
-        )
+        steps = samples.std(axis=0) * np.resize(moved, max(len(moved), POINTS // len(Z)))[:, None]
+        noise = rng.standard_normal((len(steps), *Z.shape)) * steps[:, None]
+        return np.concatenate([Z, *(Z + noise)])
 
     return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
 
 
-class _Part:
-    """One part: its functions in the order of their use, and the fit of the first ones.
+def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
+    """Return root mean square changes of mean and deviation, over the deviation."""
+    X = Z * model.scale + model.shift
+    mean, std = model.predict(X, return_std=True, include_input_noise=False)
+    changed, other = small.predict(X, return_std=True, include_input_noise=False)
+    of_mean = np.sqrt(np.mean(((changed - mean) / std) ** 2, axis=0)).tolist()
+    of_std = np.sqrt(np.mean((other / std - 1.0) ** 2, axis=0)).tolist()
+    losses = zip(model.outputs, of_mean, of_std, strict=True)
+    return {name: {"mean": in_mean, "std": in_std} for name, in_mean, in_std in losses}
 
-    ``truth`` holds mean and variance of all parts at the points to check at, (2, n, K P); each part
-    writes its own.
-    """
 
-    def __init__(
-        self, model: PortableModel, j: int, Z: Matrix, check: Matrix, truth: np.ndarray
-    ) -> None:
-        readout = model.readouts[model.readout_of[j]]
-        self.model, self.j, self.truth = model, j, truth
-        self.v, self.T = model.trend_weights[j], model.trend_roots[j]
-        self.p = model._trend(check)
-        truth[:, :, j] = self._predicted(*_readout(readout, model._basis(check, j)))
-        p, (mean, half) = model._trend(Z), _readout(readout, model._basis(Z, j))
-        weight = 1 / np.sqrt(model._variance(j, p, half))[:, None]
-        self.blocks = [block for block in model.blocks if block.output == j]
-        step = max(
-            1, -(-sum(block.size for block in self.blocks) // MAX_CANDIDATES)
-        )  # evenly from each block
-        places = [[b, k] for b, block in enumerate(self.blocks) for k in range(0, block.size, step)]
-        candidates = np.array(places, dtype=int).reshape(-1, 2)
-        g = weight * self._functions(Z, candidates)
-        trend, _ = qr(weight * p, mode="economic")
-        rest = g - trend @ (trend.T @ g)
-        _, R, order = qr(rest, mode="economic", pivoting=True)
-        size = np.abs(np.diag(R))
-        n = min(int(np.sum(size > NEGLIGIBLE * size.max(initial=0.0))), MAX_FUNCTIONS)
-        self.kept = candidates[order[:n]]
-        Q, self.R = qr(np.hstack([weight * p, g[:, order[:n]]]), mode="economic")
-        self.targets = Q.T @ (weight * np.column_stack([mean, half]))
-        self.checked = np.hstack([self.p, self._functions(check, self.kept)])
-        sizes = np.unique((FIRST * GROWTH ** np.arange(50)).astype(int))
-        self.sizes, self.number = [0, *sizes[sizes <= n].tolist()], 0
-        self.fit = cache(self._fit)
+class _Fit(NamedTuple):
+    """A part with few functions."""
 
-    def best(self) -> _Fit:
-        """Return the fit of the least loss among the sizes so far."""
-        return self.fit(self._best())
+    part: Part
+    loss: float
+    """The larger of the changes of mean and deviation of its output, root mean square."""
 
-    def can_grow(self) -> bool:
-        """Whether more functions may lose less."""
-        return self.number + 1 < len(self.sizes) and self.number - self._best() < PATIENCE
 
-    def _best(self) -> int:
-        return min(range(self.number + 1), key=lambda number: max(self.fit(number).loss))
+class _Choice:
+    """The functions of a part in the order of their use, and the fit of the first ones."""
 
-    def _functions(self, Z, places) -> Matrix:
-        """Return Gaussian functions, by block and place in it (k, 2), at scaled regressors, (n, k)."""
+    def __init__(self, model: PortableModel, j: int, Z: Matrix, check: Matrix) -> None:
+        self.part = part = model.parts[j]
+        component, i = divmod(j, len(model.outputs))
+        self.weight = model.mixture[component, i]
+        self.spread = model._moments(check, True)[1][:, i]
+        self.p = model.trend(check)
+        g = part.basis(check)
+        self.mean = g @ part.readout.weights
+        self.variance = part.variance(self.p, g @ part.readout.root)
+
+        p = model.trend(Z)
+        g = part.basis(Z)
+        explained = g @ part.readout.root
+        own = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
+        places = [(t, k) for t, term in enumerate(part.terms) for k in range(len(term.centres))]
+        candidates = np.array(places[:: -(-len(places) // MAX_CANDIDATES) or 1]).reshape(-1, 2)
+        functions = own * self._functions(Z, candidates)
+        trend, _ = qr(own * p, mode="economic")
+        _, R, order = qr(functions - trend @ (trend.T @ functions), mode="economic", pivoting=True)
+        left = np.abs(np.diag(R))
+        n = int(np.sum(left > NEGLIGIBLE * left.max(initial=0.0)))
+        self.sizes = [0, *SIZES[n >= SIZES].tolist()]
+        self.chosen = candidates[order[: self.sizes[-1]]]
+        columns = np.hstack([own * p, functions[:, order[: self.sizes[-1]]]])
+        Q, self.R = qr(columns, mode="economic")
+        self.targets = Q.T @ (own * np.column_stack([g @ part.readout.weights, explained]))
+        self.checked = np.hstack([self.p, self._functions(check, self.chosen)])
+
+    def _functions(self, Z: Matrix, places: Indices) -> Matrix:
+        """Return Gaussian functions, by term and place in it (k, 2), at scaled regressors, (n, k)."""
         found = np.empty((len(Z), len(places)))
-        for b, block in enumerate(self.blocks):
-            columns = np.flatnonzero(places[:, 0] == b)
-            centres = self.model.centres[block.first_centre + places[columns, 1]]
-            found[:, columns] = block.functions(Z, centres)
+        for t, term in enumerate(self.part.terms):
+            columns = np.flatnonzero(places[:, 0] == t)
+            few = replace(term, centres=term.centres[places[columns, 1]])
+            found[:, columns] = few.functions(Z)
         return found
 
-    def _predicted(self, mean: Vector, half: Matrix) -> tuple[Vector, Vector]:
-        """Return normalised mean and variance at the points to check at, of what functions add to mean and root."""
-        return self.p @ self.v + mean, self.model._variance(self.j, self.p, half)
+    def fit(self, number: int) -> _Fit:
+        """Return the part with the first functions."""
+        e = self.p.shape[1]
+        n = self.sizes[number]
+        T = self.part.trend_root
+        solved: Any = solve_triangular(self.R[: e + n, : e + n], self.targets[: e + n])
+        found = self.checked[:, : e + n] @ solved
+        variance = self.part.variance(self.p, found[:, 1:])
+        of_mean = self.weight**2 * np.mean((found[:, 0] - self.mean) ** 2 / self.spread)
+        ratio = 1.0 + self.weight * (variance - self.variance) / self.spread
+        of_std = np.mean((np.sqrt(np.maximum(ratio, 0.0)) - 1.0) ** 2)
 
-    def _loss(self, mean: Vector, variance: Vector) -> Loss:
-        """Return how the output changes if this part has another mean and variance."""
-        changed = self.truth.copy()
-        changed[:, :, self.j] = mean, variance
-        i = self.j % len(self.model.outputs)
-        (mean, variance), (new_mean, new) = (
-            (found[:, i] for found in self.model.mixed(*values)) for values in (self.truth, changed)
-        )
-        return Loss(
-            float(np.sqrt(np.mean((new_mean - mean) ** 2 / variance))),
-            float(np.sqrt(np.mean((np.sqrt(new / variance) - 1) ** 2))),
-        )
-
-    def _fit(self, number: int) -> _Fit:
-        n, size = self.p.shape[1], self.sizes[number]
-        kept = self.kept[:size]
-        solved: Any = solve_triangular(self.R[: n + size, : n + size], self.targets[: n + size])
-        columns = self.checked[:, : n + size]
-        loss = self._loss(*self._predicted(columns @ solved[:, 0], columns @ solved[:, 1:]))
-        order = np.lexsort((kept[:, 1], kept[:, 0]))
-        solved = np.concatenate([solved[:n], solved[n:][order]])
-        root: Any = np.zeros((n + size, max(self.T.shape[1], n + size)))
-        root[:n, root.shape[1] - self.T.shape[1] :] = self.T
+        places = self.chosen[:n]
+        order = np.lexsort((places[:, 1], places[:, 0]))
+        solved = np.concatenate([solved[:e], solved[e:][order]])
+        root = np.zeros((e + n, max(T.shape[1], e + n)))
+        root[:e, root.shape[1] - T.shape[1] :] = T
         root[:, root.shape[1] - solved.shape[1] + 1 :] += solved[:, 1:]
-        root = np.asarray(rq(root, mode="r"))[:, -(n + size) :]
-        blocks, centres = self._blocks(kept[order])
-        packed = root[n:, n:].T[np.tril_indices(size)]
-        return _Fit(blocks, centres, self.v + solved[:n, 0], solved[n:, 0], root[:n], packed, loss)
+        root = np.asarray(rq(root, mode="r"))[:, -(e + n) :]
+        part = replace(
+            self.part,
+            terms=self._terms(places[order]),
+            readout=Readout(solved[e:, 0], root[e:, e:]),
+            trend_weights=self.part.trend_weights + solved[:e, 0],
+            trend_root=root[:e],
+        )
+        return _Fit(part, float(np.sqrt(max(of_mean, of_std))))
 
-    def _blocks(self, kept) -> tuple[list[Block], Matrix]:
-        """Return the blocks of the functions that stay, and their centres."""
-        blocks, centres = [], [np.empty((0, len(self.model.scale)))]
-        for b, block in enumerate(self.blocks):
-            rows = np.flatnonzero(kept[:, 0] == b)
+    def _terms(self, places: Indices) -> tuple[Term, ...]:
+        """Return the terms of functions in order."""
+        terms = []
+        for t, term in enumerate(self.part.terms):
+            rows = np.flatnonzero(places[:, 0] == t)
             if len(rows):
-                first = int(rows[0])
-                blocks.append(
-                    replace(block, first_centre=first, first_column=first, size=len(rows))
-                )
-                centres.append(self.model.centres[block.first_centre + kept[rows, 1]])
-        return blocks, np.concatenate(centres)
+                centres = term.centres[places[rows, 1]]
+                terms.append(replace(term, first=int(rows[0]), centres=centres))
+        return tuple(terms)
 
 
-def _readout(readout: Readout, g: Matrix) -> tuple[Vector, Matrix]:
-    """Return what a basis (n, k) adds to the mean (n,) and to the root (n, k)."""
-    return g @ readout.weights, dtrmm(1.0, readout.root, g.T, trans_a=1).T if g.size else g
-
-
-def _assembled(model: PortableModel, fits: list[_Fit]) -> PortableModel:
-    """Return the model with the functions that stay."""
-    places, P = np.cumsum([0, *(len(fit.centres) for fit in fits)]).tolist(), len(model.outputs)
-    of_outputs = [[fit.loss for fit in fits[i::P]] for i in range(P)]
-    losses = [
-        {"mean": sum(loss.mean for loss in of), "std": sum(loss.std for loss in of)}
-        for of in of_outputs
-    ]
-    return replace(
-        model,
-        centres=np.concatenate([fit.centres for fit in fits]),
-        blocks=tuple(
-            replace(block, first_centre=block.first_centre + place)
-            for place, fit in zip(places, fits, strict=False)
-            for block in fit.blocks
-        ),
-        readouts=tuple(Readout(fit.weights, fit.packed_root) for fit in fits),
-        readout_of=np.arange(len(fits)),
-        trend_weights=np.stack([fit.trend_weights for fit in fits]),
-        trend_roots=tuple(fit.trend_root for fit in fits),
-        provenance=model.provenance | {"reduction": dict(zip(model.outputs, losses, strict=True))},
-    )
+def _with_parts(model: PortableModel, fits: list[_Fit]) -> PortableModel:
+    return replace(model, parts=tuple(fit.part for fit in fits))

@@ -1,118 +1,114 @@
-"""Small models of six coefficients."""
+"""Small models of every kind of posterior that can be exported, fitted in a moment."""
 
+import warnings
 from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
+from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.export import build_up
+from skdgp.export import portable_model
+from skdgp.identification import make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-RANGES = {
-    "alpha": (-0.05, 0.2), "beta": (-0.15, 0.15), "p_hat": (-0.1, 0.1), "q_hat": (-0.01, 0.01), "r_hat": (-0.05, 0.05),
-    "elevator": (-0.2, 0.2), "aileron": (-0.2, 0.2), "rudder": (-0.2, 0.2),
-}  # fmt: skip
+REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
+JOINT = {"structure": "joint"}
+SPARSE = {"inference": "sparse", "n_inducing": 9}
+ALONE = ConvolvedGaussian(0, regressors=[0]) + ConvolvedGaussian(0, regressors=[2])
+AVERAGE = {"kernel": ALONE + ConvolvedGaussian(1, private_latents=False)}
+KINDS = {
+    "average": AVERAGE,
+    "joint": JOINT,
+    "full": JOINT | {"covariance_type": "full"},
+    "additive": JOINT | {"kernel": LinearTrend() + ALONE, "trend": None},
+    "trend": {"structure": "trend"},
+    "constant": JOINT | {"trend": "constant"},
+    "noisy": JOINT | {"input_noise": 0.1},
+    "sparse": SPARSE | AVERAGE,
+    "sparse-joint": SPARSE | JOINT,
+    "sparse-constant": SPARSE | JOINT | {"trend": "constant"},
+    "calibrated": JOINT | {"input_noise": 0.1},
+    "precise": JOINT | {"max_iter": 20},  # little noise: the variance is a millionth of the prior
+}
+AIRCRAFT = Aircraft(
+    name="uav", mass=11.0, inertia=[[1.1, -0.1, 0.2], [-0.1, 2.3, 0.1], [0.2, 0.1, 2.9]],
+    wing_area=1.3, span=2.6, chord=0.5,
+)  # fmt: skip
 
 
-def alone(k):
-    """Return processes of one regressor."""
-    return ConvolvedGaussian(0, regressors=[k])
-
-
-def linear(X):
-    """Return six coefficients (n, 6), a textbook aircraft."""
-    alpha, beta, p, q, r, elevator, aileron, rudder = np.asarray(X).T
-    return np.stack([
-        -0.03 + 0.3 * alpha, -0.5 * beta + 0.1 * rudder, -0.2 - 4.5 * alpha - 5 * q - 0.4 * elevator,
-        -0.05 * beta - 0.45 * p + 0.1 * r + 0.15 * aileron, 0.02 - 0.5 * alpha - 9 * q - 0.9 * elevator,
-        0.08 * beta - 0.03 * p - 0.12 * r - 0.08 * rudder,
+def make_flight(n, seed, noise=1e-3):
+    """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
+    rng = np.random.default_rng(seed)
+    x = {name: rng.normal(0.0, 0.1, n) for name in REGRESSORS}
+    x["q_hat"] /= 20
+    speed = rng.uniform(20.0, 30.0, n)
+    Y = np.stack([
+        -0.03 + 0.3 * x["alpha"] + 4 * x["alpha"] ** 2, -0.5 * x["beta"] + 0.1 * x["rudder"],
+        -0.2 - 4.5 * x["alpha"] - 5 * x["q_hat"] - 0.4 * x["elevator"] + 0.1 * np.sin(20 * x["alpha"]),
+        -0.05 * x["beta"] + 0.15 * x["aileron"],
+        0.02 - 0.5 * x["alpha"] - 9 * x["q_hat"] - 0.9 * x["elevator"] + x["alpha"] * x["elevator"],
+        0.08 * x["beta"] - 0.08 * x["rudder"],
     ], axis=-1)  # fmt: skip
+    flight = {"alpha": x["alpha"], "beta": x["beta"], "rudder": x["rudder"], "airspeed": speed}
+    flight["q"] = x["q_hat"] * 2 * speed / AIRCRAFT.chord
+    flight["elevon_left"] = x["elevator"] + x["aileron"]
+    flight["elevon_right"] = x["elevator"] - x["aileron"]
+    flight = pd.DataFrame(flight).assign(time=0.1 * np.arange(n))
+    return flight, pd.DataFrame(Y + rng.normal(0.0, noise, Y.shape), columns=COEFFICIENTS)
 
 
-def bent(X):
-    """Return six coefficients with curves of alpha and of beta: additive."""
-    X = np.asarray(X)
-    alpha, beta = X[:, 0], X[:, 1]
-    more = np.zeros((len(X), 6))
-    more[:, 0] = 4 * alpha**2
-    more[:, 2] = 0.3 * np.sin(20 * alpha)
-    more[:, 5] = 0.3 * beta * np.abs(beta)
-    return linear(X) + more
-
-
-def curved(X):
-    """Return six coefficients with curves, and a pair."""
-    X = np.asarray(X)
-    return bent(X) + np.multiply.outer(2 * X[:, 0] * X[:, 5], [0, 0, 0, 0, 1, 0])
+def pipeline_of(regressor, aircraft=AIRCRAFT, **options):
+    """Return an identification pipeline without smoothing."""
+    options = {"regressors": REGRESSORS, "cutoff": None, "regressor": regressor} | options
+    model = make_identification_pipeline(aircraft, reconstruction="passthrough", **options)
+    return model.set_params(flightcheck="passthrough", flightsmoother="passthrough")
 
 
 @pytest.fixture(scope="session")
-def uav():
-    """Return an aircraft with a full inertia tensor."""
-    return Aircraft(
-        name="uav", mass=11.0, inertia=[[1.1, -0.1, 0.2], [-0.1, 2.3, 0.1], [0.2, 0.1, 2.9]],
-        wing_area=1.3, span=2.6, chord=0.5,
-    )  # fmt: skip
-
-
-@pytest.fixture(scope="session")
-def regressors():
-    """Return 60 samples of eight regressors."""
-    low, high = np.array(list(RANGES.values())).T
-    return pd.DataFrame(np.random.default_rng(0).uniform(low, high, (60, 8)), columns=list(RANGES))
-
-
-@pytest.fixture(scope="session")
-def fitted(regressors, cut_short):
-    """Return fitted pipelines by name, each fitted once."""
-    shared = ConvolvedGaussian(1, private_latents=False, length_scale_bounds="spacing")
-    noise = np.array([1e-3, 1e-3, 5e-3, 3e-4, 2e-3, 3e-4])
-    options = {
-        "trend": (linear, {"structure": "trend"}),
-        "additive": (
-            bent,
-            {"kernel": LinearTrend() + alone(0) + alone(1), "trend": None, "structure": "joint"},
-        ),
-        "joint": (curved, {"kernel": shared, "structure": "joint"}),
-        "sparse": (
-            curved,
-            {"kernel": shared, "structure": "joint", "inference": "sparse", "n_inducing": 40},
-        ),
-        "average": (curved, {"kernel": alone(0) + shared}),
-        "sparse-average": (
-            curved,
-            {"kernel": alone(0) + shared, "inference": "sparse", "n_inducing": 20},
-        ),
-    }
+def fitted(cut_short):
+    """Return a function of a kind: what its model file holds; each kind is fitted once."""
 
     @cache
-    def get(name):
-        function, parameters = options[name]
-        Y = function(regressors) + noise * np.random.default_rng(1).standard_normal(
-            (len(regressors), 6)
+    def get(kind):
+        options = {"n_latent": 1, "max_iter": 2, "random_state": 0} | KINDS[kind]
+        regressor = DependentGPRegressor(**options)
+        if kind == "calibrated":
+            regressor = CalibratedRegressor(regressor, method="variance", level=0.5, cv=2)
+        with cut_short(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of few rows, and of one flight to calibrate on
+            model = pipeline_of(regressor).fit(
+                *make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
+            )
+        return Bunch(
+            pipeline=model, aircraft=AIRCRAFT, created="2026-01-01", versions={"skdgp": "1"}
         )
-        regressor = DependentGPRegressor(max_iter=3, random_state=0, **parameters)
-        model = make_pipeline(StandardScaler(), regressor)
-        model[0].set_output(transform="pandas")
-        with cut_short():
-            return model.fit(regressors, pd.DataFrame(Y, columns=COEFFICIENTS))
 
     return get
 
 
 @pytest.fixture(scope="session")
-def built(fitted, uav):
-    """Return the build-ups of the fitted pipelines by name, each made once; of main effects without pairs."""
+def portable_of(fitted):
+    """Return a function of a kind: its portable model."""
+    return cache(lambda kind: portable_model(**fitted(kind)))
 
-    @cache
-    def get(name):
-        pairs = "none" if name == "additive" else "all"
-        return build_up(fitted(name), uav, pairs=pairs, max_loss=np.inf)
 
-    return get
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return request.param
+
+
+@pytest.fixture
+def portable(portable_of, kind):
+    """Return the portable model of each kind, in turn."""
+    return portable_of(kind)
+
+
+@pytest.fixture(scope="session")
+def flight():
+    """Return a flight that no model has seen."""
+    return make_flight(30, 3)[0]

@@ -15,11 +15,11 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "gymnasium_environm
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity")  # observations have no limits
-def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted, uav):
+def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
     spec = spec_from_file_location("gymnasium_environment", EXAMPLE)
     example = module_from_spec(spec)
     spec.loader.exec_module(example)
-    model = fitted("trend")
+    model, uav = fitted("trend").pipeline, fitted("trend").aircraft
     steady = trim(model, uav, 25.0, altitude=200.0)
     env = example.AircraftEnv(model, uav, steady)
     checker.check_env(env, skip_render_check=True)

@@ -1,6 +1,6 @@
 /* Aerodynamic coefficients of ${aircraft}, with their standard deviations.
  *
- * A posterior mean and deviation of Gaussian processes, written by skdgp. At most ${size} bytes of flash.
+ * Posterior mean and standard deviation of Gaussian processes, written by skdgp. At most ${size} bytes of flash.
  * Content ${hash}
  *
  * SI units and radians, body axes x forward, y right, z down. Force = dynamic pressure * AERO_WING_AREA * coefficient;
@@ -14,8 +14,6 @@
 extern "C" {
 #endif
 
-typedef ${real} aero_real;
-
 #define AERO_SOURCES ${n_sources}
 #define AERO_INPUTS ${d}
 #define AERO_OUTPUTS ${P}
@@ -28,24 +26,24 @@ extern const char *const aero_source_names[AERO_SOURCES];
 extern const char *const aero_input_names[AERO_INPUTS];
 extern const char *const aero_output_names[AERO_OUTPUTS];
 
-/* Smallest and largest value of each input that the model was learned from. */
-extern const aero_real aero_low[AERO_INPUTS], aero_high[AERO_INPUTS];
+/* Smallest and largest value of each input in the training data. */
+extern const double aero_limits[2][AERO_INPUTS];
 
 /* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products. */
 ${constants}
 
 /* Inputs of the sources: non-dimensional rates, mixed controls. */
-void aero_inputs(const aero_real source[AERO_SOURCES], aero_real x[AERO_INPUTS]);
+void aero_inputs(const double source[AERO_SOURCES], double x[AERO_INPUTS]);
 
 /* Mean of every coefficient and, unless std is NULL, its standard deviation at exact inputs, as of a simulation.
  * Noise of measured inputs with covariance S adds slope S slope^T to the variance, on most flights its larger part. */
-void aero_predict(const aero_real x[AERO_INPUTS], aero_real mean[AERO_OUTPUTS], aero_real std[AERO_OUTPUTS]);
+void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double std[AERO_OUTPUTS]);
 
 /* Slopes of the means, d mean[i] / d x[k]. */
-void aero_gradient(const aero_real x[AERO_INPUTS], aero_real slope[AERO_OUTPUTS][AERO_INPUTS]);
+void aero_gradient(const double x[AERO_INPUTS], double slope[AERO_OUTPUTS][AERO_INPUTS]);
 
-/* Zero within the flown envelope; else bit k is set for each input k outside of its range, or not a number. */
-unsigned long aero_beyond(const aero_real x[AERO_INPUTS]);
+/* Zero within the range of the training data; else bit k is set for each input k outside of it, or not a number. */
+unsigned long aero_beyond(const double x[AERO_INPUTS]);
 
 #ifdef __cplusplus
 }

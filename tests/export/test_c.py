@@ -1,0 +1,93 @@
+"""The model in C: compiled by a strict compiler and compared with Python."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from skdgp.export import export_model, write_c
+
+STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
+CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiler():
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc compiles the exported model, and is not installed")
+
+
+def done(folder, *words):
+    """Run a command in a folder, and return what it printed."""
+    run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr + run.stdout
+    return run.stdout
+
+
+class Library:
+    """The functions of aero.c, called from Python."""
+
+    def __init__(self, folder, model):
+        done(folder, *STRICT, "-O0", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm")
+        self.library = ctypes.CDLL(str(folder / "aero.so"))
+        self.library.aero_beyond.restype = ctypes.c_ulong
+        self.shape = (len(model.outputs), len(model.regressors))
+
+    def __call__(self, name, values, *shapes):
+        arrays = [np.ascontiguousarray(values), *(np.empty(shape) for shape in shapes)]
+        pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
+        found = getattr(self.library, f"aero_{name}")(*pointers)
+        return arrays[1:] or found
+
+
+def test_equals_the_model(portable, flight, tmp_path):
+    model, X = portable, portable.regressor_values(flight)
+    write_c(tmp_path, model)
+    done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    assert "passed: 40 points" in done(tmp_path, "./test")
+
+    library = Library(tmp_path, model)
+    P, d = library.shape
+    mean, std = model.predict(X, return_std=True, include_input_noise=False)
+    found = np.array([library("predict", x, P, P) for x in X])
+    np.testing.assert_allclose(found[:, 0], mean, rtol=0, atol=1e-12 * np.abs(mean).max())
+    assert (np.abs(found[:, 1] - std) <= np.maximum(1e-9 * std.max(0), model.rounding(X))).all()
+    slopes = model.predict_gradient(X) * model.scale
+    slopes_found = np.array([library("gradient", x, (P, d))[0] for x in X]) * model.scale
+    np.testing.assert_allclose(slopes_found, slopes, rtol=0, atol=1e-9 * np.abs(slopes).max())
+    outside = [bool(library("beyond", x)) for x in X]
+    assert outside == (~model.inside(X)).tolist()
+    inside = model.limits.mean(axis=0)
+    assert library("beyond", np.where(np.arange(d) == 2, np.nan, inside)) == 2**2
+    sources = flight[list(model.columns)].to_numpy()
+    inputs = np.array([library("inputs", row, d)[0] for row in sources])
+    np.testing.assert_allclose(inputs, X, rtol=1e-12, atol=1e-14)
+    assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()
+
+
+def test_make_test_passes(portable_of, tmp_path):
+    if shutil.which("make") is None:
+        pytest.skip("make is not installed")
+    write_c(tmp_path, portable_of("trend"))
+    assert "time of a row" in done(tmp_path, "make", "test")
+
+
+def test_a_size_is_kept(portable_of, tmp_path):
+    facts = export_model(tmp_path, portable_of("joint"), "c", max_kb=60)
+    assert max(facts["loss"]["CZ"].values()) > 0
+    done(tmp_path, *STRICT, "-Os", "-c", "aero.c", "-o", "aero.o")
+    sizes = done(tmp_path, "size", "aero.o").splitlines()[1].split()
+    assert sum(map(int, sizes[:3])) <= 60 * 1024
+    assert export_model(tmp_path, portable_of("joint"), "c", max_kb=1e4)["loss"] == {}
+
+
+@pytest.mark.parametrize(
+    ("max_kb", "message"),
+    [(0, "max_kb=0, but expected a size > 0"), (1, "the smallest form of this model takes")],
+)
+def test_a_size_that_cannot_be_is_refused(portable_of, tmp_path, max_kb, message):
+    with pytest.raises(ValueError, match=message):
+        export_model(tmp_path, portable_of("sparse"), "c", max_kb=max_kb)
+    assert not list(tmp_path.iterdir())

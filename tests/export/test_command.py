@@ -1,0 +1,103 @@
+"""The command ``export``: a model that leaves Python."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skdgp._cli import main
+from skdgp.export import FORMATS, load_portable, portable_model
+from skdgp.identification import load_model, save_model
+
+
+@pytest.fixture
+def path(fitted, tmp_path):
+    """Return a model file."""
+    return save_model(tmp_path / "model.joblib", **fitted("sparse"), flights=["monday"])
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    """Run a command; return the numbers that it printed, and its folder."""
+
+    def run(model, *words):
+        folder = tmp_path / "out"
+        assert main(["export", str(model), *map(str, words), "-o", str(folder), "--json"]) == 0
+        return json.loads(capsys.readouterr().out, parse_constant=pytest.fail), folder
+
+    return run
+
+
+def test_portable(run, path):
+    numbers, folder = run(path, "--to", "portable")
+    assert numbers["files"] == {"model.npz": (folder / "model.npz").stat().st_size}
+    model, whole = load_portable(folder / "model.npz"), portable_model(**load_model(path))
+    assert model.content_hash == whole.content_hash
+    assert model.provenance["flights"] == ["monday"]
+    assert model.provenance["versions"]["numpy"] == np.__version__
+
+
+@pytest.mark.parametrize(
+    ("to", "files"),
+    [
+        ("c", ["aero.h", "aero.c", "test_aero.c", "Makefile"]),
+        ("jsbsim", ["aircraft/uav/uav.xml"]),
+    ],
+)
+def test_of_a_portable_model_in_a_smaller_size(run, path, to, files):
+    _, folder = run(path, "--to", "portable")
+    numbers, _ = run(folder / "model.npz", "--to", to, "--max-kb", 60)
+    assert list(numbers["files"]) == files
+    assert all((folder / name).stat().st_size for name in files)
+    assert set(numbers["loss"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
+        (["--to", "c", "--aircraft", "no.json"], "no.json"),
+    ],
+)
+def test_what_cannot_be_exported(path, words, message, tmp_path, capsys):
+    assert main(["export", str(path), *words, "-o", str(tmp_path / "new" / "out")]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    (error,) = [line for line in lines if not line.startswith("warning: ")]
+    assert re.search(f"error: .*{message}", error)
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_is_no_model(path, tmp_path, capsys):
+    (tmp_path / "model.npz").write_bytes(b"junk")
+    for model, words, message in (
+        (tmp_path / "model.npz", [], "is not a portable model"),
+        (tmp_path / "none.npz", [], "there is no such file"),
+        (tmp_path / "model.npz", ["--aircraft", "other.json"], "a portable model has its own"),
+    ):
+        assert main(["export", str(model), "--to", "c", *words, "-o", str(tmp_path / "out")]) == 1
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+    with pytest.raises(SystemExit) as end:
+        main(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert all(name in error for name in FORMATS)
+
+
+def test_code_of_the_page_runs(fitted, flight, tmp_path, monkeypatch):
+    """The Python of the section of export.md, in one namespace with a flight."""
+    page = Path(__file__).parents[2] / "docs" / "export.md"
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").mkdir()
+    save_model("results/model.joblib", **fitted("sparse"))
+    names = {"flight": flight}
+    text = page.read_text(encoding="utf-8").partition("\n## The portable model\n")[2]
+    section = text.partition("\n## ")[0]
+    for block in re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE):
+        exec(compile(block, "export.md", "exec"), names)
+    assert names["slopes"].shape == (30, 6, 6)
+    X = names["model"].regressor_values(flight)
+    np.testing.assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)

@@ -1,0 +1,155 @@
+"""The file of a portable model: the same model elsewhere, without code, and refused where it is damaged."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+import zipfile
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skdgp.export import PortableFileError, load_portable, save_portable
+
+ROOT = Path(__file__).resolve().parents[2]
+NO_PICKLE = """
+import pickle, sys
+import numpy as np
+from skdgp.export import load_portable
+
+class Forbidden(pickle.Unpickler):
+    def __init__(self, *words, **keywords):
+        raise SystemExit("a pickle was read")
+
+pickle.Unpickler = pickle._Unpickler = Forbidden
+pickle.load = pickle.loads = Forbidden
+model = load_portable(sys.argv[1])
+np.save(sys.argv[2], np.stack(model.predict(model.samples, return_std=True)))
+"""
+
+
+@pytest.fixture
+def path(portable_of, tmp_path):
+    return save_portable(tmp_path / "model.npz", portable_of("average"))
+
+
+def test_is_the_same_model(portable, flight, tmp_path):
+    found = load_portable(save_portable(tmp_path / "model.npz", portable))
+    for ours, theirs in zip(
+        portable.predict(flight, True), found.predict(flight, True), strict=True
+    ):
+        np.testing.assert_allclose(theirs, ours, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.predict_gradient(flight), portable.predict_gradient(flight), rtol=1e-9, atol=1e-12
+    )
+    assert found.content_hash == portable.content_hash
+    assert found.aircraft == portable.aircraft
+    assert found.provenance == portable.provenance
+
+
+def test_the_reader_of_the_examples(portable, flight, tmp_path):
+    """It predicts the same, and imports NumPy alone."""
+    path = ROOT / "examples" / "read_portable.py"
+    spec = spec_from_file_location("read_portable", path)
+    reader = module_from_spec(spec)
+    spec.loader.exec_module(reader)
+    model = reader.Model(save_portable(tmp_path / "model.npz", portable))
+    X = model.regressors(dict(flight))
+    np.testing.assert_allclose(X, portable.regressor_values(flight), rtol=1e-12)
+    for noise in (1, 0):
+        mean, std = model.predict(X, noise)
+        ours, deviation = portable.predict(flight, True, noise)
+        np.testing.assert_allclose(mean, ours, rtol=0, atol=1e-12 * np.abs(ours).max())
+        assert (np.abs(std - deviation) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
+    imports = re.findall(r"^(?:import|from) (\w+)", path.read_text(), re.MULTILINE)
+    assert imports == ["argparse", "json", "numpy"]
+
+
+def test_loads_where_no_pickle_is_read(path, portable_of, tmp_path):
+    words = [sys.executable, "-c", NO_PICKLE, path, tmp_path / "out.npy"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    model = portable_of("average")
+    expected = np.stack(model.predict(model.samples, return_std=True))
+    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
+
+
+def test_every_member_is_on_the_page(path):
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+    with np.load(path) as file:
+        names = {re.sub(r"_\d+$", "_0", name) for name in file.files} | {
+            *json.loads(file["model.json"])
+        }
+    assert not [name for name in names if f"`{name}`" not in page]
+
+
+def test_changed_content_and_a_missing_end_are_noticed(path, portable_of):
+    """A changed bit is either noticed, or in a date of the archive."""
+    whole = path.read_bytes()
+    noticed = 0
+    for place in np.random.default_rng(0).integers(len(whole), size=60):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        try:
+            assert load_portable(path).content_hash == portable_of("average").content_hash
+        except PortableFileError:
+            noticed += 1
+    assert noticed > 50
+    for size in [0, 1, 64, len(whole) // 2, len(whole) - 1]:
+        path.write_bytes(whole[:size])
+        with pytest.raises(PortableFileError):
+            load_portable(path)
+
+
+def rewritten(path, head, arrays, drop):
+    """Return the bytes of the same archive with other members."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(data, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "model.json":
+                content = (
+                    head if isinstance(head, bytes) else json.dumps(json.loads(content) | head)
+                )
+            if (own := arrays.get(name.removesuffix(".npy"))) is not None:
+                held = io.BytesIO()
+                np.save(held, own, allow_pickle=True)
+                content = held.getvalue()
+            if name != drop:
+                new.writestr(name, content)
+    return data.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("head", "arrays", "drop"),
+    [
+        (b"{", {}, ""),
+        (b"[]", {}, ""),
+        ({"format": "another"}, {}, ""),
+        ({"version": 3}, {}, ""),
+        ({"outputs": ["CX"]}, {}, ""),
+        ({"aircraft": {}}, {}, ""),
+        ({"content_hash": ""}, {}, ""),
+        ({}, {}, "model.json"),
+        ({}, {}, "centres.npy"),
+        ({}, {"shift": np.array([None] * 6, dtype=object)}, ""),
+        ({}, {"shift": np.zeros(5)}, ""),
+        ({}, {"mixture": np.ones((18, 1))}, ""),
+    ],
+)  # fmt: skip
+def test_another_content_is_refused(path, head, arrays, drop):
+    path.write_bytes(rewritten(path, head, arrays, drop))
+    with pytest.raises(PortableFileError, match="is not a portable model of this version") as error:
+        load_portable(path)
+    assert "\n" not in str(error.value)
+
+
+def test_no_such_file_and_no_model(tmp_path, portable_of):
+    with pytest.raises(FileNotFoundError, match="there is no such file"):
+        load_portable(tmp_path / "model.npz")
+    with pytest.raises(TypeError, match="Got dict to save, but expected a PortableModel"):
+        save_portable(tmp_path / "model.npz", {})
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        save_portable(tmp_path / "no" / "model.npz", portable_of("trend"))

@@ -61,10 +61,6 @@ MAY_IMPORT_LEAVES = {"_cli", "__init__", "__main__"}
 SHARED = {"_compute", "_flight", "_mechanics", "_excitation", "_display"}
 """Rooms whose files any room above may import; of others it imports what their ``__init__`` shows.
 """
-READ_FOR_EXPORT = {"skdgp.kernels._features", "skdgp.kernels._prior_paths"}
-"""Functions that kernels are made of, which `export` writes term by term; kernels need none of
-their names.
-"""
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),
@@ -200,8 +196,6 @@ def test_rooms_show_each_other_their_faces():
     def behind_the_face(path):
         own = {part_of(path), *SHARED}
         found = [item for part, item in own_imports(path) if part not in own]
-        own_export = part_of(path) == "export"
-        found = [item for item in found if not (own_export and item.module in READ_FOR_EXPORT)]
         return [
             item
             for item in found

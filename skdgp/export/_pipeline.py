@@ -22,7 +22,6 @@ from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.kernels._features import TrendFeatures
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
@@ -167,8 +166,11 @@ def _parts(posterior: ExactPosterior | SparsePosterior, misfit: Vector) -> list[
         )
     center, tau = _trend_of(posterior.kernel)
     prior = misfit + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in terms)
-    exact = isinstance(posterior, ExactPosterior)
-    found = _exact(posterior, terms, center, tau) if exact else _sparse(posterior, tau)
+    found = (
+        _exact(posterior, terms, center, tau)
+        if isinstance(posterior, ExactPosterior)
+        else _sparse(posterior, tau)
+    )
     return [
         Part(tuple(of_part), readout, trend_weights, tau[i], trend_root, float(prior[i]))
         for i, (of_part, readout, trend_weights, trend_root) in enumerate(found)
@@ -212,7 +214,7 @@ def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
         for features in posterior.features.summands():
             own = np.arange(first, first + len(features.columns(i)))
             first += len(own)
-            if isinstance(features, TrendFeatures):
+            if isinstance(features.kernel, LinearTrend):
                 of_trend = own
                 continue
             for f in features._blocks[i]:

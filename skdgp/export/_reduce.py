@@ -151,7 +151,7 @@ class _Choice:
         places = self.chosen[:n]
         order = np.lexsort((places[:, 1], places[:, 0]))
         solved = np.concatenate([solved[:e], solved[e:][order]])
-        root = np.zeros((e + n, max(T.shape[1], e + n)))
+        root: Any = np.zeros((e + n, max(T.shape[1], e + n)))
         root[:e, root.shape[1] - T.shape[1] :] = T
         root[:, root.shape[1] - solved.shape[1] + 1 :] += solved[:, 1:]
         root = np.asarray(rq(root, mode="r"))[:, -(e + n) :]

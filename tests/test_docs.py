@@ -20,7 +20,7 @@ KNOWN = Aerodynamics(
 """The example aircraft as it is."""
 RUN_ELSEWHERE = {
     "README.md": "test_docs.py",  # its code is judged below
-    # its code needs jsbsim, or a model: export/portable/test_command.py
+    # its code needs jsbsim, or a model: export/test_command.py
     "export.md": "export/test_jsbsim.py",
     "identification.md": "cli/test_identify.py",  # its code reads logs, which that test lays ready
     "logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready

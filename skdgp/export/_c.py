@@ -21,7 +21,6 @@ TOLERANCE = 1e-9
 """Of the self-test, relative to the largest value; of deviations at least :meth:`PortableModel.rounding`.
 """
 MAX_REGRESSORS = 32  # bits of an unsigned long
-C_FILES = ("aero.h", "aero.c", "test_aero.c", "Makefile")
 N_VECTORS = 40
 PER_LINE = 8
 TERM_BYTES = 56
@@ -67,7 +66,7 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
         text = templates.joinpath(name).read_text(encoding="utf-8")
         writers[name] = text_writer(Template(text).safe_substitute(substitutes))
     write_together(Path(folder), writers)
-    return [Path(folder, name) for name in C_FILES]
+    return [Path(folder, name) for name in values]
 
 
 def c_bytes(model: PortableModel) -> int:
@@ -127,11 +126,11 @@ def _source(model: PortableModel) -> dict[str, Any]:
         _names("aero_output_names", model.outputs),
         _array("aero_limits", model.limits, "const double"),
         *(_array(name, values) for name, values in _tables(model)),
-        _array("used", used, "static const unsigned char"),
+        _array("used", used or [0], "static const unsigned char"),
         _list("static const term terms", rows or ["{0, 0, 0, 0, used, roots, centres, 0}"], ",\n"),
-        _array("first_term", np.cumsum([0, *(len(part.terms) for part in parts)]), _INT),
-        _array("n_functions", [len(part.readout.weights) for part in parts], _INT),
-        _array("n_columns", [part.trend_root.shape[1] for part in parts], _INT),
+        _array("first_term", np.cumsum([0, *(len(part.terms) for part in parts)])),
+        _array("n_functions", [len(part.readout.weights) for part in parts]),
+        _array("n_columns", [part.trend_root.shape[1] for part in parts]),
         _list("static const double *const weights", [f"weights_{k}" for k in numbers]),
         _list("static const double *const root", [f"root_{k}" for k in numbers]),
         _list(
@@ -162,7 +161,9 @@ def _terms(model: PortableModel) -> tuple[list[str], list[int]]:
 
 
 def _test(model: PortableModel) -> dict[str, Any]:
-    X = _points(model)
+    rows = np.linspace(0, len(model.samples) - 1, N_VECTORS).astype(int)
+    X = model.samples[rows]
+    X[1::2] += 0.5 * model.scale * np.random.default_rng(0).standard_normal(X[1::2].shape)
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     slope = model.predict_gradient(X)
     size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
@@ -182,14 +183,6 @@ def _test(model: PortableModel) -> dict[str, Any]:
     return {"n": len(X), "tolerance": TOLERANCE, "tables": "\n".join(texts)}
 
 
-def _points(model: PortableModel) -> Array:
-    """Return points of the flights and around them, the same at every call."""
-    rows = np.linspace(0, len(model.samples) - 1, N_VECTORS).astype(int)
-    X = model.samples[rows].copy()
-    X[1::2] += 0.5 * model.scale * np.random.default_rng(0).standard_normal(X[1::2].shape)
-    return X
-
-
 def _formulas(model: PortableModel) -> Iterator[str]:
     """Yield the statement of each input."""
     place = {name: k for k, name in enumerate(model.columns)}
@@ -202,15 +195,12 @@ def _formulas(model: PortableModel) -> Iterator[str]:
         yield f"    x[{k}] = {text}; /* {regressor.name} */"
 
 
-_INT = "static const int"
-
-
-def _array(name: str, values: Any, kind: str = "static const double") -> str:
+def _array(name: str, values: Any, kind: str = "") -> str:
     """Return a constant array of its shape; an empty one has one zero, since C has none."""
-    values = np.asarray(values)
-    values = values if values.size else np.zeros(1)
+    values = np.asarray(values if np.size(values) else [0.0])
+    kind = kind or f"static const {'double' if values.dtype.kind == 'f' else 'int'}"
     shape = "".join(f"[{n}]" for n in values.shape)
-    return f"{kind} {name}{shape} = {_braces(values.astype(float if kind.endswith('double') else int))};"
+    return f"{kind} {name}{shape} = {_braces(values)};"
 
 
 def _braces(values: Array) -> str:

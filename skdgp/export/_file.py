@@ -80,5 +80,5 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
 
 def file_bytes(model: PortableModel) -> int:
     """Return the size of the file of a model."""
-    arrays = sum(array.nbytes + MEMBER_BYTES for array in model.arrays().values())
-    return arrays + MEMBER_BYTES + len(json.dumps(model.head(), indent=1))
+    sizes = (MEMBER_BYTES + array.nbytes for array in model.arrays().values())
+    return sum(sizes, MEMBER_BYTES + len(json.dumps(model.head(), indent=1)))

@@ -16,7 +16,7 @@ from skdgp.export._graphs import write_casadi, write_onnx
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
-from skdgp.export._reduce import loss_of, reduced
+from skdgp.export._reduce import reduced
 
 MAX_BYTES = 2**26  # compilers and simulators take no larger source in reasonable time
 
@@ -79,4 +79,7 @@ def export_model(
             f"Got a model of {found / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
             f"format {to}: give max_kb=256 (--max-kb 256), or another size."
         )
-    return {"files": write(Path(folder), portable), "loss": loss_of(portable)}
+    return {
+        "files": write(Path(folder), portable),
+        "loss": portable.provenance.get("reduction", {}),
+    }

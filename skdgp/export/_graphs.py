@@ -6,7 +6,7 @@ import json
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,24 +17,16 @@ from skdgp.export._text import extra
 OPSET, IR_VERSION = 17, 8
 
 
-class Columns(NamedTuple):
-    """Entries of the basis of a part that are not zero: their terms, weights and rows of the root."""
+def used_basis(part: Part) -> tuple[list[list[Term]], Vector, Matrix]:
+    """Return the entries of the basis of a part that are not zero: terms, weights and rows of the root.
 
-    terms: list[list[Term]]
-    """In the order of the basis; those of one list add up."""
-    weights: Vector
-    root: Matrix
-
-
-def columns_of(part: Part) -> Columns:
-    """Return the entries of the basis of a part that are not zero."""
+    Terms are in the order of the basis; those of one list add up.
+    """
     order = sorted(part.terms, key=attrgetter("first"))
     terms = [list(each) for _, each in groupby(order, key=attrgetter("first"))]
-    size = len(part.readout.weights)
-    rows = np.concatenate([np.arange(0), *(np.arange(size)[each[0].entries] for each in terms)])
-    if len(rows) == size:
-        return Columns(terms, part.readout.weights, part.readout.root)
-    return Columns(terms, part.readout.weights[rows], part.readout.root[rows])
+    weights, root = part.readout.weights, part.readout.root
+    rows = np.concatenate([np.arange(0), *(np.r_[each[0].entries] for each in terms)])
+    return (terms, weights, root) if len(rows) == len(root) else (terms, weights[rows], root[rows])
 
 
 def mixer(model: PortableModel) -> Array:
@@ -61,13 +53,13 @@ def casadi_function(model: PortableModel) -> Any:
 
     means, variances = [], []
     for part in model.parts:
-        columns = columns_of(part)
-        g = ca.vertcat(*(sum(map(functions, terms)) for terms in columns.terms))
+        terms, weights, root = used_basis(part)
+        g = ca.vertcat(*(sum(map(functions, each)) for each in terms))
         value = ca.dot(ca.DM(part.trend_weights), p)
         half = ca.DM(part.trend_root.T) @ p
-        if columns.terms:
-            value += ca.dot(ca.DM(columns.weights), g)
-            explained = ca.DM(columns.root.T) @ g
+        if terms:
+            value += ca.dot(ca.DM(weights), g)
+            explained = ca.DM(root.T) @ g
             half += ca.vertcat(ca.DM.zeros(half.shape[0] - explained.shape[0]), explained)
         prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_scale) * p)
         means.append(value)
@@ -116,13 +108,12 @@ def onnx_model(model: PortableModel) -> Any:
     for part in model.parts:
         value = plane(part.trend_weights[:, None])
         half = plane(part.trend_root)
-        columns = columns_of(part)
-        if columns.terms:
-            values = [graph.total(map(functions, terms)) for terms in columns.terms]
-            g = graph("Concat", *values, axis=1)
+        terms, weights, root = used_basis(part)
+        if terms:
+            g = graph("Concat", *(graph("Sum", *map(functions, each)) for each in terms), axis=1)
             left = part.trend_root.shape[1] - len(part.readout.weights)
-            value = graph("Add", value, graph("MatMul", g, columns.weights[:, None]))
-            explained = graph("MatMul", g, columns.root)
+            value = graph("Add", value, graph("MatMul", g, weights[:, None]))
+            explained = graph("MatMul", g, root)
             half = graph("Add", half, graph("Pad", explained, [0, left, 0, 0]))
         tau = part.trend_scale
         prior = graph.squares(graph("Mul", p, tau[1:]), 1)
@@ -203,10 +194,3 @@ class _Graph:
     def squares(self, values: str, axis: int) -> str:
         """Return the sum of squares over an axis, which stays with length one."""
         return self("ReduceSum", self("Mul", values, values), [axis], keepdims=1)
-
-    def total(self, values: Any) -> str:
-        """Return the sum of values of one shape."""
-        first, *others = values
-        for other in others:
-            first = self("Add", first, other)
-        return first

@@ -12,12 +12,12 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
-from skdgp._mechanics.aerodynamics import SCALERS, scaling_of
+from skdgp._mechanics.aerodynamics import scaling_of
 from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
@@ -30,30 +30,32 @@ REMEDY = "Export a pipeline of make_identification_pipeline that ends in Depende
 def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> PortableModel:
     """Return the portable model of a fitted identification pipeline.
 
-    The pipeline has a ``RegressorSelector``, perhaps scalers such as ``StandardScaler`` behind it,
-    and a ``DependentGPRegressor`` at the end, exact or sparse, perhaps in a
-    ``CalibratedRegressor``. The ``facts`` of a model file become the provenance:
-    ``portable_model(**load_model(path))``. Raises TypeError if ``pipeline`` is no pipeline or
-    ``aircraft`` no `Aircraft`, ValueError if a step, the kernel or the trend has no portable form.
+    The pipeline is read as :func:`skdgp.dynamics.as_aerodynamics` reads it for a simulation. Behind
+    the choice of regressors it may have scalers such as ``StandardScaler``, and at the end a
+    ``DependentGPRegressor``, exact or sparse, perhaps in a ``CalibratedRegressor``. The ``facts``
+    of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError
+    if ``pipeline`` is no pipeline or ``aircraft`` no `Aircraft`, ValueError if a coefficient is
+    lacking, or a step, the kernel or the trend has no portable form.
 
     Examples
     --------
     >>> import numpy as np, pandas as pd
-    >>> from skdgp.dynamics import Aircraft
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
     >>> from skdgp.export import portable_model
     >>> from skdgp.identification import make_identification_pipeline
     >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
     >>> t = np.arange(0, 4, 0.1)
     >>> flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t), "q": 0.1 * np.cos(t)})
-    >>> Y = pd.DataFrame({"CZ": -4 * flight.alpha, "Cm": -0.5 * flight.alpha - 0.2 * flight.q})
+    >>> slopes = {"CX": 0.2, "CY": 0.4, "CZ": -4.0, "Cl": 0.4, "Cm": -0.6, "Cn": 0.2}
+    >>> Y = pd.DataFrame({name: slope * flight.alpha - flight.q / 10 for name, slope in slopes.items()})
     >>> pipeline = make_identification_pipeline(
     ...     glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough"
     ... ).fit(flight, Y)
     >>> model = portable_model(pipeline, glider)
     >>> model
-    PortableModel(CZ, Cm of alpha, q_hat)
+    PortableModel(CX, CY, CZ, Cl, Cm, Cn of alpha, q_hat)
     >>> model.predict({"alpha": [0.05], "q": [0.02], "airspeed": [12.0]}).round(2)
-    array([[-0.2 , -0.03]])
+    array([[ 0.01,  0.02, -0.2 ,  0.02, -0.03,  0.01]])
     """
     check_aircraft(aircraft)
     if not isinstance(pipeline, Pipeline):
@@ -67,14 +69,16 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
             f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. "
             f"{REMEDY}"
         )
-    regressors, shift, scale, limits = _inputs(pipeline, aircraft)
+    simulated = as_aerodynamics(pipeline)
+    shift, scale = _scaling(pipeline, len(simulated.regressors))
+    columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
     posterior = regressor.posterior_
     misfit = regressor.misfit_variance_ / regressor.scale_**2
     parts = [part for member in posterior.members for part in _parts(member, misfit)]
     samples = training_inputs(posterior) * scale + shift
-    seen = samples if limits is None else np.vstack([samples, *limits])
+    seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
     return PortableModel(
-        regressors=regressors,
+        regressors=tuple(_regressor(n, simulated, aircraft, columns) for n in simulated.regressors),
         outputs=tuple(regressor.output_names_),
         aircraft=aircraft,
         shift=shift,
@@ -93,54 +97,35 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     )
 
 
-def _inputs(pipeline, aircraft):
-    """Return the regressors, their shift and scale, and their smallest and largest values or None."""
+def _scaling(pipeline: Pipeline, n_regressors: int) -> tuple[Array, Array]:
+    """Return shift and scale of the scalers behind the choice of regressors."""
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
-    roles = [getattr(step, "in_simulation", "measurements") for step in steps]
-    if "regressors" not in roles:
-        raise ValueError(
-            f"Got a pipeline without RegressorSelector, so its regressors have no names. {REMEDY}"
-        )
-    place = len(roles) - 1 - roles[::-1].index("regressors")
-    by_role, selector = dict(zip(roles[:place], steps, strict=False)), steps[place]
-    scaled = [type(step).__name__ for step in steps[:place] if isinstance(step, SCALERS)]
-    if scaled:
-        raise ValueError(
-            f"Got {scaled} before RegressorSelector, so regressors are not in their units. {REMEDY}"
-        )
-    names = [str(name) for name in selector.regressors_]
-    shift, scale, others = scaling_of(steps[place + 1 :], len(names))
+    roles = [getattr(step, "in_simulation", "") for step in steps]
+    chosen = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
+    shift, scale, others = scaling_of(steps[chosen + 1 :], n_regressors)
     if others:
         raise ValueError(
-            f"Got {type(others[0]).__name__} behind RegressorSelector, which has no form. {REMEDY}"
+            f"Got {type(others[0]).__name__} behind the choice of regressors, which has no "
+            f"portable form. {REMEDY}"
         )
-    units = getattr(pipeline, "control_units_", {})
-    regressors = tuple(
-        _regressor(name, by_role.get("rates", aircraft), by_role.get("controls"), units)
-        for name in names
-    )
-    low, high = (getattr(selector, name, None) for name in ("data_min_", "data_max_"))
-    return regressors, shift, scale, None if low is None or high is None else (low, high)
+    return shift, scale
 
 
-def _regressor(name, rates, controls, units) -> Regressor:
-    """Return a regressor with the columns that the pipeline computes it from; ``rates`` has span and chord."""
+def _regressor(name: str, model: Aerodynamics, aircraft: Aircraft, columns: set[str]) -> Regressor:
+    """Return a regressor with the columns of flights that the pipeline computes it from."""
     rate = name.removesuffix(HAT)
     if name.endswith(HAT) and rate in LENGTHS:
+        length = getattr(model, LENGTHS[rate]) or getattr(aircraft, LENGTHS[rate])
         power = 2 if rate in ACCELERATION_LENGTHS else 1
-        return Regressor(name, "", (rate,), (1.0,), float(getattr(rates, LENGTHS[rate])), power)
-    unit = units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
-    if controls is not None and name in controls.controls:
-        row = controls.mixing_[list(controls.controls).index(name)]
-        used = [
-            (str(surface), float(c)) for surface, c in zip(controls.surfaces, row, strict=True) if c
-        ]
-        seen = getattr(controls, "feature_names_in_", ())
-        if used and set(controls.surfaces) <= set(seen):
-            return Regressor(
-                name, unit, tuple(surface for surface, _ in used), tuple(c for _, c in used)
-            )
-    return Regressor(name, unit, (name,))
+        return Regressor(name, "", (rate,), (1.0,), float(length), power)
+    unit = model.units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
+    if model.mixing is None or name not in model.mixing.controls:
+        return Regressor(name, unit, (name,))
+    row = model.mixing.matrix[model.mixing.controls.index(name)]
+    used = {s: float(c) for s, c in zip(model.mixing.surfaces, row, strict=True) if c}
+    if not used or not columns.issuperset(model.mixing.surfaces):
+        return Regressor(name, unit, (name,))
+    return Regressor(name, unit, tuple(used), tuple(used.values()))
 
 
 def _trend_of(kernel: Any) -> tuple[Vector, Matrix]:

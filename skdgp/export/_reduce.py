@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr, rq, solve_triangular
@@ -17,7 +17,6 @@ SIZES = np.unique((4 * 1.15 ** np.arange(36)).astype(int))  # numbers of functio
 MAX_CANDIDATES = 3000  # functions of a part to choose from
 MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
 MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points to fit at are moved
-MOVED_CHECK = (0.5,)  # the same of the points to check at
 POINTS = 500  # least number of moved points
 NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
 
@@ -38,28 +37,25 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     Z, check = _points(model)
     choices = [_Choice(model, j, Z, check) for j in range(len(model.parts))]
     numbers = [0] * len(choices)
-    fits = [choice.fit(0) for choice in choices]
-    if (smallest := size(_with_parts(model, fits))) > most:
+    parts, losses = map(list, zip(*(choice.fit(0) for choice in choices), strict=True))
+    best = replace(model, parts=tuple(parts))
+    if size(best) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes "
-            f"{smallest}: allow more."
+            f"{size(best)}: allow more."
         )
     while growing := [j for j, each in enumerate(choices) if numbers[j] + 1 < len(each.sizes)]:
-        worst = max(growing, key=lambda j: fits[j].loss)
+        worst = max(growing, key=losses.__getitem__)
         numbers[worst] += 1
-        fit = choices[worst].fit(numbers[worst])
-        if fit.loss < fits[worst].loss:
-            grown = [*fits[:worst], fit, *fits[worst + 1 :]]
-            if size(_with_parts(model, grown)) > most:
+        part, loss = choices[worst].fit(numbers[worst])
+        if loss < losses[worst]:
+            losses[worst] = loss
+            parts[worst] = part
+            grown = replace(model, parts=tuple(parts))
+            if size(grown) > most:
                 break
-            fits = grown
-    best = _with_parts(model, fits)
+            best = grown
     return replace(best, provenance=model.provenance | {"reduction": _loss(model, best, check)})
-
-
-def loss_of(model: PortableModel) -> dict[str, dict[str, float]]:
-    """Return the loss by reduction, ``{"CX": {"mean": ..., "std": ...}, ...}``; empty if there was none."""
-    return model.provenance.get("reduction", {})
 
 
 def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
@@ -74,7 +70,7 @@ def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
         noise = rng.standard_normal((len(steps), *Z.shape)) * steps[:, None]
         return np.concatenate([Z, *(Z + noise)])
 
-    return around(samples[::2], MOVED), around(samples[1::2], MOVED_CHECK)
+    return around(samples[::2], MOVED), around(samples[1::2], MOVED[:1])
 
 
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
@@ -86,14 +82,6 @@ def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, di
     of_std = np.sqrt(np.mean((other / std - 1.0) ** 2, axis=0)).tolist()
     losses = zip(model.outputs, of_mean, of_std, strict=True)
     return {name: {"mean": in_mean, "std": in_std} for name, in_mean, in_std in losses}
-
-
-class _Fit(NamedTuple):
-    """A part with few functions."""
-
-    part: Part
-    loss: float
-    """The larger of the changes of mean and deviation of its output, root mean square."""
 
 
 class _Choice:
@@ -136,8 +124,11 @@ class _Choice:
             found[:, columns] = few.functions(Z)
         return found
 
-    def fit(self, number: int) -> _Fit:
-        """Return the part with the first functions."""
+    def fit(self, number: int) -> tuple[Part, float]:
+        """Return the part with the first functions, and the larger of the changes of mean and deviation.
+
+        Changes are of the output, root mean square in its standard deviations.
+        """
         e = self.p.shape[1]
         n = self.sizes[number]
         T = self.part.trend_root
@@ -162,7 +153,7 @@ class _Choice:
             trend_weights=self.part.trend_weights + solved[:e, 0],
             trend_root=root[:e],
         )
-        return _Fit(part, float(np.sqrt(max(of_mean, of_std))))
+        return part, float(np.sqrt(max(of_mean, of_std)))
 
     def _terms(self, places: Indices) -> tuple[Term, ...]:
         """Return the terms of functions in order."""
@@ -173,7 +164,3 @@ class _Choice:
                 centres = term.centres[places[rows, 1]]
                 terms.append(replace(term, first=int(rows[0]), centres=centres))
         return tuple(terms)
-
-
-def _with_parts(model: PortableModel, fits: list[_Fit]) -> PortableModel:
-    return replace(model, parts=tuple(fit.part for fit in fits))

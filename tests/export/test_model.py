@@ -95,31 +95,30 @@ def test_the_hash_is_of_names_and_numbers(portable_of):
 
 
 START = DependentGPRegressor(optimizer=None)
+OF_ALPHA = RegressorSelector(["alpha"])
+OTHER_TREND = DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))
 
 
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        ([RegressorSelector(["alpha"]), LinearRegression()], "LinearRegression at the end"),
-        ([START], "without RegressorSelector"),
+        ([OF_ALPHA, LinearRegression()], "LinearRegression at the end"),
         (
-            [MinMaxScaler().set_output(transform="pandas"), RegressorSelector(["alpha"]), START],
-            "'MinMaxScaler'. before RegressorSelector",
+            [MinMaxScaler().set_output(transform="pandas"), OF_ALPHA, START],
+            "'MinMaxScaler'. before the choice of regressors",
         ),
-        ([RegressorSelector(["alpha"]), MinMaxScaler(clip=True), START], "Scaler behind"),
-        (
-            [
-                RegressorSelector(["alpha"]),
-                DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2)),
-            ],
-            "kernels .'BasisTrend'.",
-        ),
+        ([OF_ALPHA, MinMaxScaler(clip=True), START], "Scaler behind the choice of regressors"),
+        ([OF_ALPHA, OTHER_TREND], "kernels .'BasisTrend'."),
     ],
 )
 def test_what_has_no_form_is_refused(steps, words, flight, portable_of):
-    model = make_pipeline(*steps).fit(flight[["alpha", "time"]], np.sin(10 * flight[["alpha"]]))
+    Y = np.sin(np.outer(10 * flight["alpha"], np.arange(1, 7)))
+    model = make_pipeline(*steps).fit(flight[["alpha", "time"]], Y)
     with pytest.raises(ValueError, match=words):
         portable_model(model, portable_of("trend").aircraft)
+
+
+def test_no_pipeline_is_refused(portable_of):
     with pytest.raises(TypeError, match="Got LinearRegression to export, but expected a fitted"):
         portable_model(LinearRegression(), portable_of("trend").aircraft)
 

@@ -472,8 +472,9 @@ class PortableModel:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of all names and numbers, as hexadecimal digits."""
-        found = hashlib.sha256(json.dumps(self.head(), sort_keys=True).encode())
+        """SHA-256 of the names and numbers that predictions depend on, as hexadecimal digits."""
+        formulas = [asdict(regressor) for regressor in self.regressors]
+        found = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(f"{name} {array.shape} ".encode())
             found.update(np.ascontiguousarray(array, dtype="<f8"))

@@ -24,9 +24,11 @@ HEADER_SIZE = 128
 ORDER = {b"IM": "little", b"MI": "big"}  # of the bytes of numbers, by the end of the header
 MATRIX, COMPRESSED = 14, 15
 KINDS = {*range(1, 8), 9, *range(12, 19)}  # of elements: numbers, texts, these two
-HEAD = [6, 5, 1]  # kinds of the first elements of a matrix: flags, shape, name
+HEAD = b"\6\5\1"  # kinds of the first elements of a matrix: flags, shape, name
 CELL, STRUCT, TEXT, NUMBERS, OPAQUE = 1, 2, 4, range(6, 16), 17  # classes of matrices
-OBJECT = [6, 1, 1, 1, MATRIX]  # kinds of the elements of an opaque object, such as a string
+OBJECT = b"\6\1\1\1\16"  # kinds of the elements of an opaque object, such as a string
+MATRICES = bytes([MATRIX])
+BYTES_OF_ONE = 256  # that a variable, field or cell takes in Python, about
 DEEPEST = 8  # levels of structs and cells
 
 
@@ -114,12 +116,13 @@ class _Check:
     def _int(self, data: memoryview | bytes) -> int:
         return int.from_bytes(data, "little" if self.order == "little" else "big", signed=True)
 
-    def elements(self, data: memoryview, depth: int = 0) -> list[tuple[int, memoryview]]:
-        """Return types and contents of the elements that stand one after another.
+    def elements(self, data: memoryview, depth: int = 0) -> tuple[bytearray, list[memoryview]]:
+        """Return types of the elements that stand one after another, and the contents of the first.
 
         Raise ValueError if one is of no known type, or larger than what it is in.
         """
-        found = []
+        kinds = bytearray()
+        contents: list[memoryview] = []
         position = 0
         while position + 8 <= len(data):
             kind, size = (self._int(data[position + k : position + k + 4]) for k in (0, 4))
@@ -133,10 +136,11 @@ class _Check:
                 self.elements(self._unpacked(content), depth)
             elif kind == MATRIX:
                 self._matrix(content, depth + 1)
-            found.append((kind, content))
+            kinds.append(kind)
+            contents += [content] * (len(contents) < len(OBJECT))
             padded = size if kind == COMPRESSED else (size + 7) // 8 * 8
             position = position + 8 if start == position + 4 else start + padded
-        return found
+        return kinds, contents
 
     def _unpacked(self, content: memoryview) -> memoryview:
         """Return a compressed element; its size stands in its first bytes and is checked first."""
@@ -152,24 +156,27 @@ class _Check:
     def _matrix(self, content: memoryview, depth: int) -> None:
         """Raise ValueError if a variable, field or cell does not hold what its head says."""
         if not len(content):
+            self._use(BYTES_OF_ONE)
             return
-        parts = self.elements(content, depth)
-        kinds = [kind for kind, _ in parts]
-        flags = self._int(parts[0][1][:4])
+        kinds, parts = self.elements(content, depth)
+        if not parts:
+            raise ValueError("a variable has no head")
+        self._use(BYTES_OF_ONE)
+        flags = self._int(parts[0][:4])
         kind, inner = flags & 0xFF, kinds[3:]
         if kind == OPAQUE and kinds == OBJECT:
             return
-        if kinds[:3] != HEAD or len(parts[0][1]) != 8 or depth > DEEPEST:
+        if kinds[:3] != HEAD or len(parts[0]) != 8 or depth > DEEPEST:
             raise ValueError("a variable has no head, or is nested too deep")
-        shape = parts[1][1]
+        shape = parts[1]
         size = math.prod(self._int(shape[k : k + 4]) for k in range(0, len(shape), 4))
         sound = 0 <= size <= len(content)
         if kind == CELL:
-            sound &= inner == [MATRIX] * size
+            sound &= inner == MATRICES * size
         elif kind == STRUCT:
-            width = self._int(parts[3][1]) if len(inner) > 1 else 0
-            fields = len(parts[4][1]) // width if width > 0 else -1
-            sound &= inner == [5, 1, *[MATRIX] * (fields * size)]
+            width = self._int(parts[3]) if len(inner) > 1 else 0
+            fields = len(parts[4]) // width if width > 0 else -1
+            sound &= inner == b"\5\1" + MATRICES * (fields * size)
         else:
             is_complex = bool(flags & 0x0800)
             sound &= kind in (TEXT, *NUMBERS) and len(inner) == 1 + is_complex

@@ -311,46 +311,49 @@ def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:
 
 
 def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: Equation) -> Lag:
-    """Return the lag that maximises -1/2 sum n log RSS over pieces of n samples and their responses.
+    """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
-    RSS is the residual sum of squares of a piece by its own least squares, over that of the
-    response. The standard deviation is the standard error of the mean of the pieces' own lags, by
-    Student's quantile at `MIN_SIGNIFICANCE`, and the distance to that mean.
+    RSS is the residual sum of squares of n samples over that of the response. Each piece of a
+    segment has its own least squares and lag. The standard deviation is the standard error of the
+    mean of their lags, by Student's quantile at `MIN_SIGNIFICANCE`, and the distance to that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
     if not segments:
         return UNKNOWN
     seconds = max(SHORTEST_PIECE, sum(np.ptp(each.time) for each in segments) / PIECES)
 
-    def profile(lag: float) -> Matrix:
-        """Return n log RSS, and the mean explained fraction, of each piece, (2, k)."""
-        return np.hstack([_profile(segment, equation, lag, seconds) for segment in segments])
+    def profile(lag: float) -> Vector:
+        """Return n log RSS of each segment, summed, and of each piece, (1 + pieces,)."""
+        rows = [_profile(*equation(segment, lag), segment, seconds) for segment in segments]
+        return np.concatenate([[sum(row[0] for row in rows)], *(row[1:] for row in rows)])
 
     steps = np.arange(-RANGE, RANGE + COARSE / 2, COARSE)
-    scan = np.array([profile(lag)[0] for lag in steps])
-    lag = _minimum(steps, scan.sum(axis=1))
-    pieces = np.array([_minimum(steps, values) for values in scan.T])
+    lag, *pieces = (_minimum(steps, values) for values in np.transpose([*map(profile, steps)]))
     if abs(lag) >= RANGE or len(pieces) < LEAST_PIECES:
         return UNKNOWN
     for _ in range(2):
-        lag += _vertex(*(profile(lag + step)[0].sum() for step in (-FINE, 0, FINE)), FINE)
+        lag += _vertex(*(profile(lag + step)[0] for step in (-FINE, 0, FINE)), FINE)
     quantile = student.isf(normal.sf(MIN_SIGNIFICANCE), len(pieces) - 1) / MIN_SIGNIFICANCE
     error = np.std(pieces, ddof=1) / np.sqrt(len(pieces))
-    std = np.hypot(quantile * error, lag - pieces.mean())
-    return Lag(lag, float(std), float(profile(lag)[1].mean()))
+    std = np.hypot(quantile * error, lag - np.mean(pieces))
+    unexplained = [_unexplained(*equation(segment, lag)) for segment in segments]
+    return Lag(lag, float(std), 1 - float(np.mean(unexplained)))
 
 
-def _profile(segment: Segment, equation: Equation, lag: float, seconds: float) -> Matrix:
-    """Return n log RSS and the mean explained fraction of each piece of a segment, (2, k)."""
-    response, predictors = equation(segment, lag)
-    pieces = max(1, round(np.ptp(segment.time) / seconds))
-    rows = []
-    for y, X in zip(
-        *(np.array_split(each, pieces) for each in (response, predictors)), strict=True
-    ):
-        unexplained = np.sum(_residual(y, X) ** 2, axis=0) / np.sum(y**2, axis=0)
-        rows.append((len(y) * np.log(unexplained).sum(), 1 - np.mean(unexplained)))
-    return np.transpose(rows)
+def _profile(response: Matrix, predictors: Matrix, segment: Segment, seconds: float) -> list[float]:
+    """Return n log RSS of a segment, and of each of its pieces."""
+    count = max(1, round(np.ptp(segment.time) / seconds))
+    pieces = zip(np.array_split(response, count), np.array_split(predictors, count), strict=True)
+    return [
+        len(y) * float(np.log(_unexplained(y, X)).sum())
+        for y, X in [(response, predictors), *pieces]
+    ]
+
+
+def _unexplained(response: Matrix, predictors: Matrix) -> Vector:
+    """Return the residual sum of squares of each response over its sum of squares."""
+    residuals = _residual(response, predictors)
+    return np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
 
 
 def _residual(response: Matrix, predictors: Matrix) -> Matrix:

@@ -377,7 +377,7 @@ class TestLags:
     def test_are_estimated_by_inspect(self, late, capsys):
         assert main(["inspect", late]) == 0
         said = capsys.readouterr().out
-        assert re.search(r"air +0\.07\d \+- 0\.00\d s", said)
+        assert re.search(r"air +0\.07\d \+- 0\.0\d\d s", said)
         assert main(["inspect", late, "--json"]) == 0
         lags = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["lags"]
         assert set(lags) == {"air", "surfaces", "attitude", "gps"}
@@ -400,9 +400,7 @@ class TestLags:
     def test_are_not_looked_for_without_a_flight_that_shows_them(self, tmp_path, capsys):
         pd.read_csv("test.csv")[["time", "alpha"]].to_csv(tmp_path / "bare.csv", index=False)
         assert main(["inspect", str(tmp_path / "bare.csv")]) == 0
-        assert re.search(
-            "not estimated: The flight .*lacks the columns 'ax'", capsys.readouterr().out
-        )
+        assert capsys.readouterr().out.count("not shown by these flights") == 4
 
 
 @pytest.mark.usefixtures("short_fits")

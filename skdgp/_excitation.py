@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from numbers import Real
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -526,9 +527,9 @@ def _flattest(harmonics: Sequence[int], weights: Vector, phases: Vector) -> Vect
         spectrum = np.conj(rfft(by_signal)[list(harmonics)])
         return total, weights * np.real(np.exp(1j * phases) * spectrum)
 
-    options = {"maxiter": MOST_STEPS, "maxfun": 2 * MOST_STEPS}
+    options: Any = {"maxiter": MOST_STEPS, "maxfun": 2 * MOST_STEPS}
     for p in POWERS:
-        found = minimize(size, phases, args=(p,), jac=True, method="L-BFGS-B", options=options)
+        found = minimize(partial(size, p=p), phases, jac=True, method="L-BFGS-B", options=options)
         phases = found.x
     return phases
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -171,15 +172,13 @@ def _limits(plan: Plan) -> str:
         else "<p><b>Nothing limits this flight, not even a floor.</b> Agree before the flight when "
         "to abort: inputs off, and back to the trim by hand.</p>"
     )
-    expected = plan.expected(range(len(plan.manoeuvres)))
-    ends = limits.reindex(QUANTITIES)[["low", "high"]].astype(float)
+    expected: Any = plan.expected(range(len(plan.manoeuvres))).to_dict("index")
+    ends: Any = limits.reindex(QUANTITIES)[["low", "high"]].astype(float).to_dict("index")
     rows = []
     for name in QUANTITIES:
-        low, high = (shown(name, ends.loc[name, end]) for end in ("low", "high"))
+        low, high = (shown(name, ends[name][end]) for end in ("low", "high"))
         source = limits["source"].get(name, "no limit")
-        span = (
-            f"{shown(name, expected.loc[name, 'low'])} … {shown(name, expected.loc[name, 'high'])}"
-        )
+        span = f"{shown(name, expected[name]['low'])} … {shown(name, expected[name]['high'])}"
         rows.append([_words(name), _unit(name), low, high, source, span])
     head = ["", "unit", "abort<br>below", "abort<br>above", "limit is", "expected"]
     caption = (

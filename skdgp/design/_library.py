@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -80,13 +81,15 @@ def library(bands: pd.DataFrame, limits: Mapping[str, Limits]) -> Iterator[tuple
                 ("doublet", doublet, 2 / 3),
                 ("3-2-1-1", three_two_one_one, 1 / 2),
             ):
-                width = max(factor * bands.loc[axis, f"{make.__name__}_width"], 0.5 * shortest)
+                widest: Any = bands.loc[axis, f"{make.__name__}_width"]
+                width = max(factor * float(widest), 0.5 * shortest)
                 most = min(limit.amplitude, fraction * limit.rate * width)  # its ramps fit
                 yield f"{axis} {kind} {width:.2f} s", {axis: make(width, most, limits=limit)}
     groups = [[axis] for axis in limits] + [[*limits]] * (len(limits) > 1)
     for group in groups:
-        low = bands.loc[group, "lowest"].min()
-        high = min(bands.loc[group, "highest"].max(), 1.0 / shortest)
+        low = float(np.min(bands.loc[group, "lowest"].to_numpy(dtype=float)))
+        highest = float(np.max(bands.loc[group, "highest"].to_numpy(dtype=float)))
+        high = min(highest, 1.0 / shortest)
         for duration in MULTISINES:
             n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
             tones = min(MOST_TONES, n // len(group))

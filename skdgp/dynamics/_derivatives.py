@@ -165,20 +165,16 @@ def _deviations(
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
     posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
     errors = None if model.slope_errors is None else model.slope_errors(X)
-    if added is not None:
-        if errors is None:
-            raise ValueError(
-                "Got rows that are added to a model without its own, but expected one that holds "
-                "the rows it was learned from: give a pipeline of identify."
-            )
-        now_white = frame.errors(_each_output(errors.white))
-        errors = model.slope_errors(X, np.asarray(added, dtype=float))
-        then_white = frame.errors(_each_output(errors.white))
-        is_known = now_white > 0
-        # a posterior narrows as least squares does
-        posterior = posterior * np.divide(
-            then_white, now_white, out=np.ones_like(now_white), where=is_known
-        )
+    if added is not None and model.slope_errors is not None:
+        then = model.slope_errors(X, np.asarray(added, dtype=float))
+        if errors is not None and then is not None:
+            now_white = frame.errors(_each_output(errors.white))
+            then_white = frame.errors(_each_output(then.white))
+            # A posterior narrows as least squares does; with too few rows no promise is made.
+            ratio = np.ones_like(now_white)
+            np.divide(then_white, now_white, out=ratio, where=now_white > 0)
+            posterior = posterior * ratio
+        errors = then
     if model.slope_errors is None:
         return {"std_posterior": posterior}
     scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)

@@ -96,7 +96,9 @@ def settings_of(pipeline, reconstruction, horizons) -> dict:
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
     """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
     step = pipeline.named_steps.get("lagcorrector")
-    return step.lags_.to_dict("index") if isinstance(step, LagCorrector) else {}
+    if not isinstance(step, LagCorrector):
+        return {}
+    return {str(group): dict(row) for group, row in step.lags_.iterrows()}
 
 
 def lags_message(pipeline: Pipeline) -> str:

@@ -332,7 +332,7 @@ def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: E
     if abs(lag) >= RANGE or len(pieces) < LEAST_PIECES:
         return UNKNOWN
     for _ in range(2):
-        lag += _vertex(*(profile(lag + step)[0] for step in (-FINE, 0, FINE)), FINE)
+        lag += _vertex([profile(lag + step)[0] for step in (-FINE, 0, FINE)], FINE)
     quantile = student.isf(normal.sf(MIN_SIGNIFICANCE), len(pieces) - 1) / MIN_SIGNIFICANCE
     error = np.std(pieces, ddof=1) / np.sqrt(len(pieces))
     std = np.hypot(quantile * error, lag - np.mean(pieces))
@@ -371,10 +371,12 @@ def _minimum(steps: Vector, values: Vector) -> float:
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
         return float(steps[place])
-    return float(steps[place] + _vertex(*values[place - 1 : place + 2], COARSE))
+    return float(steps[place] + _vertex(values[place - 1 : place + 2], COARSE))
 
 
-def _vertex(before: float, here: float, after: float, step: float) -> float:
+def _vertex(values: Any, step: float) -> float:
+    """Return where the parabola through three values, a step apart, is smallest."""
+    before, here, after = values
     curvature = before - 2 * here + after
     return (
         float(np.clip(step * (before - after) / (2 * curvature), -step, step))

@@ -38,7 +38,7 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean,
     ``aero_beyond`` the regressors outside the range of the training data, ``aero_inputs`` the
     regressors of flight data. ``make test`` compares them with the model. :func:`export_model` with
-    ``max_kb`` writes a smaller form. Return the files. Raises ValueError if there are more than 32
+    ``max_kb`` writes a smaller form. Raises ValueError if there are more than 32
     regressors.
 
     Parameters
@@ -46,6 +46,11 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     folder : path-like
         It must exist.
     model : PortableModel
+
+    Returns
+    -------
+    list of Path
+        The files.
     """
     if len(model.regressors) > MAX_REGRESSORS:
         raise ValueError(

@@ -89,6 +89,11 @@ def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[P
     folder : path-like
         Created if it does not exist.
     model : PortableModel
+
+    Returns
+    -------
+    list of Path
+        The files.
     """
     if lacking := [name for name in COEFFICIENTS if name not in model.outputs]:
         raise ValueError(

@@ -222,7 +222,7 @@ SEARCH_VALUES, OUTPUT_VALUES = (
 )  # least and most values that a search learns from; of each output
 
 
-def stratified(rows: Any, n, random_state: Any):
+def stratified(rows: Any, n: int, random_state: Any) -> Any:
     """Return a stratified sample of at most n rows: a random one of each of n equal parts, as neighbours are redundant.
 
     A row that two parts share may be drawn for both. It counts once: values that are there twice

@@ -190,7 +190,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
-    def without_effect(self, d):
+    def without_effect(self, d: int) -> Array:
         """Return the mask (d,) of regressors that the outputs do not depend on."""
         if self.regressors is None:
             return np.zeros(d, dtype=bool)
@@ -417,7 +417,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
         return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
 
-    def roots(self):
+    def roots(self) -> Array:
         """Return R, (M, P, d, d), with A = 2 R R^T and R = D^-1 C."""
         lengths = self._value("length_scale")
         d = lengths.shape[-1]

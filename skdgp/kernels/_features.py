@@ -63,20 +63,20 @@ class Features(ABC):
         """Return cov(u, u), (K, K)."""
 
     @abstractmethod
-    def Kfu(self, i: int, X) -> Matrix:
+    def Kfu(self, i: int, X: Matrix) -> Matrix:
         """Return cov(y_i(X), u) for the columns of i, (n, c_i)."""
 
     @abstractmethod
-    def Kfu_derivative(self, i: int, X) -> Array:
+    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
         """Return dKfu / dX, (d, n, c_i)."""
 
     @abstractmethod
-    def rebuild(self, kernel) -> Features:
+    def rebuild(self, kernel: Any) -> Features:
         """Return the features of another kernel of the same shape, with the same inducing inputs."""
 
     @abstractmethod
     def prior_paths(
-        self, n_paths: int, n_frequencies: int, random_state
+        self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
@@ -84,7 +84,7 @@ class Features(ABC):
         """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time."""
         return lambda X: np.hstack([self.Kfu(i, X) for i in range(self.n_outputs)])
 
-    def paths(self, coefficients) -> PathBundle:
+    def paths(self, coefficients: Matrix) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
         return FeaturePaths(self, coefficients)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from skdgp._compute.typing import Matrix, Seed
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import CovarianceColumns
@@ -28,11 +28,11 @@ class PathBundle(ABC):
     """
 
     @abstractmethod
-    def each(self, X) -> np.ndarray:
+    def each(self, X: Array) -> np.ndarray:
         """Return the values of all outputs, (S, n, P)."""
 
     @abstractmethod
-    def gradient(self, X) -> np.ndarray:
+    def gradient(self, X: Array) -> np.ndarray:
         """Return the slopes of all outputs, (S, n, P, d)."""
 
     @abstractmethod
@@ -43,7 +43,7 @@ class PathBundle(ABC):
     def doubles(self, same_points: bool) -> int:
         """Return the working memory for one point of each function, in doubles."""
 
-    def __add__(self, other) -> SumPaths:
+    def __add__(self, other: PathBundle) -> SumPaths:
         return SumPaths(self, other)
 
     def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
@@ -51,11 +51,11 @@ class PathBundle(ABC):
         taken = [bundle.take((member == k).any(axis=1)) for k, bundle in enumerate([self, *others])]
         return MixedPaths(taken, member)
 
-    def values(self, X) -> np.ndarray:
+    def values(self, X: Array) -> np.ndarray:
         """Return the values at many points, in chunks."""
         return _in_chunks(self.each, X, self.doubles(len(X) == 1))
 
-    def slopes(self, X) -> np.ndarray:
+    def slopes(self, X: Array) -> np.ndarray:
         """Return the slopes at many points, in chunks."""
         return _in_chunks(self.gradient, X, X.shape[-1] * self.doubles(len(X) == 1))
 
@@ -435,9 +435,21 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
 def prior_paths(
     kernel: MultiOutputKernel, n_paths: int, n_frequencies: int, random_state: Seed
 ) -> PathBundle:
-    """Return sample paths of the prior, with ``n_frequencies`` waves for each latent process.
+    """Return sample paths of the prior.
 
     ``prior_paths.register`` adds a class of kernels. Raises NotImplementedError for others.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    n_paths : int
+    n_frequencies : int
+        Number of waves for each latent process.
+    random_state : RandomState
+
+    Returns
+    -------
+    PathBundle
     """
     raise NotImplementedError(
         f"Got a {type(kernel).__name__}, but expected a kernel with sample paths: register them "

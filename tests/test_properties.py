@@ -212,26 +212,6 @@ def test_the_bound_is_below_the_likelihood(seed):
 
 
 @EXAMPLES
-@given(SEEDS, INFERENCE)
-def test_learning_step_by_step_is_learning_at_once(seed, inference):
-    """``partial_fit`` is conditioning: the order and size of the steps decide nothing, and knowledge never shrinks."""
-    X, Y = problem(seed, missing=False)
-    how = {"inference": inference, "n_inducing": 40}
-    half = len(X) // 2
-    first, other, start = (
-        fixed(given_kernel(seed, X, Y), **how).fit(X[:half], Y[:half]) for _ in range(3)
-    )
-    first.partial_fit(X[half:], Y[half:])
-    for row in range(len(X) - 1, half - 1, -1):
-        other.partial_fit(X[row : row + 1], Y[row : row + 1])
-    spread = np.std(Y, axis=0)
-    for got, expected in zip(other.predict(X, True), first.predict(X, True), strict=True):
-        close(got.reshape(len(X), -1), expected.reshape(len(X), -1), spread)
-    before, after = (each.predict(X, True)[1] for each in (start, first))
-    assert (after <= before * (1 + 1e-6)).all()
-
-
-@EXAMPLES
 @given(SEEDS)
 def test_exact_inference_is_the_textbook(seed):
     """Rasmussen & Williams (2006), equations 2.25 and 2.26, typed from the page."""

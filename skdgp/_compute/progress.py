@@ -33,7 +33,7 @@ def listening(listener: Listener) -> Iterator[None]:
     >>> with listening(lambda stage, n_evaluations, log_likelihood: calls.append((stage, n_evaluations))):
     ...     model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, np.sin(x[:, 0]))
     >>> calls[0], len(calls) == model.n_evaluations_
-    (('fit', 1), True)
+    (('output 1', 1), True)
     """
     token = _listener.set(listener)
     try:

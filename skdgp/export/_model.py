@@ -162,7 +162,7 @@ class Part:
         return p @ self.trend_weights + g @ self.readout.weights
 
     def prior(self, p: Matrix) -> Vector:
-        """Return a + |tau p|^2, (n,)."""
+        """Return the prior variance: a plus the squared norm of tau p, (n,)."""
         return np.asarray(self.prior_variance + np.square(p * self.trend_scale).sum(axis=1))
 
     def variance(self, p: Matrix, explained: Matrix) -> Vector:

@@ -98,7 +98,8 @@ def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
     step = pipeline.named_steps.get("lagcorrector")
     if not isinstance(step, LagCorrector):
         return {}
-    return {str(group): dict(row) for group, row in step.lags_.iterrows()}
+    table = step.lags_.astype(object).where(step.lags_.notna(), None)
+    return {str(group): dict(row) for group, row in table.iterrows()}
 
 
 def lags_message(pipeline: Pipeline) -> str:

@@ -153,7 +153,8 @@ class TestDeviations:
         )
         Y = X.to_numpy() @ slopes + np.array([2.0, 0, 8, 0, 3, 0]) * X[["alpha"]].to_numpy() ** 2
         Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
-        model = DependentGPRegressor(n_latent=1, max_iter=15, random_state=0).fit(X, Y)
+        options = {"structure": "joint", "max_iter": 15, "random_state": 0}  # Gaussian, no mixture
+        model = DependentGPRegressor(n_latent=1, **options).fit(X, Y)
         n_paths = 300
         table = stability_derivatives(model, BRUMBY, state, CONTROLS, n_paths=n_paths)
         at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]

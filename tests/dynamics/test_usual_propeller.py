@@ -98,10 +98,10 @@ def test_an_aircraft_file_has_diameter_and_pitch():
 
 def test_the_command_line_has_inches_rpm_and_volts():
     words = {
-        "mass": "2",
-        "span": "1.5",
-        "propeller": "10x5",
-        "motor": "900x11.1",
+        "mass": (2.0, 0.0),
+        "span": (1.5, 0.0),
+        "propeller": (10.0, 5.0),
+        "motor": (900.0, 11.1),
         "train": ["sortie.ulg"],
     }
     options = SimpleNamespace(**dict.fromkeys([*SIZES, *ENGINE, "kind", "aircraft"]) | words)

@@ -30,6 +30,7 @@ OBJECT = b"\6\1\1\1\16"  # kinds of the elements of an opaque object, such as a 
 MATRICES = bytes([MATRIX])
 BYTES_OF_ONE = 256  # that a variable, field or cell takes in Python, about
 DEEPEST = 8  # levels of structs and cells
+MOST_ELEMENTS = 50_000  # each is checked in Python, and becomes an array of its own
 
 
 def read_mat(path: Path) -> pd.DataFrame:
@@ -108,6 +109,7 @@ class _Check:
 
     def __init__(self, order: str, room: int) -> None:
         self.order, self.room, self.used = order, room, 0
+        self.n_elements = 0
 
     def _use(self, n_bytes: int) -> None:
         self.used += n_bytes
@@ -136,6 +138,12 @@ class _Check:
                 self.elements(self._unpacked(content), depth)
             elif kind == MATRIX:
                 self._matrix(content, depth + 1)
+            self.n_elements += 1
+            if self.n_elements > MOST_ELEMENTS:
+                raise FlightReadError(
+                    f"Got a MATLAB file of more than {MOST_ELEMENTS} arrays, but expected vectors: "
+                    "save columns as vectors, or as a struct of vectors."
+                )
             kinds.append(kind)
             contents += [content] * (len(contents) < len(OBJECT))
             padded = size if kind == COMPRESSED else (size + 7) // 8 * 8

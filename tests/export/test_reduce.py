@@ -28,7 +28,8 @@ def test_the_loss_is_true(smaller, portable_of, kind):
     changed, other = small.predict(X, return_std=True, include_input_noise=False)
     of_mean = np.sqrt(np.mean(((changed - mean) / std) ** 2, axis=0))
     of_std = np.sqrt(np.mean((other / std - 1) ** 2, axis=0))
-    assert (of_mean <= 4 * np.array([each["mean"] for each in losses.values()]) + 1e-6).all()
+    least = 0.01  # of a standard deviation: losses below it are none
+    assert (of_mean <= 3 * np.array([each["mean"] for each in losses.values()]) + least).all()
     assert (of_std <= 3 * np.array([each["std"] for each in losses.values()]) + 1e-6).all()
     assert small.provenance["reduction"] == losses
 

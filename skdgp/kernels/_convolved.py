@@ -15,7 +15,7 @@ from skdgp._compute.linalg import (
     constant_columns,
     output_scale,
 )
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._gaussian_filters import FilterPair, precision
 
@@ -190,7 +190,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
-    def without_effect(self, d: int) -> Array:
+    def without_effect(self, d: int) -> Mask:
         """Return the mask (d,) of regressors that the outputs do not depend on."""
         if self.regressors is None:
             return np.zeros(d, dtype=bool)

@@ -126,6 +126,11 @@ def stability_derivatives(
     """
     check_choice("axes", axes, ROWS)
     motion = Motion(model, aircraft, thrust=thrust, air=air)
+    if added is not None and motion.aerodynamics.slope_errors is None:
+        raise ValueError(
+            "Got rows that are added to a model without its own, but expected one that holds the "
+            "rows it was learned from: give a pipeline of identify."
+        )
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
@@ -164,18 +169,17 @@ def _deviations(
     X, model = now.regressors, motion.aerodynamics
     drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
     posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
-    errors = None if model.slope_errors is None else model.slope_errors(X)
-    if added is not None and model.slope_errors is not None:
-        then = model.slope_errors(X, np.asarray(added, dtype=float))
-        if errors is not None and then is not None:
-            now_white = frame.errors(_each_output(errors.white))
-            then_white = frame.errors(_each_output(then.white))
-            # A posterior narrows as least squares does; with too few rows no promise is made.
-            ratio = np.ones_like(now_white)
-            np.divide(then_white, now_white, out=ratio, where=now_white > 0)
-            posterior = posterior * ratio
+    slope_errors = model.slope_errors
+    errors = None if slope_errors is None else slope_errors(X)
+    if slope_errors is not None and errors is not None and added is not None:
+        # A posterior narrows as least squares does; with too few rows no promise is made.
+        then = slope_errors(X, np.asarray(added, dtype=float))
+        white = frame.errors(_each_output(errors.white))
+        ratio = np.ones_like(white)
+        np.divide(frame.errors(_each_output(then.white)), white, out=ratio, where=white > 0)
+        posterior = posterior * ratio
         errors = then
-    if model.slope_errors is None:
+    if slope_errors is None:
         return {"std_posterior": posterior}
     scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
     lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)

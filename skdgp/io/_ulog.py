@@ -36,7 +36,7 @@ SPARE_READS = 1000  # beyond one for each byte: a sound file has two for each me
 HEAD_SIZE = 3  # bytes before each message
 LATEST = 1_000_000  # microseconds from sampling to publishing, at most
 MOST_FIELDS = 2**16  # of one message, whose length has 16 bits
-MOST_FIELDS_IN_ALL = 2**18  # of all topics of a log; a VTOL's has 4,000
+MOST_FIELDS_IN_ALL = 2**18  # of all topics of a log, at most one for each byte; a VTOL's has 4,000
 SHORT_MESSAGES = (  # classes of pyulog that may raise struct.error, which ends its reading
     *("_MessageInfo", "_MessageParameterDefault", "MessageLogging", "MessageLoggingTagged"),
     "MessageDropout",
@@ -189,6 +189,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
     places: dict[int, list[int]] = {}
     known: dict[str, int] = {}
     n_lost = n_fields = 0
+    most = min(MOST_FIELDS_IN_ALL, file.getbuffer().nbytes)
 
     class Reader(ULog):
         class _MessageAddLogged(ULog._MessageAddLogged):
@@ -197,7 +198,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
                 if len(data) < 4:
                     raise ValueError("no topic is named")
                 n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, known)
-                if n_fields > MOST_FIELDS_IN_ALL:
+                if n_fields > most:
                     raise ValueError("the topics have too many fields")
                 super().__init__(data, header, formats)
                 if "timestamp" not in self.dtype.names or self.dtype["timestamp"] != "<u8":

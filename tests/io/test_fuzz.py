@@ -20,7 +20,7 @@ from skdgp.preprocessing import FlightDataWarning
 
 ROUNDS = {".ulg": 4, ".bin": 4, ".mat": 15, ".csv": 8, ".parquet": 8}
 """Per kind of damage; longer runs go through the same code."""
-SECONDS, MEMORY, GROWTH = 10.0, 60e6, 40
+SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 """A small file is read within so many seconds, in so many bytes and so many times its own."""
 
 

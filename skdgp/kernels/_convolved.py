@@ -26,7 +26,8 @@ TIED_AXIS = {
 MAX_SCALE_RATIO = (
     1e5  # largest over smallest standard deviation of regressors with a common length scale
 )
-CONSTANT_LENGTH = 1e6  # length scale over the standard deviation of a regressor that has no effect
+CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
+# what it changes is 1e-18 of the variance, below rounding
 ADDITIVE_AMPLITUDE = (
     0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
 )
@@ -79,9 +80,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         zero shifts this is the linear model of coregionalisation).
     regressors : sequence of int or None
         Columns of X that the outputs depend on, for additive models: a sum of kernels of few
-        regressors each. Length scales of the others are fixed at a million times their standard
-        deviation (at least at a million), whatever ``length_scale`` is given. For "diag" and
-        "tied". None: all columns.
+        regressors each. Length scales of the others are fixed at 1e9 times their standard deviation
+        (at least at 1e9), whatever ``length_scale`` is given, so that they have no effect in double
+        precision. For "diag" and "tied". None: all columns.
     feeds : array (M, P) of bool or None
         Whether latent m contributes to output i, for example one latent for the lateral outputs
         only. It replaces ``n_latent`` and ``private_latents``.

@@ -26,7 +26,7 @@ def test_equals_the_pipeline(kind, fitted, portable, flight):
         mean, std = fitted(kind).pipeline.predict(flight, return_std=True, **options)
         ours, deviation = portable.predict(flight, return_std=True, **options)
         np.testing.assert_allclose(ours, mean, rtol=0, atol=1e-10 * np.abs(mean).max())
-        assert (np.abs(deviation - std) <= np.maximum(1e-6 * std, portable.rounding(flight))).all()
+        assert (np.abs(deviation - std) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
     np.testing.assert_allclose(portable.predict(flight), ours, rtol=0, atol=1e-14)
 
 

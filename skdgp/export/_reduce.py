@@ -29,8 +29,8 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     others nearly. A pivoted QR factorisation at points of the flights chooses them, as in an
     interpolative decomposition (Cheng et al. 2005). Least squares fit mean and explained root as
     functions of p and g_S. The part whose reduction changes its output most gets the next
-    functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output.
-    Raises ValueError if no model is small enough.
+    functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output,
+    at the samples or around them, whichever is larger. Raises ValueError if no model is small enough.
     """
     if size(model) <= most:
         return model
@@ -74,14 +74,19 @@ def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
 
 
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
-    """Return root mean square changes of mean and deviation, over the deviation."""
-    X = Z * model.scale + model.shift
-    mean, std = model.predict(X, return_std=True, include_input_noise=False)
-    changed, other = small.predict(X, return_std=True, include_input_noise=False)
-    of_mean = np.sqrt(np.mean(((changed - mean) / std) ** 2, axis=0)).tolist()
-    of_std = np.sqrt(np.mean((other / std - 1.0) ** 2, axis=0)).tolist()
-    losses = zip(model.outputs, of_mean, of_std, strict=True)
-    return {name: {"mean": in_mean, "std": in_std} for name, in_mean, in_std in losses}
+    """Return root mean square changes of mean and deviation, over the deviation.
+
+    They are the larger of those at the samples, where the deviation is least, and those around them.
+    """
+    losses = []
+    for X in (model.samples, Z * model.scale + model.shift):
+        mean, std = model.predict(X, return_std=True, include_input_noise=False)
+        changed, other = small.predict(X, return_std=True, include_input_noise=False)
+        changes = np.stack([(changed - mean) / std, other / std - 1.0])
+        losses.append(np.sqrt(np.mean(changes**2, axis=1)))
+    of_mean, of_std = np.max(losses, axis=0).tolist()
+    named = zip(model.outputs, of_mean, of_std, strict=True)
+    return {name: {"mean": in_mean, "std": in_std} for name, in_mean, in_std in named}
 
 
 class _Choice:

@@ -39,7 +39,7 @@ def inspect(run: Run) -> None:
             )
         write_atomically(path, text_writer(text))
     run.console.stage("estimating lags")
-    lags, why = _lags(options) if summary.flights else (None, "there is no flight")
+    lags, why = _lags(options) if len(summary.flights) else (None, "there is no flight")
     lines = [
         "",
         "  lags              "

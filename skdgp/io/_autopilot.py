@@ -32,7 +32,7 @@ from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
 from skdgp.io._servos import Mixture, Servo, full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
-from skdgp.io._ulog import read_topic_tables, read_ulog
+from skdgp.io._ulog import read_ulog
 
 BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
 # a clock that goes back by more than this was restarted [s]; messages out of order are less late
@@ -111,17 +111,15 @@ class FlightLog(NamedTuple):
 
 
 def is_log(path: object) -> bool:
-    """Return whether this is the path of a log of an autopilot: with its suffix, or a folder of topics."""
-    return isinstance(path, str | os.PathLike) and (
-        Path(path).suffix.lower() in AUTOPILOTS or Path(path).is_dir()
-    )
+    """Return whether this is the path of a log of an autopilot."""
+    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in AUTOPILOTS
 
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    return read_topic_tables(path) if path.is_dir() else AUTOPILOTS[path.suffix.lower()](path)
+    return AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(

@@ -16,7 +16,7 @@ import pandas as pd
 from skdgp._compute.files import unguarded
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, known_unit, to_si
+from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, to_si
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
 ABOVE = re.compile(
@@ -28,7 +28,7 @@ DECIMAL = {
 
 
 def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
-    """Return the table of a CSV with a header, ``name`` or ``name [unit]``, and perhaps a row of units under it.
+    """Return the table of a CSV with a header of ``name`` or ``name [unit]``.
 
     Names in the header are replaced by those of ``rename``.
 
@@ -64,14 +64,6 @@ def _table(file, file_name, rename):
     check_width(len(names))
     check_names(name for name in names if name)
     below = above + records.line_num
-    for name, unit in _units_row(next(records, []), names).items():
-        below = above + records.line_num
-        if known_unit(units.setdefault(name, unit)) != known_unit(unit):
-            raise FlightReadError(
-                f"Got units {units[name]!r} in and {unit!r} under the header of column {name!r}, "
-                f"but expected one: "
-                "delete the wrong one."
-            )
     n_rows, cut, decimal = _check_rows(_records(file, below, separator), names, separator, below)
     _forward(file, below)
     table = pd.read_csv(
@@ -140,27 +132,6 @@ def _split_headings(headings, rename=MappingProxyType({})):
             units[name] = match[2]
         names.append(name if is_known else heading)
     return names, units
-
-
-def _units_row(cells, names) -> dict[str, str]:
-    """Return the units of a row that holds no number, and a known unit or none under every known name."""
-    cells = [cell.strip(" \t[]()") for cell in cells]
-    if len(cells) != len(names) or any(_is_number(cell) for cell in cells):
-        return {}
-    units = {
-        name: cell for name, cell in zip(names, cells, strict=True) if base_name(name) in CHANNELS
-    }
-    units.pop("flight", None)
-    known = any(units.values()) and all(known_unit(unit) is not None for unit in units.values())
-    return {name: unit for name, unit in units.items() if unit} if known else {}
-
-
-def _is_number(text):
-    try:
-        float(text.replace(",", "."))
-    except ValueError:
-        return False
-    return text.lower() not in ("nan", "inf", "-inf")
 
 
 def _check_rows(records, names, separator, above) -> tuple[int, str, str]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
-from itertools import groupby
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from textwrap import fill, wrap
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -51,42 +50,11 @@ ADVICE = {
     "from turns",
     "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
 }
-STEADY, SHORT = (
-    0.5,
-    1.0,
-)  # with fewer messages than this share of rate times duration, or seconds: no rate
+COLUMN = ["source", "rate", "constant"]  # what is said of a column of the flight table
+STEADY = 0.5  # with fewer messages than this fraction of rate times duration a topic has no rate
+SHORT = 1.0  # nor with messages over fewer seconds
 MOST_FLIGHTS = 6  # more flights are summed up in one line
 WIDTH = 110
-
-
-@dataclass(frozen=True)
-class TopicSummary:
-    """One topic: number of messages, rate [Hz] (NaN for events), number of gaps, longest gap [s]."""
-
-    name: str
-    messages: int
-    rate: float
-    gaps: int
-    longest_gap: float
-
-
-@dataclass(frozen=True)
-class ColumnSummary:
-    """One column of the flight table: its source, the rate of the source [Hz], whether it is constant."""
-
-    name: str
-    source: str
-    rate: float
-    constant: bool
-
-
-@dataclass(frozen=True)
-class FlightSummary:
-    """One flight: begin and end [s], mean airspeed [m/s]."""
-
-    begin: float
-    end: float
-    airspeed: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,14 +67,16 @@ class LogSummary:
         The file; ``vehicle`` is None where the log does not say.
     duration : float
         From the first to the last row of the table [s].
-    topics : tuple of TopicSummary
-        Every message type with a time.
-    columns : tuple of ColumnSummary
-        Columns of the flight table.
+    topics : DataFrame
+        Every message type with a time: ``messages``, their ``rate`` [Hz] (NaN for events),
+        ``gaps`` and the ``longest_gap`` [s].
+    columns : DataFrame
+        Columns of the flight table: ``source``, its ``rate`` [Hz], and whether they are
+        ``constant``.
     missing : dict of str to tuple of str
         By step (coefficients, reconstruction, regressors, replay): columns that it lacks.
-    flights : tuple of FlightSummary
-        Flights in the air.
+    flights : DataFrame
+        Flights in the air: ``begin`` and ``end`` [s], mean ``airspeed`` [m/s].
     no_flight : str
         Why there are none; empty if there are some.
     remarks : tuple of str
@@ -119,78 +89,67 @@ class LogSummary:
     firmware: str
     vehicle: str | None = None
     duration: float
-    topics: tuple[TopicSummary, ...] = ()
-    columns: tuple[ColumnSummary, ...]
+    topics: pd.DataFrame = field(default_factory=pd.DataFrame)
+    columns: pd.DataFrame
     missing: dict[str, tuple[str, ...]]
-    flights: tuple[FlightSummary, ...]
+    flights: pd.DataFrame
     no_flight: str = ""
     remarks: tuple[str, ...]
 
     def to_dict(self) -> dict:
         """Return everything as lists, dicts, texts and numbers, NaN as None, ready for JSON."""
-        return plain(asdict(self))
+        tables = {
+            "topics": self.topics.reset_index(names="name"),
+            "columns": self.columns.reset_index(names="name"),
+            "flights": self.flights,
+        }
+        return plain(vars(self) | {name: each.to_dict("records") for name, each in tables.items()})
 
     def __str__(self) -> str:
+        vehicle = self.vehicle or "vehicle unknown"
         lines = [
-            f"{self.path}: {self.format}, {self.firmware}, {self.vehicle or 'vehicle unknown'}, "
-            f"{self.duration:.1f} s",
-            *(
-                "",
-                *self._flight_lines(),
-                "",
-                f"  {'columns':<22}{'rate':>9}  from",
-                *self._column_lines(),
-                "",
-            ),
+            f"{self.path}: {self.format}, {self.firmware}, {vehicle}, {self.duration:.1f} s",
+            "",
         ]
+        lines += [f"  {words}" for words in self._flight_lines()]
+        lines.append("")
+        kinds = self.columns.groupby(["source", "rate", "constant"], sort=False, dropna=False)
+        for (source, rate, constant), rows in kinds:
+            names = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
+            lines.append(_hanging(f"{names}: {source}{' (never changes)' * constant}", 15))
+        lines.append("")
         for step, names in self.missing.items():
-            lines.append(
-                _hanging(
-                    f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20
-                )
-            )
+            words = f"lacks {', '.join(names)}" if names else "nothing missing"
+            lines.append(_hanging(f"{step:<18}{words}", 20))
         lacking = {name for names in self.missing.values() for name in names}
-        surfaces = {"servos"} if any(name.startswith(SURFACES) for name in lacking) else set()
-        lines += [
-            f"  {'':<18}- {words}" for name, words in ADVICE.items() if name in lacking | surfaces
-        ]
-        lines += (
-            ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)] if self.remarks else []
-        )
-        if self.topics:
-            often = [
-                f"{t.rate:.3g} Hz" if np.isfinite(t.rate) else f"{t.messages} times"
-                for t in self.topics
-            ]
-            gaps = [f" ({t.gaps} gaps)" * (t.gaps > 0) for t in self.topics]
-            words = [
-                f"{t.name} {n}{gap}" for t, n, gap in zip(self.topics, often, gaps, strict=True)
-            ]
-            lines += ["", _hanging(f"topics: {', '.join(words)}", 4)]
+        if any(name.startswith(SURFACES) for name in lacking):
+            lacking.add("servos")
+        lines += [f"{'':20}- {words}" for name, words in ADVICE.items() if name in lacking]
+        lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)]
+        words = [
+            f"{name} {row.messages} times" if np.isnan(row.rate)
+            else f"{name} {row.rate:.3g} Hz" + f" ({row.gaps} gaps)" * (row.gaps > 0)
+            for name, row in zip(self.topics.index, self.topics.itertuples(), strict=True)
+        ]  # fmt: skip
+        lines += ["", _hanging(f"topics: {', '.join(words)}", 4)] if words else []
         return "\n".join(lines)
 
-    def _flight_lines(self):
-        if not self.flights:
-            yield f"  no flight: {self.no_flight}"
-        elif len(self.flights) > MOST_FLIGHTS:
-            seconds = [each.end - each.begin for each in self.flights]
-            speeds = [each.airspeed for each in self.flights if np.isfinite(each.airspeed)]
-            speed = f" at {min(speeds):.1f} to {max(speeds):.1f} m/s" if speeds else ""
-            yield f"  {len(self.flights)} flights of {min(seconds):.1f} to {max(seconds):.1f} s{speed}"
-            return
-        for each in self.flights:
-            speed = f" at {each.airspeed:.1f} m/s" if np.isfinite(each.airspeed) else ""
-            yield f"  flight from {each.begin:.1f} s to {each.end:.1f} s{speed}"
-
-    def _column_lines(self):
-        for (source, rate, constant), columns in groupby(
-            self.columns, key=lambda c: (c.source, c.rate, c.constant)
-        ):
-            *above, names = wrap(
-                " ".join(column.name for column in columns), WIDTH - 40, break_long_words=False
-            )
-            yield from (f"  {line}" for line in above)
-            yield f"  {names:<21} {rate:>6.3g} Hz  {source}{' (never changes)' * constant}"
+    def _flight_lines(self) -> list[str]:
+        """Return a line for each flight, or one for many."""
+        if self.flights.empty:
+            return [f"no flight: {self.no_flight}"]
+        seconds = self.flights["end"] - self.flights["begin"]
+        speeds = self.flights["airspeed"]
+        if len(self.flights) > MOST_FLIGHTS:
+            speed = f" at {speeds.min():.1f} to {speeds.max():.1f} m/s" * bool(speeds.notna().any())
+            return [
+                f"{len(seconds)} flights of {seconds.min():.1f} to {seconds.max():.1f} s{speed}"
+            ]
+        return [
+            f"flight from {row.begin:.1f} s to {row.end:.1f} s"
+            + f" at {row.airspeed:.1f} m/s" * bool(np.isfinite(row.airspeed))
+            for row in self.flights.itertuples()
+        ]
 
 
 def inspect_log(
@@ -220,12 +179,15 @@ def inspect_log(
     with reading(path):
         flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
-    log, found = (
-        flown.log,
-        {name: each for name, each in longest.table.items() if name in flown.origin},
-    )
-    columns = tuple(
-        ColumnSummary(name, *flown.origin[name], _constant(each)) for name, each in found.items()
+    log = flown.log
+    columns = pd.DataFrame.from_dict(
+        {
+            name: (*flown.origin[name], values.nunique() < 2)
+            for name, values in longest.table.items()
+            if name in flown.origin
+        },
+        orient="index",
+        columns=COLUMN,
     )
     tables = [part.table.iloc[rows] for part in flown.parts for rows in part.segments]
     return LogSummary(
@@ -234,10 +196,14 @@ def inspect_log(
         firmware=log.firmware,
         vehicle=log.vehicle,
         duration=float(sum(np.ptp(part.table["time"]) for part in flown.parts if len(part.table))),
-        topics=tuple(_topic(name, topic) for name, topic in longest.topics.items()),
+        topics=pd.DataFrame.from_dict(
+            {name: _topic(topic) for name, topic in longest.topics.items()},
+            orient="index",
+            columns=["messages", "rate", "gaps", "longest_gap"],
+        ),
         columns=columns,
         missing=missing_for(columns),
-        flights=tuple(map(_flight, tables)),
+        flights=_flights(tables),
         no_flight="" if tables else no_flight_because(longest.table, log, flown.speed),
         remarks=(*flown.remarks, *_contradictions(tables)),
     )
@@ -264,9 +230,9 @@ def names_servos(path: PathLike) -> bool:
     return bool(log.servos or log.mixing)
 
 
-def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
+def missing_for(columns: pd.DataFrame) -> dict[str, tuple[str, ...]]:
     """Return by step the columns that are missing, or a sensor's that never change."""
-    found = {column.name for column in columns if not (column.constant and column.name in SENSORS)}
+    found = set(columns.index[~(columns["constant"] & columns.index.isin(SENSORS))])
     missing: dict[str, tuple[str, ...]] = {}
     for step, needs in NEEDS.items():
         possible = {before for before, lacking in missing.items() if not lacking}
@@ -276,42 +242,48 @@ def missing_for(columns: Iterable[ColumnSummary]) -> dict[str, tuple[str, ...]]:
     return missing
 
 
-def _of_table(path, table) -> LogSummary:
+def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
+    """Return the summary of a file that is no log of an autopilot."""
     steps = table.groupby("flight", sort=False)["time"].diff().dropna()
     rate = 1 / float(steps.median()) if len(steps) else np.nan
     unknown = table.attrs["unknown_columns"]
-    columns = tuple(
-        ColumnSummary(str(name), "column", rate * each.notna().mean(), _constant(each))
-        for name, each in table.items()
-        if name not in ("time", "flight", *unknown)
+    channels = table.drop(columns=["time", "flight", *unknown])
+    columns = pd.DataFrame(
+        {
+            "source": "column",
+            "rate": rate * channels.notna().mean(),
+            "constant": channels.nunique() < 2,
+        },
+        index=channels.columns,
+        columns=COLUMN,
     )
     tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
-    flights = tuple(map(_flight, tables))
+    flights = _flights(tables)
+    words = unknown_columns_message(unknown, table.columns)
+    remarks = [f"columns of unknown names: {words}"] if words else []
+    remarks += grouped_messages(find_faults(table))
     return LogSummary(
         path=str(path),
         format="table",
         firmware=path.suffix.lstrip("."),
-        duration=sum(each.end - each.begin for each in flights),
+        duration=float((flights["end"] - flights["begin"]).sum()),
         columns=columns,
         missing=missing_for(columns),
         flights=flights,
-        remarks=(
-            *_unknown(unknown, table),
-            *grouped_messages(find_faults(table)),
-            *_contradictions(tables),
-        ),
+        remarks=(*remarks, *_contradictions(tables)),
     )
 
 
-def _unknown(names, table) -> list[str]:
-    words = unknown_columns_message(names, table.columns)
-    return [f"columns of unknown names: {words}"] if words else []
-
-
-def _flight(table) -> FlightSummary:
-    time = table["time"]
-    airspeed = float(table["airspeed"].mean()) if "airspeed" in table else np.nan
-    return FlightSummary(float(time.iloc[0]), float(time.iloc[-1]), airspeed)
+def _flights(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    rows = [
+        (
+            table["time"].iloc[0],
+            table["time"].iloc[-1],
+            table["airspeed"].mean() if "airspeed" in table else np.nan,
+        )
+        for table in tables
+    ]
+    return pd.DataFrame(rows, columns=["begin", "end", "airspeed"], dtype=float)
 
 
 def _contradictions(tables) -> tuple[str, ...]:
@@ -325,18 +297,14 @@ def _contradictions(tables) -> tuple[str, ...]:
         return ()
 
 
-def _topic(name, topic: Topic) -> TopicSummary:
-    found, rate = gaps(topic.time), sampling_rate(topic.time)
+def _topic(topic: Topic) -> tuple[int, float, int, float]:
+    """Return messages, rate, number of gaps and the longest one of a topic."""
+    rate = sampling_rate(topic.time)
     seconds = np.ptp(topic.time)
     if seconds < SHORT or len(topic) < STEADY * rate * seconds:
-        return TopicSummary(name, len(topic), np.nan, 0, np.nan)
-    return TopicSummary(
-        name, len(topic), rate, len(found), max((length for _, length in found), default=0.0)
-    )
-
-
-def _constant(column) -> bool:
-    return bool(column.nunique() < 2)
+        return len(topic), np.nan, 0, np.nan
+    lengths = [length for _, length in gaps(topic.time)]
+    return len(topic), rate, len(lengths), max(lengths, default=0.0)
 
 
 def _hanging(words, indent) -> str:

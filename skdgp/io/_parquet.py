@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from skdgp._flight.channels import CHANNELS
@@ -30,7 +30,6 @@ def read_parquet(path: Path) -> pd.DataFrame:
     FlightDataWarning.
     """
     try:
-        import pyarrow.compute
         import pyarrow.parquet
     except ImportError as error:
         raise ImportError(
@@ -49,62 +48,39 @@ def read_parquet(path: Path) -> pd.DataFrame:
         ) from error
 
 
-def _table(path, pyarrow):
+def _table(path: Path, pyarrow: Any) -> pd.DataFrame:
     with pyarrow.parquet.ParquetFile(path) as file:
-        schema, size, room = file.schema_arrow, file.metadata, room_for(path.stat().st_size)
+        schema, size = file.schema_arrow, file.metadata
     check_width(len(schema.names))
     check_names(name.strip() for name in schema.names)
-    plain = {
-        field.name: _plain(field, pyarrow) for field in schema if not field.name.startswith(INDEX)
-    }
-    left_out = {name: str(schema.field(name).type) for name, kind in plain.items() if kind is None}
-    if needed := [name for name in left_out if base_name(name.strip()) in CHANNELS]:
-        raise FlightReadError(
-            f"Got column {needed[0]!r} of type {left_out[needed[0]]}, but expected one value in "
-            f"each row: write one "
-            "column for each value."
-        )
+    fields = [field for field in schema if not field.name.startswith(INDEX)]
+    kinds = {field.name: _plain(field.type, pyarrow) for field in fields}
+    left_out = {name: str(schema.field(name).type) for name in kinds if kinds[name] is None}
+    for name, kind in left_out.items():
+        if base_name(name.strip()) in CHANNELS:
+            raise FlightReadError(
+                f"Got column {name!r} of type {kind}, but expected one value in each row: write "
+                f"one column for each value."
+            )
     if left_out:
         words = f"{path.name}: columns that hold neither numbers, texts nor times are left out: {left_out}."
         warnings.warn(words, FlightDataWarning, stacklevel=4)
-    plain = {name: kind for name, kind in plain.items() if kind is not None}
-    packed = [size.row_group(g).total_byte_size for g in range(size.num_row_groups)]
-    check_room(max(8 * size.num_rows * len(plain), sum(packed)), room)
-    texts = [name for name, kind in plain.items() if kind == pyarrow.large_string()]
-    with pyarrow.parquet.ParquetFile(
-        path, read_dictionary=texts
-    ) as file:  # a text that repeats is read once
-        table = file.read(columns=list(plain))
-    check_room(sum(_text_bytes(table[name], pyarrow) for name in texts), room)
-    return table.cast(pyarrow.schema(plain)).to_pandas(ignore_metadata=True)
+    kinds = {name: kind for name, kind in kinds.items() if kind is not None}
+    packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
+    check_room(max(8 * size.num_rows * len(kinds), packed), room_for(path.stat().st_size))
+    texts = [name for name, kind in kinds.items() if pyarrow.types.is_dictionary(kind)]
+    with pyarrow.parquet.ParquetFile(path, read_dictionary=texts) as file:
+        table = file.read(columns=list(kinds))
+    frame = table.cast(pyarrow.schema(kinds)).to_pandas(ignore_metadata=True)
+    return frame.astype(dict.fromkeys(texts, object))  # rows of one text share it
 
 
-def _plain(field, pyarrow):
+def _plain(kind: Any, pyarrow: Any) -> Any:
     """Return the type that a table holds: of numbers, texts or times; None for others."""
-    types, kind = pyarrow.types, field.type
+    types = pyarrow.types
     kind = kind.value_type if types.is_dictionary(kind) else kind
-    of_bytes = types.is_binary(kind) or types.is_large_binary(kind)
-    if (
-        types.is_string(kind)
-        or types.is_large_string(kind)
-        or (of_bytes and field.name.strip() == "flight")
-    ):
-        return pyarrow.large_string()
+    if types.is_string(kind) or types.is_large_string(kind):
+        return pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     if types.is_decimal(kind):
         return pyarrow.float64()
-    simple = types.is_integer, types.is_floating, types.is_boolean, types.is_null, types.is_temporal
-    return kind if any(is_one(kind) for is_one in simple) else None
-
-
-def _text_bytes(column, pyarrow) -> int:
-    """Return how many bytes the texts of a column take, without writing them out."""
-    total = 0
-    for chunk in column.chunks:
-        if pyarrow.types.is_dictionary(chunk.type):
-            lengths = np.append(
-                pyarrow.compute.binary_length(chunk.dictionary).fill_null(0).to_numpy(False), 0
-            )
-            total += int(lengths[chunk.indices.fill_null(-1).to_numpy(False)].sum())
-        else:
-            total += chunk.nbytes
-    return total
+    return kind if types.is_primitive(kind) or types.is_null(kind) else None

@@ -66,8 +66,8 @@ def read_flight(
     path : str or path, or several
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.mat`` (MATLAB v5 to v7:
         vectors named as columns, loose or in one struct), ``.ulg`` (PX4) and ``.tlog`` (MAVLink
-        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot), a folder with a Parquet file
-        of each topic (Flight Review of PX4). Several: as :func:`read_flights`.
+        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot). Several: as
+        :func:`read_flights`.
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.

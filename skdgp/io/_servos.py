@@ -1,4 +1,4 @@
-"""Servo files (TOML): pulse widths to surface angles, to controls of any mixing, and back; templates."""
+"""Servo files (TOML): pulse widths to surface angles and to controls of any mixing; templates."""
 
 from __future__ import annotations
 
@@ -8,31 +8,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
-from skdgp._flight.checks import check_columns
 from skdgp.io._log import Log, ServoChannel
 from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
-PAIRS = {
-    "vtail": {"elevator": (0.5, 0.5), "rudder": (0.5, -0.5)},
-    "flaperon": {"aileron": (0.5, -0.5)},
-    "aileron": {"aileron": (0.5, -0.5)},
-    "elevator": {"elevator": (0.5, 0.5)},
-    "rudder": {"rudder": (0.5, 0.5)},
-}
-"""Weights of the angles of two surfaces, NAME_left and NAME_right, trailing edges down (of rudders: left), in controls.
-The trailing edge of the left half of a V-tail, which points up, pushes the tail right when it turns
-down: nose left."""
-ELEVON_WEIGHTS = {
-    "elevator": (0.5, 0.5),
-    "aileron": (0.5, -0.5),
-}  # columns of their own in a flight table
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 FULL_THROW = "full throw"
@@ -68,18 +52,6 @@ class Servo(NamedTuple):
         """The servo as a `Mixture` has it."""
         return ((1.0, self),)
 
-    def output(self, angles: Vector) -> Vector:
-        """Return the values of the channel that give angles [rad]; FlightReadError if some belong to several values."""
-        sign = np.sign(self.angles[-1] - self.angles[0])
-        rising = sign * np.array(self.angles)
-        if not (np.diff(rising) > 0).all():
-            raise FlightReadError(
-                f"Got angles {list(self.angles)} of {self.channel}, but expected them to rise or "
-                f"fall throughout: "
-                "each angle must have one value of the channel."
-            )
-        return make_interp_spline(rising, self.inputs, k=1)(sign * np.asarray(angles, dtype=float))
-
 
 class Mixture(NamedTuple):
     """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
@@ -106,10 +78,9 @@ def read_servos(
     or with its standard deviation ``"25 +- 2 deg"``, of the servos that the autopilot's parameters
     name.
 
-    Surfaces that make controls together are ``[vtail_left]`` and ``[vtail_right]``, or flaperon,
-    aileron, elevator, rudder in place of vtail (`PAIRS`), or have any name and weights in
-    ``[mixing]``, as in ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of
-    angles. Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
+    Surfaces that make controls together have any names and weights in ``[mixing]``, as in
+    ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of angles. Raises
+    FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------
@@ -125,7 +96,8 @@ def read_servos(
             raise FlightReadError(
                 f"Got {servos} as the servo file, but expected TOML: {error}"
             ) from error
-    weights, found = _weights(servos), {}
+    weights = _weights(servos.get(MIXING, {}))
+    found = {}
     mixed = {name for parts in weights.values() for name in parts}
     each = {
         name: _servo(name, entry, (*MOVED, *mixed))
@@ -152,108 +124,23 @@ def read_servos(
     return {name: servo for name, servo in each.items() if name not in mixed} | found
 
 
-def _weights(servos: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the weights of surfaces in the controls that they make, by the file or by their names."""
-    told = servos.get(MIXING, {})
-    if not isinstance(told, Mapping) or not all(
+def _weights(mixing: Any) -> dict[str, dict[str, float]]:
+    """Return the weights of surfaces in the controls that they make."""
+    if not isinstance(mixing, Mapping) or not all(
         control in SURFACES
         and isinstance(parts, Mapping)
         and parts
         and all(map(_is_number, parts.values()))
-        for control, parts in told.items()
+        for control, parts in mixing.items()
     ):
         raise FlightReadError(
-            f"Got mixing = {told!r}, but expected weights of surfaces for some of "
-            f"{list(SURFACES)}, as in "
-            "rudder = {fin = 0.5, nose = -0.5}."
+            f"Got mixing = {mixing!r}, but expected weights of surfaces for some of "
+            f"{list(SURFACES)}, as in rudder = {{fin = 0.5, nose = -0.5}}."
         )
-    weights = {
+    return {
         control: {name: float(weight) for name, weight in parts.items()}
-        for control, parts in told.items()
+        for control, parts in mixing.items()
     }
-    for pair, controls in PAIRS.items():
-        sides = [f"{pair}_left", f"{pair}_right"]
-        if set(sides) <= set(servos) and not any(
-            set(sides) & set(parts) for parts in weights.values()
-        ):
-            weights |= {
-                control: dict(zip(sides, parts, strict=True)) for control, parts in controls.items()
-            }
-    return weights
-
-
-def servo_outputs(table: pd.DataFrame, servos: str | Path | Mapping[str, Any]) -> pd.DataFrame:
-    """Return the values of the channels of servos that turn surfaces as a table says.
-
-    The inverse of a servo file: angles are the smallest ones whose weighted sums are the controls,
-    so the two surfaces of an aileron turn by the same angle to either side.
-
-    Parameters
-    ----------
-    table : DataFrame
-        ``time`` [s] and elevator, aileron, rudder, elevons [rad], throttle, as of a flight or of
-        :meth:`skdgp.design.Wavetrain.table` with its trim.
-    servos : path or mapping
-        Of :func:`read_flight`, with a channel for each surface. Elevons take elevator and aileron
-        where the table has no elevons.
-
-    Returns
-    -------
-    DataFrame
-        ``time``, and a column for each channel, in its unit; beyond its ends by straight lines, so
-        limit the inputs.
-
-    Raises
-    ------
-    FlightReadError
-        If the file makes no sense, gives a throw, has angles of several values, or cannot make the
-        controls.
-    ValueError
-        If the table lacks a control.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from skdgp.io import servo_outputs
-    >>> servo = {"min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
-    >>> tail = {"vtail_left": servo | {"channel": "RCOU.C2"}, "vtail_right": servo | {"channel": "RCOU.C4"}}
-    >>> servo_outputs(pd.DataFrame({"time": [0.0], "elevator": [0.1], "rudder": [0.1]}), tail)
-       time  RCOU.C2  RCOU.C4
-    0   0.0   1700.0   1500.0
-    """
-    found = read_servos(servos)
-    if throws := [name for name, each in found.items() if isinstance(each, Throw)]:
-        raise FlightReadError(
-            f"Got a throw of the {throws[0]}, but expected its channel: write its servo in full."
-        )
-    controls = {name: each.parts for name, each in found.items() if not isinstance(each, Throw)}
-    elevons = [controls[name][0][1] for name in ELEVONS if name in controls]
-    if len(elevons) == len(ELEVONS) and not set(ELEVONS) & set(table):
-        controls = {name: parts for name, parts in controls.items() if name not in ELEVONS}
-        controls |= {
-            name: tuple(zip(weights, elevons, strict=True))
-            for name, weights in ELEVON_WEIGHTS.items()
-        }
-    check_columns(table, ["time", *controls])
-    channels = {servo.channel: servo for parts in controls.values() for _, servo in parts}
-    matrix = np.array(
-        [
-            [sum(w for w, s in parts if s.channel == c) for c in channels]
-            for parts in controls.values()
-        ]
-    )
-    if np.linalg.matrix_rank(matrix) < len(matrix):
-        raise FlightReadError(
-            f"Got {len(channels)} servos for {list(controls)}, but expected some that move each "
-            f"of these by itself: "
-            "look at the weights."
-        )
-    angles = table[list(controls)].to_numpy(float) @ np.linalg.pinv(matrix).T
-    outputs = {
-        channel: servo.output(angle)
-        for (channel, servo), angle in zip(channels.items(), angles.T, strict=True)
-    }
-    return pd.DataFrame({"time": table["time"].to_numpy(float), **outputs})
 
 
 def reversed_of(servos: Any) -> tuple[str, ...] | None:
@@ -335,11 +222,9 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
 
 def _servo(name, entry, known) -> Servo | Throw:
     if name not in known:
-        sides = [f"{pair}_left and {pair}_right" for pair in PAIRS]
         raise FlightReadError(
-            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, both of "
-            f"{', '.join(sides)}, or a name "
-            "with its weight in mixing."
+            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, or a name with "
+            f"its weight in mixing."
         )
     if isinstance(entry, str):
         return _throw(name, entry)

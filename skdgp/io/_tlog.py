@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
@@ -118,31 +119,17 @@ def read_tlog(path: Path) -> Log:
             "or of another kind?"
         )
     system = systems.most_common(1)[0][0]
-    by_name: dict[str, list[int]] = {}
+    by_name: dict[str, dict[int, Any]] = {}
     for place, each in enumerate(messages):
         if each.get_srcSystem() == system:
-            name, number = each.get_type(), NUMBERED.get(each.get_type())
-            by_name.setdefault(
-                instance_name(name, int(getattr(each, number, 0)) if number else 0), []
-            ).append(place)
-    beats = [messages[place] for place in by_name.pop("HEARTBEAT", ())]
+            number = getattr(each, NUMBERED.get(each.get_type(), ""), 0)
+            name = instance_name(each.get_type(), int(number))
+            by_name.setdefault(name, {})[place] = each
+    beats = list(by_name.pop("HEARTBEAT", {}).values())
     px4 = any(each.autopilot == PX4 for each in beats)
-    parameters = dict(_parameter(messages[place], px4) for place in by_name.pop("PARAM_VALUE", ()))
-    clocks = {
-        name: np.array([_clock(messages[place]) for place in places])
-        for name, places in by_name.items()
-    }
-    topics = {}
-    for name, places in sorted(by_name.items()):
-        found = [messages[place] for place in places]
-        by_place = np.interp(places, by_name["ATTITUDE"], clocks["ATTITUDE"])
-        clock = clocks[name]
-        time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
-        numbers = [
-            key for key in found[0].get_fieldnames() if not isinstance(getattr(found[0], key), str)
-        ]
-        fields = {key: [getattr(each, key) for each in found] for key in numbers}
-        topics[name] = Topic(time, np.array(places, dtype=float), numeric_fields(fields))
+    parameters = dict(_parameter(each, px4) for each in by_name.pop("PARAM_VALUE", {}).values())
+    attitude = _clocks(by_name["ATTITUDE"])
+    topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
     speeds = [
         parameters[name]
@@ -163,6 +150,16 @@ def read_tlog(path: Path) -> Log:
         servos=servos_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
         mixing=mixing_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
     )
+
+
+def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
+    """Return a topic; a message whose clock is not the one of the attitude was sent between its neighbours."""
+    clock = _clocks(messages)
+    places = clock.index.to_numpy(float)
+    by_place = np.interp(places, attitude.index, attitude)
+    time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
+    fields = pd.DataFrame([each.to_dict() for each in messages.values()]).to_dict("list")
+    return Topic(time, places, numeric_fields(fields))
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
@@ -204,13 +201,18 @@ def _parameter(message: Any, px4: bool) -> tuple[str, float]:
     )
 
 
-def _clock(message: Any) -> float:
-    """Return the time of a message by the clock of the vehicle [s], NaN where it has none."""
-    return next(
-        (
-            factor * getattr(message, name)
-            for name, factor in CLOCKS.items()
-            if hasattr(message, name)
-        ),
-        np.nan,
+def _clocks(messages: dict[int, Any]) -> pd.Series:
+    """Return the clock of the vehicle [s] by place in the file, NaN of messages without one."""
+    return pd.Series(
+        {
+            place: next(
+                (
+                    factor * getattr(each, name)
+                    for name, factor in CLOCKS.items()
+                    if hasattr(each, name)
+                ),
+                np.nan,
+            )
+            for place, each in messages.items()
+        }
     )

@@ -1,4 +1,4 @@
-"""Reader of PX4 logs (ULog) by pyulog, and of folders with a Parquet file for each topic.
+"""Reader of PX4 logs (ULog) by pyulog.
 
 The topics are those of https://docs.px4.io/main/en/msg_docs. What pyulog skips of a damaged file is
 counted, and definitions that ask for far more fields than a message can hold are refused.
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._compute.files import read_json
 from skdgp._compute.typing import Vector
 from skdgp.io._log import (
     QUATERNION,
@@ -108,7 +107,6 @@ OUTPUTS = (
     "actuator_controls_0",
     "actuator_controls_1",
 )
-TOPICS = {*OUTPUTS, *(rule.topic for rule in RULES)}
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
 """By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 against our signs.
@@ -162,7 +160,20 @@ def read_ulog(path: Path) -> Log:
         remarks = ("parts of the file could not be read and were skipped",)
     changed = {name: value for _, name, value in log.changed_parameters}
     parameters = _numbers(log.initial_parameters | changed)
-    return _log("PX4 ULog", topics, parameters, log.msg_info_dict, remarks)
+    return Log(
+        kind="PX4 ULog",
+        topics=topics,
+        rules=RULES,
+        parameters=parameters,
+        firmware=_firmware(log.msg_info_dict),
+        vehicle=_vehicle(topics, parameters),
+        remarks=remarks,
+        slowest_airspeed=parameters.get("FW_AIRSPD_MIN", np.nan),
+        landed=("vehicle_land_detected", "landed", 1.0),
+        outputs=OUTPUTS,
+        servos=_servos(topics, parameters),
+        mixing=_mixing(topics, parameters),
+    )
 
 
 class _Bytes(io.BytesIO):
@@ -246,64 +257,6 @@ def _n_fields(name: str, formats: Mapping[str, Any], known: dict[str, int]) -> i
     if known[name] > MOST_FIELDS:
         raise ValueError(f"{name} has more fields than a message can hold")
     return known[name]
-
-
-def read_topic_tables(path: Path) -> Log:
-    """Return a log of PX4 in a folder with a Parquet file for each topic, as Flight Review stores it.
-
-    Further instances of a topic are topic_1.parquet, ... Parameters and firmware are in
-    metadata.json; without it the servos of surfaces are not known. Raises FlightReadError if no
-    file is a topic, ImportError without pyarrow.
-    """
-    try:
-        from pyarrow.parquet import read_table
-    except ImportError as error:
-        raise ImportError(
-            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]'."
-        ) from error
-    metadata, topics = {}, {}
-    if (path / "metadata.json").exists():
-        try:
-            metadata = read_json(path / "metadata.json")
-        except ValueError as error:
-            raise FlightReadError(f"Got metadata.json, but expected JSON: {error}") from error
-    for file in sorted(path.glob("*.parquet")):
-        try:
-            table = read_table(file).to_pandas()
-        except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
-            raise FlightReadError(
-                f"Got no whole Parquet file {file.name} ({error}): copy it again."
-            ) from error
-        fields = numeric_fields({str(name): table[name] for name in table})
-        if len(table) and "timestamp" in fields:
-            stem, _, number = file.stem.rpartition("_")
-            is_instance = stem and number.isdecimal() and file.stem not in TOPICS
-            name = instance_name(stem, int(number)) if is_instance else file.stem
-            order = fields["timestamp"].astype(float)
-            topics[name] = Topic(_sampled(name, fields) * 1e-6, order, fields)
-    if not topics:
-        raise FlightReadError(
-            "Got a folder, but expected Parquet files of the topics of PX4 in it, with a "
-            "timestamp, such as vehicle_attitude.parquet."
-        )
-    return _log("PX4 Parquet", topics, _numbers(metadata.get("parameters", {})), metadata, ())
-
-
-def _log(kind, topics, parameters, information, remarks) -> Log:
-    return Log(
-        kind=kind,
-        topics=topics,
-        rules=RULES,
-        parameters=parameters,
-        firmware=_firmware(information),
-        vehicle=_vehicle(topics, parameters),
-        remarks=remarks,
-        slowest_airspeed=parameters.get("FW_AIRSPD_MIN", np.nan),
-        landed=("vehicle_land_detected", "landed", 1.0),
-        outputs=OUTPUTS,
-        servos=_servos(topics, parameters),
-        mixing=_mixing(topics, parameters),
-    )
 
 
 def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:

@@ -64,15 +64,15 @@ class TestSummary:
         assert summary.missing == dict.fromkeys(NEEDS, ())
         assert summary.duration == pytest.approx(30, abs=0.1)
         assert summary.remarks == ()
-        (flight,) = summary.flights
+        (flight,) = summary.flights.itertuples()
         assert flight.end - flight.begin == pytest.approx(30, abs=0.3)
         assert flight.airspeed == pytest.approx(18, abs=1)
-        rates = {column.name: column.rate for column in summary.columns}
+        rates = summary.columns["rate"]
         assert rates["p"] == pytest.approx(200, rel=1e-3)
         assert rates["altitude"] == pytest.approx(10, rel=1e-3)
-        topics = {topic.name: topic for topic in summary.topics}
-        assert topics["vehicle_acceleration"].rate == pytest.approx(100, rel=1e-3)
-        assert topics["vehicle_acceleration"].gaps == 0
+        topic = summary.topics.loc["vehicle_acceleration"]
+        assert topic["rate"] == pytest.approx(100, rel=1e-3)
+        assert topic["gaps"] == 0
 
     def test_what_is_missing_for_which_step(self, whole, quad):
         assert inspect_log(whole).missing["regressors"] == (
@@ -106,7 +106,7 @@ class TestSummary:
         )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         summary = inspect_log(tmp_path / "log.ulg")
-        (topic,) = summary.topics
+        (topic,) = summary.topics.itertuples()
         assert (topic.gaps, topic.longest_gap) == (1, pytest.approx(2.04))
         assert "1 gaps, the longest of 2.04 s at 4.98 s" in summary.remarks[0]
 
@@ -129,9 +129,7 @@ class TestSummary:
         table.to_csv(tmp_path / "runs.csv", index=False)
         summary = inspect_log(tmp_path / "runs.csv")
         assert len(summary.flights) == 9
-        assert [column.rate for column in summary.columns] == pytest.approx(
-            [100.0] * len(summary.columns)
-        )
+        assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
         text = str(summary)
         assert "9 flights of 1.5 to 1.5 s at 5." in text
         assert "flight from" not in text
@@ -149,7 +147,7 @@ class TestSummary:
         assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed'?)")
         assert "and 66 others: sensor_0, sensor_1" in remark
         rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
-        found = {column.name for column in inspect_log(tmp_path / "a.csv", rename=rename).columns}
+        found = set(inspect_log(tmp_path / "a.csv", rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
     def test_times_are_seconds_of_the_log(self, tmp_path):
@@ -288,9 +286,9 @@ class TestSharedLogs:
         )
         commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
         summary = inspect_log(path, servos=commands)
-        (elevator,) = [column for column in summary.columns if column.name == "elevator"]
-        assert elevator.rate == pytest.approx(25, rel=0.01)
-        assert not elevator.constant
+        elevator = summary.columns.loc["elevator"]
+        assert elevator["rate"] == pytest.approx(25, rel=0.01)
+        assert not elevator["constant"]
         assert "elevator or elevon_left" not in summary.missing["regressors"]
 
 

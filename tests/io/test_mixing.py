@@ -1,12 +1,10 @@
-"""Surfaces that make controls together: by name, by weights, by the parameters of an autopilot, and back to servos."""
+"""Surfaces that make controls together by weights."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
-from skdgp.io import FlightReadError, read_flight, servo_outputs
-from skdgp.io._servos import Mixture, read_servos
+from skdgp.io import FlightReadError, read_flight, read_servos
 
 
 def servo(n, low=-0.4, high=0.4, trim=1500, **more):
@@ -21,111 +19,42 @@ def servo(n, low=-0.4, high=0.4, trim=1500, **more):
 
 
 FILES = {
-    "vtail and flaperon": {
-        "vtail_left": servo(2, -0.3, 0.5), "vtail_right": servo(4, reversed=True),
-        "flaperon_left": servo(1), "flaperon_right": servo(5, -0.2, 0.35, trim=1450),
+    "vtail": {
+        "left": servo(2, -0.3, 0.5), "right": servo(4, reversed=True),
+        "mixing": {"elevator": {"left": 0.5, "right": 0.5}, "rudder": {"left": 0.5, "right": -0.5}},
     },
-    "two servos of other throw": {"elevator_left": servo(2), "elevator_right": servo(3, -0.2, 0.3), "rudder": servo(4)},
     "weights": {
         "fin": servo(4), "tail": servo(2), "wing": servo(1),
         "mixing": {"rudder": {"fin": 0.8, "tail": 0.3}, "elevator": {"tail": 1.0}, "aileron": {"wing": -1, "fin": 0.1}},
     },
-    "elevons": {"elevon_left": servo(1), "elevon_right": servo(2, reversed=True), "rudder": servo(4)},
 }  # fmt: skip
 
 
-def logged(outputs, tmp_path, writer, **parameters):
-    """Return the path of a DataFlash log of the outputs of servos, with all decimals that its format has."""
-    log = writer("ArduPlane V4.5.1", **parameters)
-    time = outputs["time"].to_numpy()
-    channels = {
-        name.removeprefix("RCOU."): outputs[name].to_numpy() for name in outputs if name != "time"
-    }
-    log.topic("RCOU", time, **{name: ("f", values) for name, values in channels.items()})
-    log.topic("ARSP", time, Airspeed=("f", np.full(len(time), 20.0)), H=("B", np.ones(len(time))))
-    (tmp_path / "log.bin").write_bytes(bytes(log))
-    return tmp_path / "log.bin"
-
-
 @pytest.mark.parametrize("name", FILES)
-def test_table_to_servos_to_table(name, tmp_path, dataflash):
-    servos, rng = FILES[name], np.random.default_rng(0)
-    controls = read_servos(servos)
-    if name == "elevons":
-        controls = {"elevator": 0, "aileron": 0, "rudder": 0}
-    time = 0.02 * np.arange(1, 300)
-    waves = {c: 0.1 * np.sin(2 * np.pi * (0.3 * time + rng.uniform())) for c in controls}
-    table = pd.DataFrame({"time": time, **waves})
-    outputs = servo_outputs(table, servos)
-    found = {}
-    for control, each in read_servos(servos).items():
-        parts = each.parts if isinstance(each, Mixture) else ((1.0, each),)
-        found[control] = sum(
-            weight * part.deflection(outputs[part.channel].to_numpy()) for weight, part in parts
-        )
-    if name == "elevons":
-        left, right = found.pop("elevon_left"), found.pop("elevon_right")
-        found |= {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
-    np.testing.assert_allclose(
-        pd.DataFrame(found)[list(waves)], table[list(waves)], rtol=0, atol=1e-13
-    )
-    path = logged(outputs, tmp_path, dataflash)
-    flight = read_flight(path, servos=servos, airborne=False)  # floats of 32 bits, on another clock
-    if name == "elevons":
-        flight["elevator"] = (flight["elevon_left"] + flight["elevon_right"]) / 2
-        flight["aileron"] = (flight["elevon_left"] - flight["elevon_right"]) / 2
-    for control, wave in waves.items():
-        expected = np.interp(flight["time"], time, wave)
+def test_a_control_is_the_weighted_sum_of_angles(name, tmp_path, dataflash):
+    """Pulses to angles by straight lines through min, trim, max of each servo, written by hand."""
+    servos, time = FILES[name], 0.02 * np.arange(1, 300)
+    pulses = {n: 1500 + 350 * np.sin(2 * np.pi * 0.3 * time + n) for n in (1, 2, 4)}
+    log = dataflash("ArduPlane V4.5.1")
+    log.topic("RCOU", time, **{f"C{n}": ("f", values) for n, values in pulses.items()})
+    (tmp_path / "log.bin").write_bytes(bytes(log))
+    flight = read_flight(tmp_path / "log.bin", servos=servos, airborne=False)
+    for control, weights in servos["mixing"].items():
+        expected = 0.0
+        for surface, weight in weights.items():
+            entry = servos[surface]
+            low, high = entry["deflection"]
+            angles = np.interp(
+                pulses[int(entry["channel"][-1])], [1100, 1500, 1900], [low, 0, high]
+            )
+            expected = expected + weight * angles * (-1 if entry.get("reversed") else 1)
+        expected = np.interp(flight["time"], time, expected)
         np.testing.assert_allclose(flight[control], expected, atol=2e-4)
-
-
-def test_the_signs_of_pairs():
-    """Left down and right up rolls right; both halves of a V-tail down pitch down; left down, right up yaws left."""
-    entries = {
-        name: servo(n)
-        for n, name in enumerate(("vtail_left", "vtail_right", "flaperon_left", "flaperon_right"))
-    }
-    up, down = np.array([1100.0]), np.array([1900.0])
-
-    def control(name, left, right):
-        (w, one), (v, other) = read_servos(entries)[name].parts
-        return (w * one.deflection(left) + v * other.deflection(right)).item()
-
-    assert control("elevator", down, down) == pytest.approx(0.4)
-    assert control("rudder", down, up) == pytest.approx(0.4)
-    assert control("aileron", down, up) == pytest.approx(0.4)
-    assert (
-        control("aileron", down, down)
-        == control("elevator", down, up)
-        == control("rudder", up, up)
-        == 0
-    )
-
-
-@pytest.mark.parametrize("left", [1.0, -1.0])
-def test_flaperons_of_ardupilot(left, tmp_path, dataflash):
-    """Versions differ in the sign of the left output: it moves with the right one or against it.
-
-    No flap in it.
-    """
-    time = np.arange(0.0, 10, 0.02)
-    aileron, flap = 0.5 * np.sin(2 * np.pi * 0.5 * time), 0.3 * time / 10
-    outputs = pd.DataFrame({"time": time, "RCOU.C1": 1500 + 400 * left * (aileron + flap)})
-    outputs["RCOU.C2"] = 1500 - 400 * (aileron - flap)  # reversed
-    functions = {"SERVO1_FUNCTION": 24.0, "SERVO2_FUNCTION": 25.0, "SERVO2_REVERSED": 1.0}
-    table = read_flight(
-        logged(outputs, tmp_path, dataflash, **functions), servos="full throw", airborne=False
-    )
-    assert np.allclose(table["aileron"], np.interp(table["time"], time, aileron), atol=2e-2)
 
 
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
-        (
-            {"vtail_left": servo(1)},
-            "Got 'vtail_left' in the servo file, but expected one of .* both of vtail_left and",
-        ),
         (
             {"fin": servo(1), "mixing": {"tail": {"fin": 1.0}}},
             r"expected weights of surfaces for some of",
@@ -144,7 +73,11 @@ def test_flaperons_of_ardupilot(left, tmp_path, dataflash):
             "and none of the rudder itself",
         ),
         (
-            {"aileron_left": servo(1), "aileron_right": servo(2) | {"channel": "AUX.C2"}},
+            {
+                "left": servo(1),
+                "right": servo(2) | {"channel": "AUX.C2"},
+                "mixing": {"aileron": {"left": 0.5, "right": -0.5}},
+            },
             "channels of several topics",
         ),
     ],
@@ -152,20 +85,6 @@ def test_flaperons_of_ardupilot(left, tmp_path, dataflash):
 def test_mixtures_that_make_no_sense(entries, words):
     with pytest.raises(FlightReadError, match=words):
         read_servos(entries)
-
-
-def test_what_servos_cannot_do():
-    table = pd.DataFrame({"time": [0.0], "elevator": [0.1], "rudder": [0.1]})
-    one = {"fin": servo(1), "mixing": {"elevator": {"fin": 1.0}, "rudder": {"fin": 1.0}}}
-    with pytest.raises(FlightReadError, match="expected some that move each of these by itself"):
-        servo_outputs(table, one)
-    with pytest.raises(FlightReadError, match="write its servo in full"):
-        servo_outputs(table, {"rudder": "20 deg"})
-    folded = {"rudder": {"channel": "RCOU.C4", "points": [[1100, 0.1], [1500, 0.3], [1900, 0.2]]}}
-    with pytest.raises(FlightReadError, match="expected them to rise or fall throughout"):
-        servo_outputs(table, folded)
-    with pytest.raises(ValueError, match=r"lacks the columns .*aileron"):
-        servo_outputs(table, {"aileron": servo(1)})
 
 
 def test_a_plan_for_a_v_tail():

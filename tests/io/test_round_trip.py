@@ -62,7 +62,7 @@ def same(found, table, **tolerance):
     quoting=st.sampled_from([csv.QUOTE_MINIMAL, csv.QUOTE_ALL, csv.QUOTE_NONNUMERIC]),
     end=st.sampled_from(["\n", "\r\n"]),
     mark=st.booleans(),
-    units=st.sampled_from(["", "header", "row", "brackets"]),
+    units=st.booleans(),
 )
 def test_csv(folder, table, separator, comma, quoting, end, mark, units):
     def written(value):
@@ -71,15 +71,10 @@ def test_csv(folder, table, separator, comma, quoting, end, mark, units):
         return text.replace(".", ",") if decimal else text
 
     unit = {"time": "ms", "east": "ft"}
-    heads = [
-        f"{name} [{unit[name]}]" if units == "header" and name in unit else name for name in table
-    ]
+    heads = [f"{name} [{unit[name]}]" if units and name in unit else name for name in table]
     text = io.StringIO()
     writer = csv.writer(text, delimiter=separator, quoting=quoting, lineterminator=end)
     writer.writerow(heads)
-    if units in ("row", "brackets"):
-        known = [unit.get(name, "m" if name == "north" else "") for name in table]
-        writer.writerow([f"[{each}]" if units == "brackets" and each else each for each in known])
     logged = table.assign(time=table["time"] * 1e3) if units else table
     for row in logged.itertuples(index=False):
         writer.writerow([written(value) for value in row])

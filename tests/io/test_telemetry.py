@@ -1,63 +1,12 @@
-"""Telemetry logs and folders of topics: what was sent or stored is read like a log of the autopilot itself."""
+"""Telemetry logs: what was sent is read like a log of the autopilot itself."""
 
-import json
 import struct
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
-
-
-class TestFlightReview:
-    @pytest.fixture
-    def folder(self, tmp_path, px4):
-        """The topics of a ULog, a Parquet file for each, arrays and instances as PX4/flight-review-rs writes them."""
-        pytest.importorskip("pyarrow")
-        (tmp_path / "log.ulg").write_bytes(px4)
-        log, folder = AUTOPILOTS[".ulg"](tmp_path / "log.ulg"), tmp_path / "log"
-        folder.mkdir()
-        for name, topic in log.topics.items():
-            table = pd.DataFrame(
-                {field: topic[field].astype(np.float64) for field in topic.channels()}
-            )
-            table["timestamp"] = topic["timestamp"].astype(np.uint64)
-            table.to_parquet(folder / f"{name.replace('#', '_')}.parquet")
-        (folder / "metadata.json").write_text(
-            json.dumps({"sys_name": "PX4", "parameters": log.parameters})
-        )
-        return folder
-
-    def test_it_is_read_as_the_log(self, folder):
-        servos = {
-            "elevator": {
-                "channel": "actuator_outputs.output[1]",
-                "points": [[1000, -0.5], [2000, 0.5]],
-            }
-        }
-        expected = read_flight(folder.with_suffix(".ulg"), servos=servos)
-        table = read_flight(folder, servos=servos)
-        pd.testing.assert_frame_equal(table, expected)
-        assert inspect_log(folder).vehicle == "fixed wing"
-
-    def test_a_folder_of_something_else(self, tmp_path):
-        with pytest.raises(FlightReadError, match=r"expected Parquet files of the topics of PX4"):
-            read_flight(tmp_path)
-        (tmp_path / "vehicle_attitude.parquet").write_bytes(b"PAR1")
-        with pytest.raises(FlightReadError, match=r"no whole Parquet file"):
-            read_flight(tmp_path)
-
-    def test_instances_and_names_that_end_in_a_number(self, folder):
-        (folder / "vehicle_acceleration.parquet").rename(folder / "vehicle_acceleration_1.parquet")
-        table = pd.read_parquet(folder / "rpm.parquet")
-        table.rename(columns={"indicated_frequency_rpm": "control[0]"}).to_parquet(
-            folder / "actuator_controls_0.parquet"
-        )
-        names = {topic.name for topic in inspect_log(folder).topics}
-        assert {"vehicle_acceleration#1", "actuator_controls_0"} <= names
-        assert "ax" in read_flight(folder)
-
+from skdgp.io import FlightReadError, read_flight
 
 OFFSET = 1.7e9
 """Arrival less the clock of the vehicle [s]."""

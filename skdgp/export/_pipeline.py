@@ -20,8 +20,8 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
-from skdgp.inference import ExactPosterior, SparsePosterior, training_inputs
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.inference import ExactPosterior, SinglePosterior, training_inputs
+from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
@@ -128,19 +128,19 @@ def _regressor(name: str, model: Aerodynamics, aircraft: Aircraft, columns: set[
     return Regressor(name, unit, tuple(used), tuple(used.values()))
 
 
-def _trend_of(kernel: Any) -> tuple[Vector, Matrix]:
+def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
     """Return the centre of the linear trend, and the prior deviations of intercept and slopes (P, d + 1)."""
     trends = [term for term in kernel.summands() if isinstance(term, LinearTrend)]
     if len(trends) > 1:
         raise ValueError(f"Got several linear trends, but only one has a portable form. {REMEDY}")
     if not trends:
         return np.zeros(kernel.n_features), np.zeros((kernel.n_outputs, kernel.n_features + 1))
-    center = np.broadcast_to(trends[0]._value("center"), kernel.n_features).astype(float)
-    values = [trends[0]._value(name) for name in ("intercept_scale", "slope_scale")]
+    center = np.broadcast_to(trends[0].value("center"), kernel.n_features).astype(float)
+    values = [trends[0].value(name) for name in ("intercept_scale", "slope_scale")]
     return center, np.column_stack(values)
 
 
-def _parts(posterior: ExactPosterior | SparsePosterior, misfit: Vector) -> list[Part]:
+def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
     """Return the parts of a single posterior, one for each output."""
     terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
@@ -150,7 +150,7 @@ def _parts(posterior: ExactPosterior | SparsePosterior, misfit: Vector) -> list[
             f"have a portable form. {REMEDY}"
         )
     center, tau = _trend_of(posterior.kernel)
-    prior = misfit + sum((kernel._value("amplitude") ** 2).sum(axis=0) for kernel in terms)
+    prior = misfit + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
     found = (
         _exact(posterior, terms, center, tau)
         if isinstance(posterior, ExactPosterior)
@@ -189,7 +189,7 @@ def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> I
         yield terms, readout, posterior.alpha[a:b] @ columns, root
 
 
-def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
+def _sparse(posterior: Any, tau: Matrix) -> Iterator[tuple]:
     """Yield the same of a sparse posterior: the inducing inputs are the centres, each output has a readout."""
     for i in range(len(tau)):
         of_trend = np.zeros(0, int)
@@ -199,10 +199,10 @@ def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
         for features in posterior.features.summands():
             own = np.arange(first, first + len(features.columns(i)))
             first += len(own)
-            if isinstance(features.kernel, LinearTrend):
+            if not isinstance(features, LatentFeatures):
                 of_trend = own
                 continue
-            for f in features._blocks[i]:
+            for f in features.blocks[i]:
                 pair = i, len(tau) + f
                 terms += _terms(
                     features.joint, *pair, len(of_terms), features.Z[f], features.kernel

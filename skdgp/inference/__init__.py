@@ -20,6 +20,7 @@ from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, 
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
+from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
@@ -40,6 +41,8 @@ __all__ = [
     "Optimum",
     "Path",
     "Paths",
+    "Posterior",
+    "SinglePosterior",
     "SlopeErrors",
     "SparsePosterior",
     "as_exact",

@@ -20,9 +20,11 @@ from scipy.special import softmax
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns, unexplained_variance
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._paths import Paths
+from skdgp.inference._posterior import Posterior, SinglePosterior
+from skdgp.kernels import MultiOutputKernel
 
 NATS = 2.0
 """Cost of the hyperparameters of a process [nats for each regressor].
@@ -47,27 +49,6 @@ COMPLETE = 0.95  # share of its values that an output has where whole rows are h
 STEPS = 200  # of expectation maximisation for the weights
 
 
-class Single:
-    """The words of an ``AveragePosterior`` for a posterior that is its only member."""
-
-    kernel: Any
-
-    @property
-    def members(self) -> list[Any]:
-        """The posterior itself."""
-        return [self]
-
-    @property
-    def parts(self) -> list[tuple[int, ...]]:
-        """The numbers of all terms of the kernel."""
-        return [tuple(range(len(self.kernel.summands())))]
-
-    @property
-    def mixture(self) -> Matrix:
-        """The weight one for each output, (1, P)."""
-        return np.ones((1, self.kernel.n_outputs))
-
-
 def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
     r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
@@ -84,7 +65,7 @@ def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
     return mean, np.sum(weights * (np.asarray(variances) + (means - mean) ** 2), axis=0)
 
 
-def parts_of(kernel: Any) -> list[tuple[int, ...]]:
+def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
     """Return which terms of a kernel each member of its average has, by their numbers: all terms first, the trend last.
 
     Between them stands the sum without the processes of several regressors. A kernel without a
@@ -109,7 +90,7 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
     return reduce(lambda rest, k: terms[k] + rest, numbers[-2::-1], terms[numbers[-1]])
 
 
-class AveragePosterior:
+class AveragePosterior(Posterior):
     """The mixture of posteriors, the members, with weights for each output (``moments``).
 
     Behind a posterior of all terms stand those of its parts, which have the same hyperparameters.
@@ -130,24 +111,27 @@ class AveragePosterior:
     """
 
     def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
-        self.members, self.parts, self.mixture = members, parts, np.asarray(mixture, dtype=float)
+        self._members, self._parts = members, parts
+        self._mixture = np.asarray(mixture, dtype=float)
+        self.kernel = members[0].kernel
+        self.noise = members[0].noise
+        self.log_marginal_likelihood = members[0].log_marginal_likelihood
 
     @property
-    def kernel(self) -> Any:
-        """The kernel of the first member."""
-        return self.members[0].kernel
+    def members(self) -> Sequence[SinglePosterior]:
+        return self._members
 
     @property
-    def noise(self) -> Vector:
-        """The noise variances of the first member, (P,)."""
-        return self.members[0].noise
+    def parts(self) -> list[tuple[int, ...]]:
+        return self._parts
 
     @property
-    def log_marginal_likelihood(self) -> float:
-        """The log likelihood of the first member."""
-        return self.members[0].log_marginal_likelihood
+    def mixture(self) -> Matrix:
+        return self._mixture
 
-    def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
+    def likelihood_at(
+        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
+    ) -> Any:
         """Return the log likelihood of the first member at other hyperparameters."""
         return self.members[0].likelihood_at(kernel, noise, eval_gradient)
 
@@ -206,11 +190,11 @@ class AveragePosterior:
 
 
 def held_out_weights(
-    members: Sequence[Any],
+    members: Sequence[SinglePosterior],
     noises: Sequence[Vector],
     X: Matrix,
     Y: Matrix,
-    loading: Any,
+    loading: Array | None,
     random_state: Any = None,
 ) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from what they predict of held-out blocks.
@@ -248,12 +232,12 @@ def stacked(scores: Matrix) -> Vector:
 
 
 def held_out(
-    posterior: Any,
+    posterior: SinglePosterior,
     noise: Vector,
     X: Matrix,
     Y: Matrix,
     rows: Any,
-    loading: Any = None,
+    loading: Array | None = None,
     order: Any = None,
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
@@ -323,7 +307,7 @@ class CentredTerm:
         Mean of f at the samples; its own mean over them is not subtracted.
     """
 
-    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+    def __init__(self, posterior: Posterior, regressors: tuple[int, ...], X: Matrix) -> None:
         self.mixture = posterior.mixture
         self.terms = [
             _MemberTerm(member, regressors, X)
@@ -347,7 +331,7 @@ class CentredTerm:
 class _MemberTerm:
     """The centred term of a single posterior."""
 
-    def __init__(self, posterior: Any, regressors: tuple[int, ...], X: Matrix) -> None:
+    def __init__(self, posterior: SinglePosterior, regressors: tuple[int, ...], X: Matrix) -> None:
         self.posterior = posterior.term(posterior.kernel.term(regressors))
         self.X = X
         outputs, kernel = range(posterior.kernel.n_outputs), self.posterior.kernel
@@ -371,6 +355,6 @@ class _MemberTerm:
         return (mean, variance) if return_variance else mean
 
 
-def training_inputs(posterior: Any) -> np.ndarray:
+def training_inputs(posterior: Posterior) -> Matrix:
     """Return the distinct inputs of the observed values of a posterior, (n, d)."""
     return np.unique(np.concatenate(posterior.samples().X), axis=0)

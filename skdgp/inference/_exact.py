@@ -17,18 +17,18 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import few_threads, n_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data, covariance, log_likelihood, make_tiles
 from skdgp.inference._noise import draw_noise
 from skdgp.inference._paths import FREQUENCIES, Paths
-from skdgp.kernels import covariance_paths, prior_paths
+from skdgp.inference._posterior import SinglePosterior
+from skdgp.kernels import MultiOutputKernel, covariance_paths, prior_paths
 
 CHUNK_BYTES = 2**27  # working memory of one chunk of predictions
 FEW = 16  # up to this many points the mean is one matrix product instead of many tiles
 ROWS = 256  # samples in one tile of a mean
 
 
-class ExactPosterior(Single):
+class ExactPosterior(SinglePosterior):
     """The posterior at fixed hyperparameters (equations 17 and 18).
 
     Parameters
@@ -43,7 +43,7 @@ class ExactPosterior(Single):
     log_marginal_likelihood : float
     """
 
-    def __init__(self, kernel: Any, noise: Vector, data: Data) -> None:
+    def __init__(self, kernel: MultiOutputKernel, noise: Vector, data: Data) -> None:
         self.kernel = kernel
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
@@ -98,11 +98,13 @@ class ExactPosterior(Single):
         """Return the posterior of other values with another noise, at the same hyperparameters."""
         return ExactPosterior(self.kernel, noise, data)
 
-    def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
+    def likelihood_at(
+        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
+    ) -> Any:
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
-    def term(self, kernel: Any) -> ExactPosterior:
+    def term(self, kernel: MultiOutputKernel) -> ExactPosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
         With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance

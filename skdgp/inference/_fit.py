@@ -21,17 +21,18 @@ from skdgp.inference._average import AveragePosterior, held_out_weights, of_term
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import fit_drift_to_integrals
+from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.inference._search import (
     NOISE_BOUNDS,
     NOISE_STEPS,
     Hyperparameters,
+    best_noise,
     input_noise_loading,
-    noise_alone,
     search,
     some_rows,
 )
 from skdgp.inference._sparse import SparsePosterior, shares_of
-from skdgp.kernels import inducing_features
+from skdgp.kernels import MultiOutputKernel, inducing_features
 
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
 
@@ -44,7 +45,7 @@ class Fit(NamedTuple):
     are correlated.
     """
 
-    posterior: Any
+    posterior: Posterior
     learned: Hyperparameters
     value: float
 
@@ -64,7 +65,7 @@ class Fit(NamedTuple):
 
 
 def fit_exact(
-    kernel: Any,
+    kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
     *,
@@ -109,7 +110,7 @@ def fit_exact(
 def as_exact(fit: Fit, X: Matrix, Y: Matrix) -> Fit:
     """Return the exact posterior of these samples at the kernel of a sparse fit, with its own noise."""
     data = fit.learned.data(X, Y)
-    noise, n_evaluations = noise_alone(fit.learned.kernel, X, Y, data)
+    noise, n_evaluations = best_noise(fit.learned.kernel, X, Y, data)
     n_evaluations += fit.learned.n_evaluations
     learned = fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
     posterior = ExactPosterior(learned.kernel, noise, data)
@@ -117,7 +118,7 @@ def as_exact(fit: Fit, X: Matrix, Y: Matrix) -> Fit:
 
 
 def fit_sparse(
-    kernel: Any,
+    kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
     *,
@@ -192,7 +193,7 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
     return Fit(posterior, learned._replace(noise=noise), value)
 
 
-def residual_drift(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
+def residual_drift(posterior: Posterior, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
     """Return white noise and drift estimated from the residuals of a posterior.
 
     Parameters
@@ -230,7 +231,9 @@ def _converge_noise(posterior, inflation, least):
     return posterior
 
 
-def inducing_centres(kernel: Any, X: Matrix, n_inducing: int, random_state: Any) -> Matrix:
+def inducing_centres(
+    kernel: MultiOutputKernel, X: Matrix, n_inducing: int, random_state: Any
+) -> Matrix:
     """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
     if inducing_features(kernel, X[:1]).size == inducing_features(kernel, X[:2]).size:
         return X[:1]
@@ -309,8 +312,8 @@ def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
         features = of_terms(whole.posterior.features, part)
         return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
     data = whole.posterior.data
-    noise, n_evaluations = noise_alone(kernel, X, Y, data)
-    posterior: Any
+    noise, n_evaluations = best_noise(kernel, X, Y, data)
+    posterior: SinglePosterior
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
     else:  # the few weights of a trend are all that there is to know, so this is exact, and small

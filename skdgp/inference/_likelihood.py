@@ -23,6 +23,7 @@ from skdgp._compute.linalg import (
 from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
+from skdgp.kernels import MultiOutputKernel
 
 TILE = (
     768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
@@ -138,7 +139,7 @@ def _pairs(kernel, sizes):
 
 
 def covariance(
-    kernel: Any,
+    kernel: MultiOutputKernel,
     noise: Vector,
     data: Data,
     workspace: Matrix | None = None,
@@ -170,13 +171,13 @@ def covariance(
     return upper.T
 
 
-def couplings(kernel: Any) -> Iterator[bool]:
+def couplings(kernel: MultiOutputKernel) -> Iterator[bool]:
     """Yield for each pair of different outputs whether the kernel couples them."""
     return (kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
 def log_likelihood(
-    kernel: Any,
+    kernel: MultiOutputKernel,
     noise: Vector,
     data: Data,
     eval_gradient: bool = False,

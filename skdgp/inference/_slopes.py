@@ -22,6 +22,8 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
+from skdgp.inference._posterior import Posterior
+from skdgp.kernels import MultiOutputKernel
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
@@ -100,7 +102,7 @@ class FunctionErrors(NamedTuple):
 
 # equations of a hundred terms: on two threads they take several times as long on a busy machine
 @one_blas_thread()
-def function_errors(posterior: Any) -> FunctionErrors | None:
+def function_errors(posterior: Posterior) -> FunctionErrors | None:
     """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
     data = posterior.samples()
     centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
@@ -117,7 +119,9 @@ def function_errors(posterior: Any) -> FunctionErrors | None:
 
 
 @one_blas_thread()
-def slope_errors(posterior: Any, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
+def slope_errors(
+    posterior: Posterior, X: Matrix, added: Matrix | None = None
+) -> SlopeErrors | None:
     r"""Return the errors of the slopes of a posterior at X (n, d), or None if there are too few samples.
 
     The polynomial of all samples has the weights :math:`w = G \sum_b Q_b^T y_b` with blocks b of
@@ -171,7 +175,7 @@ def slope_errors(posterior: Any, X: Matrix, added: Matrix | None = None) -> Slop
     )
 
 
-def _extended(data: Data, posterior: Any, added: Matrix) -> Data:
+def _extended(data: Data, posterior: Posterior, added: Matrix) -> Data:
     """Return the data with the rows ``added``, whose residuals are those of the data, in their order."""
     means = posterior.predict(added)
     targets = []
@@ -328,7 +332,7 @@ def _slopes_of(basis, at):
 # -------------------------------------------------------------------------------------------
 
 
-def output_correlation(kernel: Any) -> Bunch:
+def output_correlation(kernel: MultiOutputKernel) -> Bunch:
     """Return the largest correlation between outputs over all separations, and the separation of that maximum.
 
     For a stationary kernel the correlation of output i at s + delta with output j at s is

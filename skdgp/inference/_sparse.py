@@ -36,9 +36,10 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._average import Single
 from skdgp.inference._likelihood import Data
 from skdgp.inference._paths import FREQUENCIES, Paths
+from skdgp.inference._posterior import SinglePosterior
+from skdgp.kernels import Features, MultiOutputKernel
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
@@ -46,7 +47,7 @@ SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated 
 DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
 
 
-class SparsePosterior(Single):
+class SparsePosterior(SinglePosterior):
     """The sparse posterior at fixed hyperparameters and features.
 
     Parameters
@@ -67,7 +68,9 @@ class SparsePosterior(Single):
     sums: SampleSums
     statistics: Any  # list of Statistics, None if the noise is correlated
 
-    def __init__(self, kernel: Any, features: Any, noise: Vector, shares: list) -> None:
+    def __init__(
+        self, kernel: MultiOutputKernel, features: Features, noise: Vector, shares: list
+    ) -> None:
         self.kernel = kernel
         self.features = features
         self.noise = np.asarray(noise, dtype=float)
@@ -102,7 +105,7 @@ class SparsePosterior(Single):
             self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
             self.white = cholesky_solve(self.LB, b)
             self.weights = triangular_solve(self.Lu, self.white, transposed=True)
-        self.log_marginal_likelihood = -0.5 * (
+        self.log_marginal_likelihood = -0.5 * float(
             self.sums.rest + log_determinant(self.LB) - b @ self.white
         )
 
@@ -160,7 +163,9 @@ class SparsePosterior(Single):
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, shares_of(data))
 
-    def likelihood_at(self, kernel: Any, noise: Vector, eval_gradient: bool = False) -> Any:
+    def likelihood_at(
+        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
+    ) -> Any:
         """Return the bound of the same data at other hyperparameters; ValueError for its gradient."""
         if eval_gradient:
             raise ValueError(
@@ -231,7 +236,7 @@ class SparsePosterior(Single):
             else np.concatenate(parts)
         )
 
-    def term(self, kernel: Any) -> SparsePosterior:
+    def term(self, kernel: MultiOutputKernel) -> SparsePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
         The features are the same, so the posterior of the term is that of all with the covariance

@@ -2,7 +2,7 @@
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import COVARIANCE_TYPES, ConvolvedGaussian
-from skdgp.kernels._features import Features, inducing_features
+from skdgp.kernels._features import Features, LatentFeatures, inducing_features
 from skdgp.kernels._prior_paths import PathBundle, covariance_paths, prior_paths
 from skdgp.kernels._trend import BasisTrend, LinearTrend, Trend
 
@@ -12,6 +12,7 @@ __all__ = [
     "ConvolvedGaussian",
     "Features",
     "FreeParameter",
+    "LatentFeatures",
     "LinearTrend",
     "MultiOutputKernel",
     "PathBundle",

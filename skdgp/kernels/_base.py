@@ -172,7 +172,7 @@ class MultiOutputKernel(Kernel):
         Y: Matrix,
         random_state: Seed,
         singles: Sequence | None = None,
-        coarse: Any = None,
+        coarse: MultiOutputKernel | None = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         """Return the kernel with missing values and bounds estimated from data.
@@ -321,7 +321,7 @@ class MultiOutputKernel(Kernel):
     def theta(self):
         """Free hyperparameters, (n_theta,): the logarithms of positive parameters, and signed parameters themselves."""
         parts = [
-            (f.elements(self._value(f.name)), f.log) for f in self.free_parameters() if f.n_elements
+            (f.elements(self.value(f.name)), f.log) for f in self.free_parameters() if f.n_elements
         ]
         return np.concatenate(
             [np.empty(0), *(np.log(part) if log else part for part, log in parts)]
@@ -337,7 +337,7 @@ class MultiOutputKernel(Kernel):
             if f.n_elements:
                 part = theta[start : start + f.n_elements]
                 start += f.n_elements
-                value, chosen = self._value(f.name).copy(), f.index >= 0
+                value, chosen = self.value(f.name).copy(), f.index >= 0
                 value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
                 values[f.name] = value
         arrays = self.__dict__.get("_cache", {}).get("arrays")
@@ -371,7 +371,7 @@ class MultiOutputKernel(Kernel):
         """Length of theta."""
         return sum(f.n_elements for f in self.free_parameters())
 
-    def _value(self, name) -> np.ndarray:
+    def value(self, name) -> np.ndarray:
         """Return a parameter as an array of its full shape."""
         return np.asarray(getattr(self, name), dtype=float)
 
@@ -492,7 +492,7 @@ class Sum(_SklearnSum, MultiOutputKernel):
         Y: Matrix,
         random_state: Seed,
         singles: Sequence | None = None,
-        coarse: Any = None,
+        coarse: MultiOutputKernel | None = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         def options(name):

@@ -236,18 +236,18 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return feeds
 
-    def _value(self, name):
+    def value(self, name):
         return self._cached("arrays", self._arrays)[name]
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
-        return self._value("amplitude").shape[1]
+        return self.value("amplitude").shape[1]
 
     @property
     def n_features(self) -> int:
         """Number of regressors d."""
-        return self._value("length_scale").shape[2]
+        return self.value("length_scale").shape[2]
 
     def _widths_from_data(self):
         """Return whether the bounds on the widths are to be found, not given."""
@@ -263,7 +263,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         Y: Matrix,
         random_state: Seed,
         singles: Sequence | None = None,
-        coarse: Any = None,
+        coarse: MultiOutputKernel | None = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         others = self.without_effect(X.shape[1])
@@ -283,7 +283,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
-            start |= {name: coarse._value(name) for name in ("amplitude", "length_scale")}
+            start |= {name: coarse.value(name) for name in ("amplitude", "length_scale")}
         if self.covariance_type == "spherical":
             start |= {
                 name: common_scale(start[name], X)
@@ -312,11 +312,11 @@ class ConvolvedGaussian(MultiOutputKernel):
         cannot be found.
         """
         total = np.sqrt((w**2).sum(axis=0))
-        amplitude = np.array([abs(s._value("amplitude")[0, 0]) for s in singles])
+        amplitude = np.array([abs(s.value("amplitude")[0, 0]) for s in singles])
         explained = amplitude > NOISE_AMPLITUDE * total
         widths = np.where(
             explained[:, None],
-            np.stack([s._value("length_scale")[0, 0] for s in singles]),
+            np.stack([s.value("length_scale")[0, 0] for s in singles]),
             lengths[-1],
         )
         weight = w**2 / (w**2).sum(axis=1, keepdims=True)
@@ -349,7 +349,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         if regressors in self.term_regressors():
             return self
-        return clone(self).set_params(amplitude=np.zeros_like(self._value("amplitude")))
+        return clone(self).set_params(amplitude=np.zeros_like(self.value("amplitude")))
 
     def peaks(self, i: int, j: int) -> Matrix:
         # Terms of opposite sign may cancel at their centres: add points one to three widths away
@@ -364,9 +364,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self._cached("free", self._free_parameters)
 
     def _free_parameters(self):
-        feeds = self._value("feeds").astype(bool)
-        M, P, d = self._value("shift").shape
-        pairs = self._value("shear").shape[-1]
+        feeds = self.value("feeds").astype(bool)
+        M, P, d = self.value("shift").shape
+        pairs = self.value("shear").shape[-1]
         latent, output = np.indices((M, P))
         # One filter for each latent and output, or for each latent if "tied".
         filters = latent * P + output
@@ -403,27 +403,27 @@ class ConvolvedGaussian(MultiOutputKernel):
     def A(self) -> Array:
         """Filter precisions, (M, P, d) or, for "full", (M, P, d, d)."""
         if self.covariance_type != "full":
-            return 2.0 / self._value("length_scale") ** 2
+            return 2.0 / self.value("length_scale") ** 2
         return precision(self.roots())
 
     @property
     def mu(self) -> Array:
         """Filter shifts, (M, P, d)."""
-        return self._value("shift")
+        return self.value("shift")
 
     @property
     def v(self) -> Matrix:
         """Filter gains, (M, P), zero where a latent feeds no output: ``v = w |A|^(1/4) / pi^(d/4)``."""
-        lengths = self._value("length_scale")
+        lengths = self.value("length_scale")
         logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
-        return self._value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
+        return self.value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
 
     def roots(self) -> Array:
         """Return R, (M, P, d, d), with A = 2 R R^T and R = D^-1 C."""
-        lengths = self._value("length_scale")
+        lengths = self.value("length_scale")
         d = lengths.shape[-1]
         C = np.broadcast_to(np.eye(d), (*lengths.shape, d)).copy()
-        C[..., *np.tril_indices(d, -1)] = self._value("shear")
+        C[..., *np.tril_indices(d, -1)] = self.value("shear")
         return C / lengths[..., :, None]
 
     # -- the equations
@@ -435,15 +435,15 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _common(self, i, j):
         """Return the numbers of the latents that feed both outputs."""
-        return np.flatnonzero(self._value("feeds")[:, [i, j]].all(axis=1))
+        return np.flatnonzero(self.value("feeds")[:, [i, j]].all(axis=1))
 
     def _pair(self, i, j):
         latents = self._common(i, j)
         full = self.covariance_type == "full"
-        widths = self.roots() if full else self._value("length_scale")
+        widths = self.roots() if full else self.value("length_scale")
         w, widths, mu = (
             np.stack([values[latents, i], values[latents, j]])
-            for values in (self._value("amplitude"), widths, self._value("shift"))
+            for values in (self.value("amplitude"), widths, self.value("shift"))
         )
         return FilterPair(w, widths, mu[0] - mu[1])
 
@@ -454,7 +454,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.pair(i, j).covariance(Xi, Xj)
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return np.full(len(Xi), (self._value("amplitude")[:, i] ** 2).sum())
+        return np.full(len(Xi), (self.value("amplitude")[:, i] ** 2).sum())
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.pair(i, j).derivative(np.asarray(Xi, float), np.asarray(Xj, float))
@@ -489,7 +489,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Return d/dtheta of sum(W * cov_ij), from the moments of W."""
         latents = self._common(i, j)
         found = self.pair(i, j).gradient(moments)
-        gradients = {name: np.zeros_like(self._value(name)) for name in PARAMETERS}
+        gradients = {name: np.zeros_like(self.value(name)) for name in PARAMETERS}
         for output, by_w, by_widths in zip((i, j), found.w, found.widths, strict=True):
             gradients["amplitude"][latents, output] += by_w
             if self.covariance_type != "full":
@@ -497,7 +497,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 continue
             R = self.roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
             gradients["length_scale"][latents, output] -= (by_widths * R).sum(axis=-1)
-            by_C = by_widths / self._value("length_scale")[latents, output, :, None]
+            by_C = by_widths / self.value("length_scale")[latents, output, :, None]
             below = np.tril_indices(R.shape[-1], -1)
             gradients["shear"][latents, output] += by_C[:, *below]
         gradients["shift"][latents, i] += found.mu

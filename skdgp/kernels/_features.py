@@ -39,7 +39,7 @@ class Features(ABC):
     Their inducing inputs change the quality of the approximation, not the model.
     """
 
-    kernel: Any  # a MultiOutputKernel
+    kernel: MultiOutputKernel
     size: int
 
     @property
@@ -71,7 +71,7 @@ class Features(ABC):
         """Return dKfu / dX, (d, n, c_i)."""
 
     @abstractmethod
-    def rebuild(self, kernel: Any) -> Features:
+    def rebuild(self, kernel: MultiOutputKernel) -> Features:
         """Return the features of another kernel of the same shape, with the same inducing inputs."""
 
     @abstractmethod
@@ -149,8 +149,8 @@ class LatentFeatures(Features):
         self.joint = self._with_blocks()
         self._edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(self._edges[-1])
-        feeds = kernel._value("feeds").astype(bool)
-        self._blocks = [[f for f, m in enumerate(self.latents) if mask[m]] for mask in feeds.T]
+        feeds = kernel.value("feeds").astype(bool)
+        self.blocks = [[f for f, m in enumerate(self.latents) if mask[m]] for mask in feeds.T]
         pairs = [(f, g) for f in range(len(self.latents)) for g in range(len(self.latents))]
         self._block_pairs = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
 
@@ -164,7 +164,7 @@ class LatentFeatures(Features):
         """Return the kernel with one further output of unit variance for each block."""
         kernel, arrays = self.kernel, {}
         for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
-            value = kernel._value(name)
+            value = kernel.value(name)
             if name in ("amplitude", "feeds"):
                 extra = np.eye(len(value))[:, self.latents]
             elif name == "length_scale":
@@ -184,7 +184,7 @@ class LatentFeatures(Features):
 
     def columns(self, i):
         return np.concatenate(
-            [np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self._blocks[i])]
+            [np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self.blocks[i])]
         )
 
     def Kuu(self):
@@ -196,20 +196,20 @@ class LatentFeatures(Features):
 
     def Kfu(self, i, X):
         blocks = [
-            self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self._blocks[i]
+            self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self.blocks[i]
         ]
         return np.hstack([np.empty((len(X), 0)), *blocks])
 
     def Kfu_derivative(self, i, X):
         P, (n, d) = self.kernel.n_outputs, np.shape(X)
-        blocks = [self.joint.block_derivative(i, P + f, X, self.Z[f]) for f in self._blocks[i]]
+        blocks = [self.joint.block_derivative(i, P + f, X, self.Z[f]) for f in self.blocks[i]]
         return np.concatenate([np.empty((d, n, 0)), *blocks], axis=2)
 
     def rows(self):
         P = self.kernel.n_outputs
         pairs = [
             (self.joint.pair(i, P + f), self.Z[f])
-            for i, blocks in enumerate(self._blocks)
+            for i, blocks in enumerate(self.blocks)
             for f in blocks
         ]
         return CovarianceColumns(self.kernel.n_features, pairs)
@@ -248,11 +248,11 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        slope = self.kernel._value(
+        slope = self.kernel.value(
             "slope_scale"
         )  # (P, K); the columns of an output are [tau_0, tau_k (phi_k - c_k)]
         constant = np.column_stack(
-            [self.kernel._value("intercept_scale"), -slope * self.kernel._value("center")]
+            [self.kernel.value("intercept_scale"), -slope * self.kernel.value("center")]
         )
         slopes = np.zeros((slope.shape[1], *constant.shape))
         np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
@@ -345,10 +345,10 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
 
 @inducing_features.register
 def _(kernel: ConvolvedGaussian, Z):
-    w = kernel._value("amplitude")
+    w = kernel.value("amplitude")
     A = kernel.A
     lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
-    weight = np.maximum(w**2, 1e-12) * kernel._value("feeds")
+    weight = np.maximum(w**2, 1e-12) * kernel.value("feeds")
     weight /= weight.sum(axis=1, keepdims=True)
     width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
     Z = _thinned(Z, kernel.without_effect(Z.shape[1]))

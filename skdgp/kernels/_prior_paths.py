@@ -139,9 +139,9 @@ class TrendPaths(PathBundle):
 
     def __init__(self, kernel, weights):
         self.kernel, self.weights = kernel, weights
-        self._center = kernel._value("center")
-        self._intercept = weights[:, None, :, 0] * kernel._value("intercept_scale")
-        self._slope = (weights[:, :, 1:] * kernel._value("slope_scale")).swapaxes(1, 2).copy()
+        self._center = kernel.value("center")
+        self._intercept = weights[:, None, :, 0] * kernel.value("intercept_scale")
+        self._slope = (weights[:, :, 1:] * kernel.value("slope_scale")).swapaxes(1, 2).copy()
 
     def take(self, index):
         return TrendPaths(self.kernel, self.weights[index])
@@ -398,11 +398,11 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
     path has new frequencies, so moments over paths are those of the prior for any number of
     frequencies, at least c.
     """
-    feeds, latents = kernel._value("feeds"), []
+    feeds, latents = kernel.value("feeds"), []
     S, F = n_paths, max(n_frequencies, int(feeds.sum(axis=1).max()))
     for m, i in enumerate(map(np.flatnonzero, feeds)):
         amplitude, shift, lengths = (
-            kernel._value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
+            kernel.value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
         )
         c, d = shift.shape
         roots = (

@@ -136,7 +136,7 @@ class Trend(MultiOutputKernel):
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
-        return self._value("slope_scale").shape[0]
+        return self.value("slope_scale").shape[0]
 
     @property
     def n_processes(self) -> int:
@@ -145,9 +145,9 @@ class Trend(MultiOutputKernel):
     @property
     def n_weights(self) -> int:
         """Number of weights of each output, K + 1."""
-        return self._value("slope_scale").shape[1] + 1
+        return self.value("slope_scale").shape[1] + 1
 
-    def _value(self, name):
+    def value(self, name):
         return self._cached("arrays", self._arrays)[name]
 
     def _arrays(self):
@@ -171,7 +171,7 @@ class Trend(MultiOutputKernel):
         Y: Matrix,
         random_state: Seed,
         singles: Sequence | None = None,
-        coarse: Any = None,
+        coarse: MultiOutputKernel | None = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
         ready = self.prepared(X)
@@ -182,10 +182,10 @@ class Trend(MultiOutputKernel):
         unit = min(1.0, np.sqrt(X.shape[1] / K)) * column_scale(Y)[:, None] / column_scale(phi)
         intercept, slope = column_scale(Y), unit
         if singles:
-            intercept = np.concatenate([s._value("intercept_scale") for s in singles])
-            slope = np.concatenate([s._value("slope_scale") for s in singles])
+            intercept = np.concatenate([s.value("intercept_scale") for s in singles])
+            slope = np.concatenate([s.value("slope_scale") for s in singles])
         if coarse:
-            intercept, slope = coarse._value("intercept_scale"), coarse._value("slope_scale")
+            intercept, slope = coarse.value("intercept_scale"), coarse.value("slope_scale")
         given = self.get_params()
         start = {
             "intercept_scale": intercept,
@@ -201,13 +201,13 @@ class Trend(MultiOutputKernel):
 
     def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, K + 1) that maps the standardised weights of output i to its trend at X."""
-        columns = (self.columns(X) - self._value("center")) * self._value("slope_scale")[i]
-        return np.column_stack([np.full(len(X), self._value("intercept_scale")[i]), columns])
+        columns = (self.columns(X) - self.value("center")) * self.value("slope_scale")[i]
+        return np.column_stack([np.full(len(X), self.value("intercept_scale")[i]), columns])
 
     def basis_slopes(self, i: int, X: Matrix) -> Array:
         """Return dbasis / dX, (d, n, K + 1), or (d, 1, K + 1) if it is constant."""
         return np.pad(
-            self.column_slopes(X) * self._value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)]
+            self.column_slopes(X) * self.value("slope_scale")[i], [(0, 0), (0, 0), (1, 0)]
         )
 
     def column_regressors(self) -> list[tuple[int, ...]]:
@@ -219,7 +219,7 @@ class Trend(MultiOutputKernel):
 
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         kept = np.array([columns == regressors for columns in self.column_regressors()])
-        intercept, slope = self._value("intercept_scale"), self._value("slope_scale")
+        intercept, slope = self.value("intercept_scale"), self.value("slope_scale")
         return clone(self).set_params(
             intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept
         )
@@ -283,7 +283,7 @@ class Trend(MultiOutputKernel):
             "slope_scale": self.slope_scale_bounds,
         }
         index = {
-            name: np.arange(self._value(name).size).reshape(self._value(name).shape)
+            name: np.arange(self.value(name).size).reshape(self.value(name).shape)
             for name in bounds
         }
         return [

@@ -6,7 +6,7 @@ They are called features. Columns of X, which scikit-learn calls features, are c
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -141,7 +141,9 @@ class LatentFeatures(Features):
     ``latents[f]``, at the inducing inputs ``Z[f]``.
     """
 
-    def __init__(self, kernel, latents, Z, width):
+    def __init__(
+        self, kernel: ConvolvedGaussian, latents: Iterable[int], Z: Sequence[Matrix], width: Matrix
+    ) -> None:
         self.kernel = kernel
         self.Z = list(Z)
         self.width = width
@@ -182,30 +184,30 @@ class LatentFeatures(Features):
     def _slice(self, f):
         return slice(self._edges[f], self._edges[f + 1])
 
-    def columns(self, i):
+    def columns(self, i: int) -> Indices:
         return np.concatenate(
             [np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self.blocks[i])]
         )
 
-    def Kuu(self):
+    def Kuu(self) -> Matrix:
         P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
         for f, g in self._block_pairs:
             K[self._slice(f), self._slice(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
         np.einsum("ii->i", K)[:] = 1.0 + JITTER
         return K
 
-    def Kfu(self, i, X):
+    def Kfu(self, i: int, X: Matrix) -> Matrix:
         blocks = [
             self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self.blocks[i]
         ]
         return np.hstack([np.empty((len(X), 0)), *blocks])
 
-    def Kfu_derivative(self, i, X):
+    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
         P, (n, d) = self.kernel.n_outputs, np.shape(X)
         blocks = [self.joint.block_derivative(i, P + f, X, self.Z[f]) for f in self.blocks[i]]
         return np.concatenate([np.empty((d, n, 0)), *blocks], axis=2)
 
-    def rows(self):
+    def rows(self) -> Callable[[Matrix], Matrix]:
         P = self.kernel.n_outputs
         pairs = [
             (self.joint.pair(i, P + f), self.Z[f])
@@ -214,7 +216,9 @@ class LatentFeatures(Features):
         ]
         return CovarianceColumns(self.kernel.n_features, pairs)
 
-    def prior_paths(self, n_paths, n_frequencies, random_state):
+    def prior_paths(
+        self, n_paths: int, n_frequencies: int, random_state: Any
+    ) -> tuple[PathBundle, Matrix]:
         P, latents = (
             self.kernel.n_outputs,
             draw_latents(self.joint, n_paths, n_frequencies, random_state),
@@ -226,7 +230,7 @@ class LatentFeatures(Features):
         u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
         return Waves.combine(latents, range(P)), u
 
-    def rebuild(self, kernel):
+    def rebuild(self, kernel: Any) -> Features:
         return LatentFeatures(kernel, self.latents, self.Z, self.width)
 
 

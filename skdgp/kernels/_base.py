@@ -371,7 +371,7 @@ class MultiOutputKernel(Kernel):
         """Length of theta."""
         return sum(f.n_elements for f in self.free_parameters())
 
-    def value(self, name) -> np.ndarray:
+    def value(self, name: str) -> Array:
         """Return a parameter as an array of its full shape."""
         return np.asarray(getattr(self, name), dtype=float)
 

@@ -236,7 +236,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         return feeds
 
-    def value(self, name):
+    def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]
 
     @property

@@ -147,7 +147,7 @@ class Trend(MultiOutputKernel):
         """Number of weights of each output, K + 1."""
         return self.value("slope_scale").shape[1] + 1
 
-    def value(self, name):
+    def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]
 
     def _arrays(self):

@@ -1,4 +1,4 @@
-"""What the benchmarks share: arguments, turns taken on the clock, memory of a process, and where results are kept."""
+"""Shared by the benchmarks: arguments, turns on the clock, memory of a process, and the results that are kept."""
 
 import argparse
 import contextlib
@@ -8,54 +8,35 @@ import platform
 import subprocess
 import sys
 import time
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 
-VERSIONS = (
-    "skdgp",
-    "numpy",
-    "scipy",
-    "scikit-learn",
-    "torch",
-    "gpytorch",
-    "gpy",
-    "mogptk",
-    "jsbsim",
-)
+PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "jsbsim")
 
 
 def parser_of(description, *, data=False, redo=False, smoke=False):
     """Return a parser of the command line of all benchmarks; ``data``, ``redo``, ``smoke``: of some."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
-    parser.add_argument(
-        "--out", type=Path, help="folder for the results, as NAME.json; page.py reads them there"
-    )
-    parser.add_argument(
-        "--repeats", type=int, default=3, help="of each measurement; the shortest counts"
-    )
-    parser.add_argument("--no-peers", action="store_true", help="leave out what other packages do")
-    if smoke:
-        parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
+    parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json")
     if data:
-        parser.add_argument(
-            "data", type=Path, nargs="?", help="folder of the shared data, which holds flights/"
-        )
+        parser.add_argument("data", type=Path, nargs="?", help="folder of the data")
     if redo:
         parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
+    if smoke:
+        parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     return parser
 
 
 def parsed(parser, words):
-    """Return the options, of which ``data``, the folder of the shared data, is needed but for ``--smoke``."""
+    """Return the options; the folder of the data may be missing with ``--smoke`` alone."""
     options = parser.parse_args(words)
     if options.data is None and not getattr(options, "smoke", False):
-        parser.error("the folder of the shared data is needed")
+        parser.error("the folder of the data is needed")
     return options
 
 
 SLOW = 15.0  # s, after which a function has had turns enough
-# s: threads of BLAS go on waiting for work for a while, on cores that the next in turn needs
-PAUSE = 0.1
+PAUSE = 0.1  # s: idle threads of BLAS hold the cores for a while
 
 
 def interleaved(functions, repeats):
@@ -73,122 +54,86 @@ def interleaved(functions, repeats):
 
 def extra_memory(function):
     """Return by how many bytes the process grew at its peak while the function ran (Linux)."""
-    import resource
-
-    resident = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # forget earlier peaks
+    resident = _kilobytes("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # forget earlier peaks
     function()
-    peak = (
-        _field("/proc/self/status", "VmHWM")
-        or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    )
-    return max(0, peak - resident)
+    return 1024 * max(0, _kilobytes("VmHWM") - resident)
 
 
-def in_own_process(script, *words, environment=None):
-    """Run a script of this folder and return what it printed last, as JSON; None where it failed."""
-    command, variables = (
-        [sys.executable, str(script), *map(str, words)],
-        os.environ | (environment or {}),
-    )
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+def _kilobytes(name):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
+def in_own_process(script, *words):
+    """Run a script and return what it printed last, as JSON; None where it failed."""
+    command = [sys.executable, str(script), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        print(
-            f"  {' '.join(map(str, words))}: "
-            f"{(done.stderr.strip().splitlines() or ['killed'])[-1]}",
-            file=sys.stderr,
-        )
+        print(f"{' '.join(command)}: {done.stderr[-200:]}", file=sys.stderr)
         return None
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-def available_memory():
-    """Return the bytes that may still be allocated (Linux; elsewhere no limit is known)."""
-    return _field("/proc/meminfo", "MemAvailable") or float("inf")
-
-
-def _field(path, name):
-    try:
-        lines = Path(path).read_text().splitlines()
-    except OSError:
-        return None
-    return next(
-        (int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:")), None
-    )
-
-
-def use_torch_threads(threads=None):
-    """Give torch so many threads, by default as many as BLAS has."""
-    import torch
-
-    from skdgp._compute.parallel import n_threads
-
-    torch.set_num_threads(threads or n_threads())
-
-
 def machine():
-    """Return processor, threads, load and versions."""
+    """Return processor, threads, versions and the commit of the package."""
     from threadpoolctl import threadpool_info
 
-    blas = [library for library in threadpool_info() if library["user_api"] == "blas"]
+    processor = platform.processor()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        processor = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
+    git = ("git", "-C", Path(__file__).parent, "describe", "--always", "--dirty")
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    installed = {one.name.lower(): one.version for one in distributions()}
     return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": max((library["num_threads"] for library in blas), default=1),
-        "blas": ", ".join(
-            sorted({f"{library['internal_api']} {library['version']}" for library in blas})
-        ),
-        "load": round(os.getloadavg()[0], 1),
-        "python": platform.python_version(),
-        "versions": dict(filter(None, map(_version, VERSIONS))),
+        "commit": commit,
         "date": time.strftime("%Y-%m-%d"),
+        "processor": processor,
+        "cores": os.cpu_count(),
+        "threads": max((library["num_threads"] for library in threadpool_info()), default=1),
+        "python": platform.python_version(),
+        "versions": {name: installed[name] for name in PACKAGES if name in installed},
     }
 
 
-def _processor():
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
+class Kept:
+    """Results of runs in a folder, or in memory alone where there is none."""
+
+    def __init__(self, folder, name):
+        self.folder = folder and folder / name
+        paths = sorted(self.folder.glob("*.json")) if self.folder else ()
+        self.memory = {path.stem: json.loads(path.read_text()) for path in paths}
+
+    def __contains__(self, name):
+        return name in self.memory
+
+    def keep(self, name, result):
+        self.memory[name] = result
+        if self.folder:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            (self.folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
-def _version(name):
-    try:
-        return name, version(name)
-    except PackageNotFoundError:
-        return None
-
-
-def show(rows):
-    """Print rows, dicts of the same keys, as a table."""
-    if not rows:
-        return
-    cells = [[_cell(value) for value in row.values()] for row in rows]
-    widths = [
-        max(len(str(text)) for text in column) for column in zip(rows[0], *cells, strict=True)
-    ]
-    for line in (list(rows[0]), *cells):
-        print(
-            "  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)),
-            flush=True,
-        )
-
-
-def _cell(value):
+def cell(value):
+    """Return a number with three significant digits."""
     if value is None:
         return "-"
-    return f"{value:.3g}" if isinstance(value, float) and abs(value) < 100 else str(value)
+    return f"{value:#.3g}".rstrip(".") if isinstance(value, float) else str(value)
+
+
+def markdown(rows):
+    """Return rows, dicts of the same keys, as a table."""
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *(map(cell, row.values()) for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def finish(options, name, **tables):
     """Print the tables and, with --out, keep them beside a description of the machine."""
+    tables = {title: rows for title, rows in tables.items() if rows}
     for title, rows in tables.items():
-        print(f"\n{title.replace('_', ' ')}")
-        show(rows)
+        print(f"\n{title.replace('_', ' ')}\n{markdown(rows)}", flush=True)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / f"{name}.json").write_text(
-            json.dumps({"machine": machine(), **tables}, indent=1) + "\n"
-        )
+        text = json.dumps({"machine": machine(), **tables}, indent=1)
+        (options.out / f"{name}.json").write_text(f"{text}\n")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import count, islice
+
 import gpytorch
 import numpy as np
 import torch
@@ -28,15 +30,17 @@ class LCM(gpytorch.models.ExactGP):
         )
 
 
-def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1, dtype=torch.float64):
+def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1):
     """Return model and likelihood at stated hyperparameters, the mixing drawn at random but always alike."""
     torch.manual_seed(0)
-    X, Y = torch.as_tensor(X, dtype=dtype), torch.as_tensor(Y, dtype=dtype)
+    X, Y = torch.as_tensor(X, dtype=torch.float64), torch.as_tensor(Y, dtype=torch.float64)
     likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(
         num_tasks=Y.shape[1], has_global_noise=False
     )
-    model = LCM(X, Y, likelihood, n_latent).to(dtype)
-    likelihood.to(dtype).initialize(task_noises=torch.full((Y.shape[1],), noise, dtype=dtype))
+    model = LCM(X, Y, likelihood, n_latent).double()
+    likelihood.double().initialize(
+        task_noises=torch.full((Y.shape[1],), noise, dtype=torch.float64)
+    )
     for kernel in model.covar_module.covar_module_list:
         kernel.data_covar_module.lengthscale = length_scale
     return model, likelihood
@@ -64,13 +68,6 @@ def likelihood_and_gradient(model, likelihood):
     return evaluate
 
 
-def gradient(model, likelihood):
-    """Return the gradient by all parameters, as one array, in double precision."""
-    likelihood_and_gradient(model, likelihood)()
-    grads = [parameter.grad for parameter in model.parameters()]
-    return np.concatenate([g.double().numpy().ravel() for g in grads if g is not None])
-
-
 class Variational(gpytorch.models.ApproximateGP):
     """Latent processes with inducing points of their own, mixed linearly."""
 
@@ -94,47 +91,37 @@ class Variational(gpytorch.models.ApproximateGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
-def train_variational(X, Y, *, n_latent=6, n_inducing=150, batch=512, rate=0.02, seed=0):
-    """Maximise the evidence lower bound by Adam; yield the predictor after each step, without end."""
-    torch.manual_seed(seed)
-    rng = np.random.default_rng(seed)
-    starts = [X[rng.choice(len(X), n_inducing, replace=False)] for _ in range(n_latent)]
-    X, Y = torch.as_tensor(X, dtype=torch.float32), torch.as_tensor(Y, dtype=torch.float32)
-    model = Variational(torch.as_tensor(np.stack(starts), dtype=torch.float32), Y.shape[1])
-    likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=Y.shape[1])
-    model.train()
-    likelihood.train()
-    objective = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(Y))
-    optimizer = torch.optim.Adam([*model.parameters(), *likelihood.parameters()], lr=rate)
-    predictor = Predictor(model, likelihood)
-    while True:
-        for rows in torch.randperm(len(X)).split(batch):
+class SparseLCM:
+    """Sparse variational LCM: six latents, 150 inducing points each, 2000 steps of Adam on batches of 512."""
+
+    def fit(self, X, Y):
+        torch.set_num_threads(1)  # small matrices: faster so
+        torch.manual_seed(0)
+        rng, size = np.random.default_rng(0), min(150, len(X))
+        starts = np.stack([X[rng.choice(len(X), size, replace=False)] for _ in range(6)])
+        X, Y = (torch.as_tensor(part, dtype=torch.float32) for part in (X, Y))
+        self.model = Variational(torch.as_tensor(starts, dtype=torch.float32), Y.shape[1])
+        self.likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=Y.shape[1])
+        objective = gpytorch.mlls.VariationalELBO(self.likelihood, self.model, num_data=len(Y))
+        parameters = [*self.model.parameters(), *self.likelihood.parameters()]
+        optimizer = torch.optim.Adam(parameters, lr=0.02)
+        batches = (rows for _ in count() for rows in torch.randperm(len(X)).split(512))
+        for rows in islice(batches, 2000):
             optimizer.zero_grad()
-            (-objective(model(X[rows]), Y[rows])).backward()
+            (-objective(self.model(X[rows]), Y[rows])).backward()
             optimizer.step()
-            yield predictor
+        self.model.eval()
+        return self
 
-
-class Predictor:
-    """What a model in training knows now; it is left as it was: in training."""
-
-    def __init__(self, model, likelihood):
-        self.model, self.likelihood = model, likelihood
-
-    def __call__(self, X):
-        """Return the mean (n, P)."""
+    def predict(self, X):
         return self._of_parts(X, lambda posterior: posterior.mean)
 
     def bands(self, X):
-        """Return the standard deviations of the function and of a measurement, each (n, P)."""
         variance = self._of_parts(X, lambda posterior: posterior.variance)
         noise = (self.likelihood.task_noises + self.likelihood.noise).detach().double().numpy()
         return np.sqrt(variance), np.sqrt(variance + noise)
 
     def _of_parts(self, X, moment, rows=2048):
-        self.model.eval()
         with torch.no_grad():
             parts = torch.as_tensor(X, dtype=torch.float32).split(rows)
-            values = torch.cat([moment(self.model(part)) for part in parts]).double().numpy()
-        self.model.train()
-        return values
+            return torch.cat([moment(self.model(part)) for part in parts]).double().numpy()

@@ -1,9 +1,20 @@
 """JSBSim flown for its loads and motion: what it says acts on the aircraft, and where that takes it."""
 
+from functools import cache
+
 import numpy as np
 import pandas as pd
+from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.dynamics import Aircraft
+from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, measure
+from skdgp.dynamics import (
+    Aircraft,
+    air_velocity,
+    body_to_ned,
+    euler_to_quaternion,
+    ned_to_body,
+    stability_derivatives,
+)
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
@@ -109,3 +120,181 @@ def earth_to_ned(latitude, longitude):
     zero = np.zeros_like(s)
     rows = [[-s * cl, -s * sl, c], [-sl, cl, zero], [-c * cl, -c * sl, -s]]
     return np.moveaxis(np.array(rows), -1, 0)
+
+
+# -- flights to learn from, with their truth
+
+STEADY = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle")
+NAMES = (*STEADY, "alpha_dot", "beta_dot")
+"""Regressors of the truth, rates non-dimensional."""
+ROTATION, SLOPES = [2, 3, 4], [9, 10]
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
+"""[kt], MIL-F-8785C as JSBSim flies it."""
+HEIGHT = 274.0  # above the ground [m]
+KNOTS = {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0, "c182": 100.0}
+KNOTS |= {"c172p": 100.0, "t6texan2": 150.0, "T37": 200.0}
+KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0}
+"""Calibrated airspeed of aircraft of JSBSim."""
+RATE = 40  # Hz, of the logs
+FRAMES = 6
+"""Of JSBSim per row; controls change at each of them: held longer, they would lag behind the loads."""
+SETTLING = 10.0  # s before the log
+DURATION = 200.0  # s of a log
+TRAINING = (1, "light", 1)
+"""Plan of the flight, air and seed."""
+FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
+SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
+SOURCES = {  # property and factor to SI; forces and moments in newtons
+    **{f"{name}_true": (f"aero/{name}-rad", 1.0) for name in ("alpha", "beta")},
+    **{f"{name}_dot_true": (f"aero/{name}dot-rad_sec", 1.0) for name in ("alpha", "beta")},
+    **{f"{name}_true": (f"attitude/{name}-rad", 1.0) for name in ("phi", "theta", "psi")},
+    **{f"{name}_true": (f"velocities/{name}-rad_sec", 1.0) for name in "pqr"},
+    **{f"{name}_felt": (f"velocities/{name}-aero-rad_sec", 1.0) for name in "pqr"},
+    **{f"v_{name}_true": (f"velocities/v-{name}-fps", FOOT) for name in ("north", "east", "down")},
+    **{f"a{axis}_true": (f"forces/fb{axis}-total-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"C{axis.upper()}_true": (f"forces/fb{axis}-aero-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"C{axis}_true": (f"moments/{axis}-aero-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
+    **{f"thrust_{axis}": (f"forces/fb{axis}-prop-lbs", POUND_FORCE) for axis in "xyz"},
+    **{f"thrust_{axis}": (f"moments/{axis}-prop-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
+    **{name: (f"fcs/{source}-pos-rad", 1.0) for name, source in SURFACES.items()},
+    "throttle": ("fcs/throttle-pos-norm", 1.0),
+    "airspeed_true": ("velocities/vt-fps", FOOT),
+    "altitude": ("position/h-sl-ft", FOOT),
+    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
+}
+
+
+@cache
+def flight_of(model, number, air, seed):
+    """Return a flight with sensors of a small aircraft and its truth, ending in _true, and the aircraft.
+
+    It has the manoeuvres of a plan of the example flights, held level or in slow turns.
+    """
+    plan, fdm = FLIGHT_PLANS[number], started(model, RATE * FRAMES, KNOTS[model])
+    fdm["ic/h-sl-ft"] = HEIGHT / FOOT
+    fdm["ic/vc-kts"] = KNOTS[model]
+    fdm.run_ic()
+    fdm["propulsion/set-running"] = -1
+    fdm["simulation/do_simple_trim"] = 1
+    if WIND_AT_20FT[air]:
+        fdm["simulation/randomseed"] = seed
+        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = WIND_AT_20FT[air] * 1.68781
+        fdm["atmosphere/turbulence/milspec/severity"] = 3 if air == "light" else 4
+        fdm["atmosphere/turb-type"] = 3
+    neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
+    theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
+    time = np.arange(round((SETTLING + DURATION) * RATE * FRAMES)) / (RATE * FRAMES) - SETTLING
+    command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
+    command *= [1.0, 1.5, 1.0, 1.0]
+    rows = []
+    for k, now in enumerate(time):
+        phi = 0.3 * np.sin(2 * np.pi * now / (70 + 20 * number))
+        height = HEIGHT + 30 * (number == 2 and now > 70)
+        climb = np.clip((height - fdm["position/h-sl-ft"] * FOOT) / 200, -0.07, 0.07)
+        pitch = 0.5 * (fdm["attitude/theta-rad"] - theta - climb)
+        surfaces = {
+            "elevator": pitch + 0.15 * fdm["velocities/q-rad_sec"],
+            "aileron": 0.25 * (phi - fdm["attitude/phi-rad"]) - 0.05 * fdm["velocities/p-rad_sec"],
+            "rudder": 0.1 * fdm["velocities/r-rad_sec"],
+        }
+        for j, name in enumerate(SURFACES):
+            fdm[f"fcs/{name}-cmd-norm"] = neutral[name] + (surfaces[name] + command[k, j]) / 0.35
+        slower = neutral["throttle"] + 0.03 * (speed - fdm["velocities/vt-fps"])
+        fdm["fcs/throttle-cmd-norm"] = np.clip(slower + command[k, 3], 0.1, 1.0)
+        fdm.run()
+        if k % FRAMES == FRAMES - 1:
+            rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
+    time, aircraft = time[FRAMES - 1 :: FRAMES], aircraft_of(fdm, model)
+    table = pd.DataFrame(rows, columns=[*SOURCES]).assign(time=time, flight=plan.name)
+    true = with_truth(table[time >= 0].reset_index(drop=True), aircraft)
+    noise = np.random.default_rng([number, seed, len(model)])  # mostly another for each aircraft
+    return pd.concat([measure(true, 1.0, noise), true], axis=1), aircraft
+
+
+def with_truth(table, aircraft):
+    """Return the table with coefficients of its loads, places, and the wind."""
+    table[[f"a{axis}_true" for axis in "xyz"]] /= aircraft.mass
+    dynamic_pressure = 0.5 * table["density"] * table["airspeed_true"] ** 2
+    coefficients = [f"{name}_true" for name in COEFFICIENTS]
+    table[coefficients] = table[coefficients].div(dynamic_pressure * aircraft.wing_area, axis=0)
+    table[coefficients[3:]] /= aircraft.moment_lengths
+    for axis in ("north", "east"):
+        table[f"{axis}_true"] = np.cumsum(table[f"v_{axis}_true"]) / RATE
+    attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in ("phi", "theta", "psi")))
+    air = air_velocity(
+        *(table[f"{name}_true"].to_numpy() for name in ("airspeed", "alpha", "beta"))
+    )
+    through_air = body_to_ned(attitude, air).T
+    for axis, velocity in zip(("north", "east", "down"), through_air, strict=True):
+        table[f"wind_{axis}_true"] = table[f"v_{axis}_true"] - velocity
+    return table.assign(gravity_true=9.80665, psi_true=table["psi_true"] % (2 * np.pi))
+
+
+def sensed(log):
+    """Return what the sensors saw of a flight."""
+    return log[[name for name in log if not name.endswith(("_true", "_felt"))]]
+
+
+def exact_regressors(table, aircraft):
+    """Return `NAMES` of columns of the truth, (n, 11), with the rates that the aerodynamics feel."""
+    columns = [f"{name}_true" if f"{name}_true" in table else name for name in NAMES]
+    exact = table[columns].to_numpy()
+    felt = [f"{rate}_felt" for rate in "pqr"]
+    if {*felt} <= {*table}:
+        exact[:, ROTATION] = table[felt]
+    else:
+        exact[:, ROTATION] -= milspec_rates(table, aircraft.span)
+    lengths = aircraft.moment_lengths / (2 * table[["airspeed_true"]].to_numpy())
+    exact[:, ROTATION] *= lengths
+    exact[:, SLOPES] *= lengths[:, 1:]
+    return exact
+
+
+def known_derivatives(tables, aircraft, at):
+    """Return the derivatives (6, 11) at regressors (11,): of a polynomial of third order of the truth of all tables."""
+    X = np.concatenate([exact_regressors(table, aircraft) for table in tables])
+    Y = np.concatenate([table[[f"{name}_true" for name in COEFFICIENTS]] for table in tables])
+    terms, scale = PolynomialFeatures(3), X.std(axis=0)
+    outer, inner = 0.0, 0.0
+    for rows in np.array_split(np.arange(len(X)), len(X) // 5000 + 1):
+        Q = terms.fit_transform((X[rows] - at) / scale)
+        outer, inner = outer + Q.T @ Q, inner + Q.T @ Y[rows]
+    slopes = np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : len(NAMES) + 1].T / scale
+    return pd.DataFrame(slopes, COEFFICIENTS, NAMES)
+
+
+def learned_derivatives(model, aircraft, at, airspeed, names=STEADY, units=None, **options):
+    """Return the table of derivatives by some regressors at `NAMES`; units: of surfaces [rad], where not radians."""
+    at = dict(zip(NAMES, at, strict=True))
+    rates = np.array([at[name] for name in "pqr"]) * 2 * airspeed / aircraft.moment_lengths
+    velocity = air_velocity(airspeed, at["alpha"], at["beta"])
+    attitude = [np.cos(at["alpha"] / 2), 0.0, np.sin(at["alpha"] / 2), 0.0]
+    state = np.concatenate([[0.0, 0.0, -HEIGHT], velocity, attitude, rates])
+    controls = {name: at[name] / (units or {}).get(name, 1.0) for name in STEADY[5:]}
+    table = stability_derivatives(model, aircraft, state, controls, thrust=None, **options)
+    return table[table["coefficient"].isin(COEFFICIENTS) & table["regressor"].isin(names)].copy()
+
+
+def milspec_rates(table, span):
+    """Return the rates of the air that JSBSim's turbulence makes of its wind, (n, 3) in body axes [rad/s].
+
+    Pitching and yawing lag behind the changes of the velocities w and v (Yeager 1998, eqs 14 and
+    18). Rolling is drawn for itself and stays unknown.
+    """
+    wind = (table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down"))
+    north, east, down = wind
+    speed, azimuth = table["airspeed_true"].to_numpy(), np.arctan2(east.mean(), north.mean())
+    cos, sin, step = np.cos(azimuth), np.sin(azimuth), np.median(np.diff(table["time"]))
+
+    def lagging(velocity, lengths):
+        length, rate = lengths * span / np.pi, np.zeros(len(velocity))
+        keep = np.exp(-step * speed / length)
+        change = (1 - keep) * np.diff(velocity, prepend=velocity[0]) / (step * speed)
+        for k in range(1, len(rate)):
+            rate[k] = keep[k] * rate[k - 1] + change[k]
+        return rate
+
+    q, r = lagging(down, 4), lagging(sin * north + cos * east, 3)
+    attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in ("phi", "theta", "psi")))
+    return ned_to_body(attitude, np.column_stack([sin * q, cos * q, r]))

@@ -5,12 +5,9 @@ standard deviations (n, P): of the function, and of a new measurement.
 """
 
 import warnings
-from itertools import islice
 
 import numpy as np
-from _common import use_torch_threads
 from scipy.stats import f as f_distribution
-from sklearn.dummy import DummyRegressor
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -98,13 +95,10 @@ class _LeastSquares:
 
 
 class OnTrend:
-    """A model of what a linear trend, fitted before by least squares, leaves; or of the targets less their mean.
+    """A model of the residuals of a linear trend, scaled to variance one; the trend is taken as exact."""
 
-    Either is scaled to variance one. The trend's own uncertainty is left out, as is usual.
-    """
-
-    def __init__(self, model, *, linear=True):
-        self.model, self.trend = model, LinearRegression() if linear else DummyRegressor()
+    def __init__(self, model):
+        self.model, self.trend = model, LinearRegression()
 
     def fit(self, X, Y):
         rest = Y - self.trend.fit(X, Y).predict(X)
@@ -116,8 +110,9 @@ class OnTrend:
         return self.trend.predict(X) + self.scale * self.model.predict(X)
 
     def bands(self, X):
-        both = self.model.bands(X) if hasattr(self.model, "bands") else None
-        return both and tuple(self.scale * std for std in both)
+        if not hasattr(self.model, "bands"):
+            return None
+        return [self.scale * std for std in self.model.bands(X)]
 
 
 class IndependentProcesses:
@@ -146,74 +141,8 @@ def trees():
     return MultiOutputRegressor(HistGradientBoostingRegressor(random_state=0))
 
 
-class ExactLCM:
-    """GPyTorch's exact linear model of coregionalisation: six latents of rank 1, Adam at rate .1.
+def sparse_lcm():
+    """Return GPyTorch's sparse linear model of coregionalisation."""
+    from _gpytorch import SparseLCM
 
-    Fitted with GPyTorch's own settings, which are single precision and conjugate gradients;
-    predictions by Cholesky.
-    """
-
-    def __init__(self, *, n_steps=100, length_scale=None):
-        self.n_steps, self.length_scale = n_steps, length_scale
-
-    def fit(self, X, Y):
-        import torch
-        from _gpytorch import exact_lcm, likelihood_and_gradient
-
-        use_torch_threads()
-        start = (
-            0.6931 if self.length_scale is None else self.length_scale
-        )  # softplus(0) is GPyTorch's own
-        self.model, self.likelihood = exact_lcm(
-            X, Y, 6, length_scale=start, noise=0.6931, dtype=torch.float32
-        )
-        parameters = {id(p): p for p in (*self.model.parameters(), *self.likelihood.parameters())}
-        optimizer = torch.optim.Adam(parameters.values(), lr=0.1, maximize=True)
-        step = likelihood_and_gradient(self.model, self.likelihood)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of conjugate gradients that do not converge
-            for _ in range(self.n_steps):
-                step()
-                optimizer.step()
-        self.model.double().eval()
-        self.likelihood.double().eval()
-        self.model.set_train_data(
-            *(t.double() for t in (self.model.train_inputs[0], self.model.train_targets)), False
-        )
-        return self
-
-    def predict(self, X):
-        import gpytorch
-
-        with gpytorch.settings.skip_posterior_variances():
-            return self._of_parts(X, lambda posterior: posterior.mean)
-
-    def bands(self, X):
-        variance = np.maximum(self._of_parts(X, lambda posterior: posterior.variance), 0)
-        return np.sqrt(variance), np.sqrt(variance + self.likelihood.task_noises.detach().numpy())
-
-    def _of_parts(self, X, moment, rows=256):
-        import torch
-        from _gpytorch import cholesky
-
-        parts = torch.as_tensor(np.asarray(X), dtype=torch.float64).split(rows)
-        with torch.no_grad(), cholesky():
-            return np.vstack([moment(self.model(part)).numpy() for part in parts])
-
-
-class SparseLCM:
-    """GPyTorch's sparse variational LCM: six latents, 150 inducing points each, Adam at rate .02, batches of 512."""
-
-    def __init__(self, n_steps=2000):
-        self.n_steps = n_steps
-
-    def fit(self, X, Y):
-        from _gpytorch import train_variational
-
-        use_torch_threads(1)  # small matrices: faster so
-        steps = train_variational(X, Y, n_inducing=min(150, len(X)))
-        self.predict = next(islice(steps, self.n_steps - 1, None))
-        return self
-
-    def bands(self, X):
-        return self.predict.bands(X)
+    return SparseLCM()

@@ -1,41 +1,45 @@
-"""Every method of the field on the same samples: how far predictions of an unseen flight are off, what bands hold.
+"""Methods of the field on the same samples: errors on an unseen flight, and what 95 % bands hold.
 
-    python tests/benchmarks/comparison.py ../shared/data --out OUT [--flights F] [--inputs I] [--methods M] [--redo]
+    python tests/benchmarks/comparison.py ../shared/data --out OUT [--flights F] [--methods M] [--seeds S] [--redo]
 
-Each method learns the measured coefficients of one flight, from 755 samples spread evenly or from
-all of them, and predicts another flight, from the same regressors. These come from raw channels
-with plain finite differences, from channels filtered by ``FlightSmoother``, or from
-``FlightPathReconstruction``; each scaled. ``pipeline`` is ``make_identification_pipeline`` as it
-stands; its inputs are its ``own``, which the others get as well. NRMSE and median relative error
-are of every sample of the test flight, against truth where there is one; what 95 % bands hold is of
-every tenth sample: bands of the function against truth, bands of measurements against measured
+Each method learns the measured coefficients of one flight and predicts another. ``skdgp pipeline``
+is ``make_identification_pipeline`` with its own regressors, once for each seed; the others learn
+the classical regressors of channels smoothed by ``FlightSmoother``, scaled. NRMSE is of every sample
+of the test flight, against the truth where it is known. The fraction of values in 95 % bands is of
+every tenth sample: bands of the function against the truth, bands of measurements against measured
 coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 
-Each run is kept as OUT/comparison/FLIGHT-INPUTS-METHOD.json, and not run again unless ``--redo``
-says so; the tables are of all runs that are there. Peers take some hours on one core.
+Each run is kept as OUT/comparison/FLIGHT-METHOD-SEED.json, and not run again unless ``--redo`` says
+so; the tables are of all runs that are there. Peers take some hours on one core.
 """
 
-import json
 import sys
 import time
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+import _peers as peers
 import numpy as np
 import pandas as pd
-from _common import finish, parsed, parser_of
-from _comparison_methods import INPUTS, METHODS, regressors
-from _comparison_tables import tables
+from _common import Kept, finish, parsed, parser_of
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
+from skdgp import make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification import flight_regressors
 from skdgp.io import read_flight
-from skdgp.metrics import interval_coverage, median_relative_error, normalized_rmse
+from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import (
+    ElevonSplitter,
+    FlightSmoother,
+    RateNondimensionalizer,
+    RegressorSelector,
+)
 
 SAMPLES = 755
 BANDS_EVERY = 10
-OWN = "own"  # inputs as the pipeline makes them
 FLIGHTS = {
     "viggen_latlon": ("viggen_uav", "train_latlon", "test_twoalt"),
     "c172p": ("c172p", "train_latlon", "test_calm"),
@@ -56,10 +60,6 @@ class Task(NamedTuple):
     truth: np.ndarray | None
     samples: int
 
-    @property
-    def thinned(self):
-        return thin_targets(self.targets, self.samples)
-
 
 def task_of(name, folder):
     """Return the task of the shared data that has this name."""
@@ -69,15 +69,13 @@ def task_of(name, folder):
     else:
         craft, *parts = FLIGHTS[name]
         aircraft = Aircraft.from_json(folder / "flights" / f"{craft}.json")
-        train, test = (
-            read_flight(folder / "flights" / f"{craft}_{part}.parquet") for part in parts
-        )
-    targets, measured = (
-        aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
-    )
+        paths = [folder / "flights" / f"{craft}_{part}.parquet" for part in parts]
+        train, test = map(read_flight, paths)
+    targets = aerodynamic_coefficients(train, aircraft, **loads)
+    measured = aerodynamic_coefficients(test, aircraft, **loads).to_numpy()
     truth = [f"{column}_true" for column in targets]
     truth = test[truth].to_numpy() if set(truth) <= set(test) else None
-    return Task(aircraft, train, test, targets, measured.to_numpy(), truth, SAMPLES)
+    return Task(aircraft, train, test, targets, measured, truth, SAMPLES)
 
 
 def ampyx_ap2(folder):
@@ -93,128 +91,133 @@ def ampyx_ap2(folder):
 def toy(n=300):
     """Return a task of the same form that takes no time."""
     rng = np.random.default_rng(0)
-    glider = Aircraft(
-        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
-    )
+    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2, chord=0.2)
+    table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 12.0})
+    for name in ("alpha", "beta", *"pqr"):
+        table[name] = np.convolve(rng.normal(size=n), np.ones(9) / 90, "same")
+    for name in ("elevator", "aileron", "rudder"):
+        table[name] = rng.normal(0, 0.1, n)
+    moment = -table["alpha"] - table["elevator"]
+    truth = pd.DataFrame({"CZ": -4 * table["alpha"] + table["alpha"] ** 2, "Cm": moment})
+    targets = truth + rng.normal(0, 0.01, truth.shape)
+    return Task(glider, table, table, targets, targets.to_numpy(), truth.to_numpy(), 40)
 
-    def flight():
-        moves = {
-            name: np.convolve(rng.normal(size=n), np.ones(9) / 90, "same")
-            for name in ("alpha", "beta", *"pqr")
-        }
-        surfaces = {name: rng.normal(0, 0.1, n) for name in ("elevator", "aileron", "rudder")}
-        table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 12.0, **moves, **surfaces})
-        truth = pd.DataFrame(
-            {"CZ": -4 * table.alpha + table.alpha**2, "Cm": -table.alpha - table.elevator}
+
+def pipeline(task, seed):
+    """Return moments of the test flight by the default pipeline."""
+    model = make_identification_pipeline(task.aircraft)
+    seeds = {name: seed for name in model.get_params() if name.endswith("random_state")}
+    model.set_params(**seeds).fit(task.train, task.targets)
+    X, ratio = flight_regressors(model, task.test)
+    some, words = X[::BANDS_EVERY], {"include_input_noise": ratio[::BANDS_EVERY]}
+    bands = [
+        model[-1].predict(some, return_std=True, include_noise=noise, **words)[1]
+        for noise in (False, True)
+    ]
+    return model[-1].predict(X), bands
+
+
+def peer(make, all_samples=True):
+    """Return the same for a method that learns regressors."""
+
+    def moments(task, seed):
+        steps = make_pipeline(
+            FlightSmoother(),
+            ElevonSplitter(),
+            RateNondimensionalizer(span=task.aircraft.span, chord=task.aircraft.chord),
+            RegressorSelector("classical"),
+            StandardScaler(),
         )
-        return table, truth, truth + rng.normal(0, 0.01, truth.shape)
+        Y = task.targets if all_samples else thin_targets(task.targets, task.samples)
+        rows = Y.notna().all(axis=1).to_numpy()
+        X = np.asarray(steps.fit_transform(task.train))[rows]
+        asked = np.asarray(steps.transform(task.test))
+        model = make().fit(X, Y.to_numpy()[rows])
+        return model.predict(asked), model.bands(asked[::BANDS_EVERY])
 
-    (train, _, targets), (test, truth, measured) = flight(), flight()
-    return Task(glider, train, test, targets, measured.to_numpy(), truth.to_numpy(), 40)
+    return moments
 
 
-def run(task, X, Xt, name):
-    """Return the scores of one method; X, Xt: regressors of the two flights, which a whole pipeline makes itself."""
-    method = METHODS[name]
-    rows = (task.targets if method.all_samples else task.thinned).notna().all(axis=1).to_numpy()
+METHODS = {
+    "least squares": peer(peers.EquationError),
+    "stepwise, second order": peer(lambda: peers.EquationError(2, stepwise=True)),
+    "boosted trees after a trend": peer(lambda: peers.OnTrend(peers.trees())),
+    "scikit-learn processes after a trend": peer(
+        lambda: peers.OnTrend(peers.IndependentProcesses()), all_samples=False
+    ),
+    "GPyTorch sparse LCM after a trend": peer(lambda: peers.OnTrend(peers.sparse_lcm())),
+    "skdgp pipeline": pipeline,
+}
+
+
+def scored(task, method, seed):
+    """Return the scores of one method."""
     start = time.process_time()
-    if method.whole:
-        model = method.make().fit_flight(task)
-    else:
-        model = method.make().fit(X[rows], task.targets.to_numpy()[rows])
+    mean, bands = METHODS[method](task, seed)
     seconds = time.process_time() - start
-    if method.whole:
-        Xt = np.asarray(model.transform(task.test))
-    kept = {"samples": int(rows.sum()), "cpu_seconds": seconds, "date": time.strftime("%Y-%m-%d")}
-    return {**kept, **scores(task, model, Xt)}
-
-
-def scores(task, model, Xt):
-    """Return what a fitted model is worth on the test flight, whose regressors are Xt."""
-    mean, some = model.predict(Xt), slice(None, None, BANDS_EVERY)
-    bands = model.bands(Xt[some])
     asked = task.measured if task.truth is None else task.truth
-    holds = {}
-    if bands:
-        holds["measured"] = covered(task.measured[some], mean[some], bands[1])
-        if task.truth is not None:
-            holds["truth"] = covered(task.truth[some], mean[some], bands[0])
-    return {
-        "outputs": list(task.targets),
-        "NRMSE": normalized_rmse(asked, mean, multioutput="raw_values").tolist(),
-        "median_relative_error": median_relative_error(
-            asked, mean, multioutput="raw_values"
-        ).tolist(),
-        "band_holds": holds,
-    }
+    error = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
+    result = {"outputs": list(task.targets), "NRMSE": error, "seconds": seconds}
+    kinds = {"truth": task.truth, "measured": task.measured}
+    for (kind, y), std in zip(kinds.items(), bands or (), strict=False):
+        if y is not None:
+            held = interval_coverage(y[::BANDS_EVERY], mean[::BANDS_EVERY], std)
+            result[f"{kind}, %"] = 100 * float(held)
+    return result
 
 
-def covered(y, mean, std):
-    return interval_coverage(y, mean, std, multioutput="raw_values").tolist()
+def errors(runs):
+    """Return a row for each method: its errors on the flights, medians over seeds."""
+    rows = []
+    for method in METHODS:
+        row = {"method": method}
+        for flight in dict.fromkeys(run["flight"] for run in runs):
+            some = [run for run in runs if (run["flight"], run["method"]) == (flight, method)]
+            row[flight] = median([np.mean(run["NRMSE"]) for run in some])
+        held = [run["truth, %"] for run in runs if run["method"] == method and "truth, %" in run]
+        rows.append(row | {"in band of truth, %": median(held)})
+    return rows
 
 
-def wanted(options, peers):
-    """Yield (flight, inputs, method) of every run that is asked for, those that matter most first."""
-    for inputs in options.inputs:
-        for flight in options.flights:
-            for name, method in METHODS.items():
-                asked = name in options.methods or ("ours" in options.methods and method.ours)
-                if asked and (inputs == OWN or not method.whole) and (peers or not method.gpytorch):
-                    yield flight, inputs, name
+def of_pipeline(runs):
+    """Return a row for each flight: medians over the seeds of the pipeline, and their range."""
+    rows, runs = [], [run for run in runs if run["method"] == "skdgp pipeline"]
+    for flight in dict.fromkeys(run["flight"] for run in runs):
+        some = [run for run in runs if run["flight"] == flight]
+        each = np.array([run["NRMSE"] for run in some])
+        of_seeds = each.mean(axis=1)
+        row = {"flight": flight, "NRMSE": median(of_seeds)}
+        row["range"] = f"{of_seeds.min():.3f} to {of_seeds.max():.3f}"
+        row |= dict(zip(some[0]["outputs"], map(median, each.T), strict=True))
+        for kind in ("truth", "measured"):
+            held = [run[f"{kind}, %"] for run in some if f"{kind}, %" in run]
+            row[f"in band of {kind}, %"] = median(held)
+        rows.append(row)
+    return rows
 
 
-class Kept:
-    """Results of runs in a folder, or in memory alone where there is none."""
-
-    def __init__(self, folder, name="comparison"):
-        self.folder, self.memory = folder and folder / name, {}
-        for path in sorted(self.folder.glob("*.json")) if self.folder else ():
-            self.memory[path.stem] = json.loads(path.read_text())
-
-    def __contains__(self, name):
-        return name in self.memory
-
-    def keep(self, name, result):
-        self.memory[name] = result
-        if self.folder:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            (self.folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
-
-
-def runs_parser(description, flights, **more):
-    """Return a parser of scripts that keep their runs: folder of the data, flights, ``--redo``."""
-    parser = parser_of(description, data=True, redo=True, **more)
-    parser.add_argument("--flights", nargs="+", choices=flights, default=list(flights))
-    return parser
+def median(values):
+    return float(np.median(values)) if len(values) else None
 
 
 def main(words=None):
-    parser = runs_parser(__doc__, FLIGHTS, smoke=True)
-    parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=list(INPUTS))
-    parser.add_argument("--methods", nargs="+", choices=[*METHODS, "ours"], default=[*METHODS])
+    parser = parser_of(__doc__, data=True, redo=True, smoke=True)
+    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="of the pipeline")
     options = parsed(parser, words)
-    if options.smoke:
-        options.flights, options.inputs = (
-            ["toy"],
-            [kind for kind in ("filtered", OWN) if kind in options.inputs],
-        )
-    kept, task, X, known = Kept(options.out), None, None, None
-    for flight, inputs, method in wanted(options, not options.no_peers and find_spec("gpytorch")):
-        name = f"{flight}-{inputs}-{method}"
-        if name in kept and not options.redo:
-            continue
-        if known != (flight, inputs):
-            task = toy() if options.smoke else task_of(flight, options.data)
-            X = regressors(inputs, task)
-            known = flight, inputs
-        result = run(task, *X, method)
-        kept.keep(name, {"flight": flight, "inputs": inputs, "method": method, **result})
-        print(
-            f"{name}: NRMSE {np.mean(result['NRMSE']):.3f}, {result['cpu_seconds']:.0f} s",
-            file=sys.stderr,
-            flush=True,
-        )
-    finish(options, "comparison", **tables(kept.memory))
+    kept, flights = Kept(options.out, "comparison"), ["toy"] if options.smoke else options.flights
+    for flight in flights:
+        task = toy() if options.smoke else task_of(flight, options.data)
+        for method in options.methods:
+            for seed in options.seeds if method == "skdgp pipeline" else [0]:
+                name = f"{flight}-{method}-{seed}"
+                if name not in kept or options.redo:
+                    result = {"flight": flight, "method": method, **scored(task, method, seed)}
+                    kept.keep(name, result)
+                    print(f"{name}: {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)
+    runs = list(kept.memory.values())
+    finish(options, "comparison", errors=errors(runs), pipeline=of_pipeline(runs))
 
 
 if __name__ == "__main__":

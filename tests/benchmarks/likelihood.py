@@ -1,4 +1,4 @@
-"""One likelihood and its gradient, side by side with LAPACK, scikit-learn, GPyTorch, GPy and mogptk.
+"""One likelihood and its gradient, side by side with LAPACK, scikit-learn and GPyTorch.
 
     python tests/benchmarks/likelihood.py [--out FOLDER]
 
@@ -9,18 +9,17 @@ process of its own, at its peak.
 """
 
 import json
+import os
 import sys
 from typing import NamedTuple
 
 import numpy as np
 from _common import (
-    available_memory,
     extra_memory,
     finish,
     in_own_process,
     interleaved,
     parser_of,
-    use_torch_threads,
 )
 from scipy.linalg import lapack
 
@@ -93,7 +92,6 @@ def _sklearn(X, y):
 
 
 def gpytorch_cholesky(case):
-    use_torch_threads()
     from _gpytorch import cholesky, exact_lcm, likelihood_and_gradient
 
     evaluate = likelihood_and_gradient(
@@ -107,100 +105,31 @@ def gpytorch_cholesky(case):
     return by_cholesky
 
 
-def gpytorch_default(case):
-    use_torch_threads()
-    import torch
-    from _gpytorch import exact_lcm, likelihood_and_gradient
-
-    model = exact_lcm(*case.table(), case.M, length_scale=LENGTH, noise=NOISE, dtype=torch.float32)
-    return likelihood_and_gradient(*model)
-
-
-def gpy_lcm(case):
-    import GPy
-
-    X, Y = case.table()
-    kernels = [GPy.kern.RBF(case.d, lengthscale=LENGTH, ARD=True) for _ in range(case.M)]
-    kernel = GPy.util.multioutput.LCM(case.d, case.P, kernels, W_rank=1)
-    model = GPy.models.GPCoregionalizedRegression([X] * case.P, list(Y.T[..., None]), kernel=kernel)
-    theta, step = np.array(model.optimizer_array), [0.0]
-
-    def evaluate():
-        step[0] += 1e-7  # the same theta again would be answered from its cache
-        model._objective_grads(theta + step[0])
-
-    return evaluate
-
-
-def mogptk_convolved(case):
-    use_torch_threads()
-    import torch
-    from mogptk import gpr
-    from mogptk.gpr.multioutput import GaussianConvolutionProcessKernel
-
-    X, Y = case.table()
-    stacked = np.column_stack([np.repeat(np.arange(case.P), case.n), np.tile(X, (case.P, 1))])
-    kernel = gpr.AddKernel(
-        *(GaussianConvolutionProcessKernel(case.P, case.d) for _ in range(case.M))
-    )
-    for part in kernel.kernels:
-        part.variance.assign(torch.full((case.P, case.d), LENGTH**2 / 3))
-        part.base_variance.assign(torch.full((case.d,), LENGTH**2 / 3))
-    return gpr.Exact(kernel, stacked, Y.T.reshape(-1, 1), variance=[NOISE] * case.P).loss
-
-
 CONTENDERS = {
     FLOOR: lapack_calls,
     OURS: ours,
     "scikit-learn, each output alone": sklearn_alone,
     "scikit-learn, one output of N values": sklearn_stacked,
     "GPyTorch LCM, Cholesky": gpytorch_cholesky,
-    "GPyTorch LCM, default, single precision": gpytorch_default,
-    "GPy LCM": gpy_lcm,
-    "mogptk convolved": mogptk_convolved,
 }
-NEEDED = {"scikit-learn, one output of N values": 6, "mogptk convolved": 6}
-"""Times N^2 d doubles that these were seen to take."""
+NEEDED = {"scikit-learn, one output of N values": 6}
+"""Times N^2 d doubles that it was seen to take."""
 
 
-def ready(case, names=CONTENDERS):
+def ready(case):
     """Return the contenders that are installed and fit the memory, each ready to evaluate."""
     found = {}
-    for name in names:
-        if NEEDED.get(name, 0) * 8 * case.N**2 * case.d > available_memory():
+    for name, make in CONTENDERS.items():
+        if NEEDED.get(name, 0) * 8 * case.N**2 * case.d > os.sysconf(
+            "SC_AVPHYS_PAGES"
+        ) * os.sysconf("SC_PAGE_SIZE"):
             print(f"{name}: left out, not enough memory", file=sys.stderr)
             continue
         try:
-            found[name] = CONTENDERS[name](case)
+            found[name] = make(case)
         except ImportError as error:
             print(f"{name}: left out, {error}", file=sys.stderr)
     return found
-
-
-def default_against_exact(case):
-    """Return how far the gradient of GPyTorch's default settings is from that of the same model by Cholesky."""
-    try:
-        import torch
-        from _gpytorch import cholesky, exact_lcm, gradient
-    except ImportError:
-        return []
-    use_torch_threads()
-    sizes = {"length_scale": LENGTH, "noise": NOISE}
-    with cholesky():
-        exact = gradient(*exact_lcm(*case.table(), case.M, **sizes))
-    rows = []
-    for name, dtype in {"single": torch.float32, "double": torch.float64}.items():
-        default = gradient(*exact_lcm(*case.table(), case.M, **sizes, dtype=dtype))
-        error, length = np.linalg.norm(default - exact), np.linalg.norm(exact)
-        cosine = float(default @ exact / np.linalg.norm(default) / length)
-        rows.append(
-            {
-                "precision": name,
-                "norm of the difference / norm": error / length,
-                "cosine of the angle": cosine,
-            }
-        )
-    return rows
 
 
 def memory(case, name):
@@ -209,35 +138,24 @@ def memory(case, name):
     return extra_memory(CONTENDERS[name](case))
 
 
-def compare(case, names, repeats, isolated=True):
+def compare(case, repeats):
     """Return a row for each contender: seconds, over LAPACK, memory."""
-    functions = ready(case, names)
+    functions = ready(case)
     seconds = interleaved(functions, repeats)
     functions.clear()
     rows = []
     for name, time in seconds.items():
-        peak = in_own_process(__file__, "--memory", name, *case) if isolated else memory(case, name)
-        over = None if peak is None else peak / (8 * case.N**2)
-        rows.append(
-            {
-                "what": name,
-                "seconds": time,
-                "over LAPACK": time / seconds[FLOOR],
-                "peak memory / N^2 doubles": over,
-            }
-        )
+        row = {"what": name, "seconds": time, "over LAPACK": time / seconds[FLOOR]}
+        peak = in_own_process(__file__, "--memory", name, *case)
+        row["peak memory / N^2 doubles"] = None if peak is None else peak / (8 * case.N**2)
+        rows.append(row)
     return rows
 
 
 def main(words=None):
     options = parser_of(__doc__, smoke=True).parse_args(words)
-    case = Case(20, 6, 2, 3) if options.smoke else Case()
-    names = [FLOOR, OURS] if options.no_peers else list(CONTENDERS)
-    rows = compare(case, names, options.repeats, not options.smoke)
-    check = [] if options.no_peers else default_against_exact(case)
-    finish(
-        options, "likelihood", one_likelihood_and_gradient=rows, gradient_of_gpytorchs_default=check
-    )
+    rows = compare(Case(20, 6, 2, 3), 1) if options.smoke else compare(Case(), 3)
+    finish(options, "likelihood", one_likelihood_and_gradient=rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Derivatives of aircraft of which less and less is told: are the true ones inside the bands?
 
-    python tests/benchmarks/little_told.py ../shared/data [--out FOLDER] [--samples 755]
+    python tests/benchmarks/little_told.py ../shared/data [--out OUT] [--aircraft A] [--withheld W]
 
 `identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
 (`Aircraft.estimate` of mass, span and kind), the thrust, the vanes, the angles of the surfaces (in
@@ -19,20 +19,19 @@ import time
 import warnings
 
 import numpy as np
-import pandas as pd
 from _common import finish, parsed, parser_of
-from _study_flights import (
-    NAMES,
-    ROTATION,
+from _jsbsim_flight import (
+    COEFFICIENTS,
+    FLOWN,
+    STEADY,
+    TRAINING,
     exact_regressors,
-    hats,
-    milspec_rates,
-    slopes_of_third_order,
+    flight_of,
+    known_derivatives,
+    learned_derivatives,
 )
-from freeflight_air import FLOWN, TRAINING, flight_of
 
-from skdgp._flight.channels import COEFFICIENTS, RATE_LENGTHS, TRUTH_SUFFIX
-from skdgp.dynamics import Aircraft, air_velocity, stability_derivatives
+from skdgp.dynamics import Aircraft
 from skdgp.identification import identify
 from skdgp.io import FULL_THROW, read_flight
 from skdgp.metrics import normalized_rmse
@@ -42,9 +41,7 @@ FLIGHTS = {
     "c172p": ("train_latlon", "test_calm", "conventional"),
 }
 JSBSIM = {"c182": "conventional", "DHC6": "twin", "A4": "delta"}
-"""Aircraft of JSBSim and their kinds: a single propeller, twin propellers, a jet with a delta wing
-and a tail.
-"""
+"""Aircraft of JSBSim and their kinds."""
 THINGS = ("sizes", "thrust", "vanes", "angles")
 WITHHELD = {
     "nothing": (),
@@ -53,58 +50,41 @@ WITHHELD = {
     "airspeed": ("airspeed",),
 }
 SURFACES = ("elevator", "aileron", "rudder")
-REGRESSORS = ("alpha", "beta", "p", "q", "r", *SURFACES)
+REGRESSORS = STEADY[:-1]
 MAIN = dict(
     zip(COEFFICIENTS, ("alpha", "beta", "alpha", "aileron", "elevator", "beta"), strict=True)
 )
-SIGNS = (
-    "CZ_alpha",
-    "Cm_alpha",
-    "Cm_q",
-    "Cl_p",
-    "Cn_beta",
-    "Cm_elevator",
-    "Cl_aileron",
-    "Cn_rudder",
-)
+SIGNS = ("CZ_alpha", "Cm_alpha", "Cm_q", "Cl_p", "Cn_beta", "Cm_elevator", "Cl_aileron")
+SIGNS += ("Cn_rudder",)
 HELD_OUT = 240.0  # s of the test flight
 NORMAL_95 = 1.96
 
 
 def subjects(options):
     """Yield name, kind, aircraft, training and test flight."""
-    for name, (train, test, kind) in FLIGHTS.items():
-        if not options.aircraft or name in options.aircraft:
-            read = [
-                read_flight(options.data / "flights" / f"{name}_{part}.parquet")
-                for part in (train, test)
-            ]
-            yield name, kind, Aircraft.from_json(options.data / "flights" / f"{name}.json"), *read
+    for name, (*parts, kind) in FLIGHTS.items():
+        if name in options.aircraft:
+            folder = options.data / "flights"
+            flights = [read_flight(folder / f"{name}_{part}.parquet") for part in parts]
+            yield name, kind, Aircraft.from_json(folder / f"{name}.json"), *flights
     for name, kind in JSBSIM.items():
-        if not options.aircraft or name in options.aircraft:
-            (train, aircraft), (test, _) = (
-                flight_of(name, *flight) for flight in (TRAINING, FLOWN["light"])
-            )
-            yield name, kind, aircraft, train, test
+        if name in options.aircraft:
+            train, aircraft = flight_of(name, *TRAINING)
+            yield name, kind, aircraft, train, flight_of(name, *FLOWN["light"])[0]
 
 
 def withhold(things, aircraft, kind, *flights):
     """Return an aircraft and flights without some things, and the angle that is one unit of each surface [rad]."""
-    flights, units = (
-        [table.drop(columns=["elevon_left", "elevon_right"], errors="ignore") for table in flights],
-        {},
-    )
+    units, dropped = {}, {"elevon_left", "elevon_right"}
     if "sizes" in things:
         aircraft = Aircraft.estimate(aircraft.mass, aircraft.span, kind=kind, name=aircraft.name)
     if "thrust" in things:
-        flights = [
-            table.drop(columns=[n for n in table if n.startswith(("thrust_", "propeller"))])
-            for table in flights
-        ]
+        dropped |= {name for name in flights[0] if name.startswith(("thrust_", "propeller"))}
     if "airspeed" in things:
-        flights = [table.drop(columns="airspeed") for table in flights]
+        dropped |= {"airspeed"}
     if "vanes" in things:
-        flights = [table.drop(columns=["alpha", "beta"]) for table in flights]
+        dropped |= {"alpha", "beta"}
+    flights = [table.drop(columns=[*dropped], errors="ignore") for table in flights]
     if "angles" in things:
         units = flights[0][[*SURFACES]].abs().max().to_dict()
         flights = [
@@ -114,88 +94,43 @@ def withhold(things, aircraft, kind, *flights):
     return aircraft, flights, units
 
 
-def truth_of(aircraft, *flights):
-    """Return the mean of the regressors of the first flight, by name, and the true derivatives there, by name."""
-    felt, truth = [], []
-    for table in flights:
-        exact, felt_rates = exact_regressors(table, aircraft), [f"{rate}_felt" for rate in "pqr"]
-        if {*felt_rates} <= {*table}:
-            exact[:, ROTATION] = table[felt_rates].to_numpy() * hats(table, aircraft)
-        else:
-            exact[:, ROTATION] -= milspec_rates(table, aircraft.span)[0] * hats(table, aircraft)
-        felt.append(exact)
-        truth.append(table[[name + TRUTH_SUFFIX for name in COEFFICIENTS]].to_numpy())
-    at = felt[0].mean(axis=0)
-    slopes = slopes_of_third_order(np.concatenate(felt), np.concatenate(truth), at)
-    return dict(zip(NAMES, at, strict=True)), pd.DataFrame(slopes, COEFFICIENTS, NAMES)
-
-
-def state_at(at, airspeed, aircraft):
-    """Return the state of 13 numbers with these regressors, wings level."""
-    rates = [at[name] * 2 * airspeed / getattr(aircraft, RATE_LENGTHS[name]) for name in "pqr"]
-    return np.r_[
-        0.0, 0.0, 0.0, air_velocity(airspeed, at["alpha"], at["beta"]), 1.0, 0.0, 0.0, 0.0, rates
-    ]
-
-
-def derivatives(things, aircraft, kind, train, test, at, airspeed, options):
+def learned(things, aircraft, kind, train, test, at, airspeed, samples):
     """Return the table of derivatives by one radian, and the error over the spread of the test flight."""
     told, (train, test), units = withhold(things, aircraft, kind, train, test)
-    servos = FULL_THROW if units else None
+    reading = {"servos": FULL_THROW if units else None}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = identify(
-            train, told, test=test, samples=options.samples, reading={"servos": servos}
-        )
-        controls = {name: at[name] / units.get(name, 1.0) for name in (*SURFACES, "throttle")}
-        state = state_at(at, airspeed, aircraft)
+        found = identify(train, told, test=test, samples=samples, reading=reading)
         told = found.aircraft  # with the deviations of vanes, airspeed and thrust
-        table = stability_derivatives(
-            found.pipeline, told, state, controls, thrust=None, n_paths=options.paths
-        )
-    table = table[
-        table["regressor"].isin(REGRESSORS) & table["coefficient"].isin(COEFFICIENTS)
-    ].copy()
+        table = learned_derivatives(found.pipeline, told, at, airspeed, REGRESSORS, units)
     by = table["regressor"].map(units).fillna(1.0)
     for column in ("value", "std", *(["std_aircraft"] if told.deviations else [])):
         table[column] /= by
-    lengths = table["regressor"].map(
-        {name: getattr(told, length) for name, length in RATE_LENGTHS.items()}
-    )
-    table["by_rate"] = lengths.fillna(
-        1.0
-    )  # over 2 V: of a derivative by rad/s over that by the non-dimensional rate
-    sizes = [*[told.mass] * 3, *(told.inertia.diagonal() / told.moment_lengths)] / np.float64(
-        told.wing_area
-    )
-    accelerations = (
-        table["std"]
-        * table["by_rate"]
-        / table["coefficient"].map(dict(zip(COEFFICIENTS, sizes, strict=True)))
-    )
-    table["log_band"] = accelerations  # over qbar
+    table["by_rate"] = lengths_of(table, told)
+    # over 2 V: of a derivative by rad/s over that by the non-dimensional rate
+    sizes = np.r_[[told.mass] * 3, told.inertia.diagonal() / told.moment_lengths] / told.wing_area
+    size = table["coefficient"].map(dict(zip(COEFFICIENTS, sizes, strict=True)))
+    table["log_band"] = table["std"] * table["by_rate"] / size  # over qbar
     one = found.evaluations[0]
     scored = np.isfinite(one.measured).all(axis=1)
-    return table.assign(std_aircraft=table.get("std_aircraft", 0.0)), normalized_rmse(
-        one.measured[scored], one.mean[scored]
-    )
+    error = normalized_rmse(one.measured[scored], one.mean[scored])
+    return table.assign(std_aircraft=table.get("std_aircraft", 0.0)), float(error)
+
+
+def lengths_of(table, aircraft):
+    lengths = dict(zip("pqr", aircraft.moment_lengths, strict=True))
+    return table["regressor"].map(lengths).fillna(1.0)
 
 
 def compared(table, known, aircraft):
     """Return the table with true values, bands, and how far values and ratios lie from the truth over deviations."""
     true = np.array([known.loc[row.coefficient, row.regressor] for row in table.itertuples()])
-    lengths = table["regressor"].map(
-        {name: getattr(aircraft, length) for name, length in RATE_LENGTHS.items()}
-    )
     table = table.assign(true=true, band=np.hypot(table["std"], table["std_aircraft"]))
     table["off"] = (table["value"] - true) / table["band"]
-    plain = pd.DataFrame(
-        {"value": table["value"] * table["by_rate"], "std": table["std"] * table["by_rate"]}
-    )
-    plain["true"] = true * lengths.fillna(1.0)
-    main = plain.loc[[f"{name}_{MAIN[name]}" for name in table["coefficient"]]].set_axis(
-        table.index
-    )
+    plain = table[["value", "std"]].mul(table["by_rate"], axis=0)
+    plain["true"] = true * lengths_of(table, aircraft)
+    main = plain.loc[[f"{name}_{MAIN[name]}" for name in table["coefficient"]]]
+    main = main.set_axis(table.index)
     # a / b = A / B without a division by what may be small: a B = b A
     error = plain["value"] * main["true"] - main["value"] * plain["true"]
     spread = np.hypot(plain["std"] * main["true"], main["std"] * plain["true"])
@@ -222,40 +157,23 @@ def row_of(name, withheld, table, told, error):
 def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--samples", type=int, default=755, help="to learn from")
-    parser.add_argument("--aircraft", nargs="*", choices=[*FLIGHTS, *JSBSIM], help="by default all")
-    parser.add_argument(
-        "--withheld", nargs="*", choices=WITHHELD, help="beside nothing; by default each in turn"
-    )
-    options = parsed(parser, words)
-    options.paths = 200
-    rows, outside = [], []
+    names = [*FLIGHTS, *JSBSIM]
+    parser.add_argument("--aircraft", nargs="+", choices=names, default=names)
+    parser.add_argument("--withheld", nargs="+", choices=WITHHELD, default=[*WITHHELD])
+    options, rows = parsed(parser, words), []
     for name, kind, aircraft, train, test in subjects(options):
-        at, known = truth_of(aircraft, train, test)
-        airspeed, test = (
-            float(train["airspeed_true"].mean()),
-            test[test["time"] < test["time"].iloc[0] + HELD_OUT],
-        )
-        told = None
-        for withheld, things in WITHHELD.items():
-            if (
-                told is not None
-                and options.withheld is not None
-                and withheld not in options.withheld
-            ):
-                continue
-            start = time.perf_counter()
-            table, error = derivatives(things, aircraft, kind, train, test, at, airspeed, options)
+        at = exact_regressors(train, aircraft).mean(axis=0)
+        known = known_derivatives([train, test], aircraft, at)
+        airspeed, told = float(train["airspeed_true"].mean()), None
+        test = test[test["time"] < test["time"].iloc[0] + HELD_OUT]
+        for withheld in dict.fromkeys(["nothing", *options.withheld]):
+            start, flights = time.perf_counter(), (train, test, at, airspeed)
+            table, error = learned(WITHHELD[withheld], aircraft, kind, *flights, options.samples)
             table = compared(table, known, aircraft)
             told = table if told is None else told
             rows.append(row_of(name, withheld, table, told, error))
             print(f"{time.perf_counter() - start:.0f} s: {rows[-1]}", flush=True)
-            far = table[table[["off", "off_ratio"]].abs().max(axis=1) > NORMAL_95]
-            columns = ["value", "std", "std_aircraft", "true", "off", "off_ratio"]
-            outside += [
-                {"aircraft": name, "withheld": withheld, "derivative": one, **row.astype(float)}
-                for one, row in far[columns].iterrows()
-            ]
-    finish(options, "little_told", bands=rows, outside=outside)
+    finish(options, "little_told", bands=rows)
 
 
 if __name__ == "__main__":

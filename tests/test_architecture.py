@@ -23,14 +23,13 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     ["_compute"],
     ["_flight"],
-    ["_mechanics"],
+    ["dynamics"],
     [
         "kernels",
         "metrics",
         "model_selection",
         "io",
         "preprocessing",
-        "dynamics",
         "_excitation",
         "_display",
     ],
@@ -48,7 +47,6 @@ FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part i
 LEARNING = {"kernels", "inference", "_regressor"}
 AIRCRAFT = {
     "_flight",
-    "_mechanics",
     "io",
     "preprocessing",
     "dynamics",
@@ -58,7 +56,7 @@ AIRCRAFT = {
 }
 LEAVES = {"export", "design"}
 MAY_IMPORT_LEAVES = {"_cli", "__init__", "__main__"}
-SHARED = {"_compute", "_flight", "_mechanics", "_excitation", "_display"}
+SHARED = {"_compute", "_flight", "_excitation", "_display"}
 """Rooms whose files any room above may import; of others it imports what their ``__init__`` shows.
 """
 # Imported inside the functions that use them, or not at all.

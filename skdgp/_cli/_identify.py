@@ -11,10 +11,9 @@ import numpy as np
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._compute.progress import listening
-from skdgp._mechanics.estimate import KINDS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft, Propeller
+from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
 

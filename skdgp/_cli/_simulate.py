@@ -16,9 +16,8 @@ from skdgp._compute.files import csv_writer
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
-from skdgp._mechanics.record import REASONS
 from skdgp.design import doublet
-from skdgp.dynamics import Air, SimulationWarning, Trim, trajectory_bands, trim
+from skdgp.dynamics import REASONS, Air, SimulationWarning, Trim, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.identification import named_flights
 from skdgp.io import read_flight

@@ -31,12 +31,24 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     WIND,
 )
-from skdgp._mechanics import rigid_body
-from skdgp._mechanics.air import GustyAir, LocalAir, dryden_gusts, low_altitude_turbulence
-from skdgp._mechanics.motion import Instant, Motion
-from skdgp._mechanics.record import Clock, Record, channels, fly_record
 from skdgp.datasets._brumby import BRUMBY, PROPELLER, REGRESSORS, brumby_coefficients
-from skdgp.dynamics import Aerodynamics, euler_to_quaternion, ned_to_body, propeller_loads
+from skdgp.dynamics import (
+    Aerodynamics,
+    Clock,
+    GustyAir,
+    Instant,
+    LocalAir,
+    Motion,
+    Record,
+    air_velocity,
+    channels,
+    dryden_gusts,
+    euler_to_quaternion,
+    fly_record,
+    low_altitude_turbulence,
+    ned_to_body,
+    propeller_loads,
+)
 
 ALPHA = 0.085
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")
@@ -386,7 +398,7 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
         (known, THRUST_FORCES, thrust[0]),
         (known, THRUST_MOMENTS, thrust[1]),
         (true, ("alpha_dot", "beta_dot"), truth.implicit),
-        (true, [f"{name}_dot" for name in RATES], truth.derivative[..., rigid_body.RATES]),
+        (true, [f"{name}_dot" for name in RATES], truth.derivative[..., -len(RATES) :]),
         (true, SPECIFIC_FORCE, truth.force / BRUMBY.mass),
         (true, WIND, record.wind),
         (true, COEFFICIENTS, truth.coefficients),
@@ -461,13 +473,8 @@ def fly_plans(
 def _initial_states(controls: FlightControls, wind: Array) -> Array:
     """Return states (n_flights, 13) about trimmed, on the orbit due north of its centre, heading along it."""
     orbit, airspeed = controls.orbit[0], controls.airspeed[0]
-    state = np.zeros((len(orbit), 13))
-    state[:, :2], state[:, 2] = orbit[:, :2], -controls.altitude[0]
-    state[:, 0] += np.abs(orbit[:, 2])
-    state[:, rigid_body.ATTITUDE] = euler_to_quaternion(
-        0.0, ALPHA, 0.5 * np.pi * np.sign(orbit[:, 2])
-    )
-    state[:, rigid_body.VELOCITY] = ned_to_body(state[:, rigid_body.ATTITUDE], wind)
-    state[:, 3] += airspeed * np.cos(ALPHA)
-    state[:, 5] += airspeed * np.sin(ALPHA)
-    return state
+    north, east, radius = orbit.T
+    position = np.column_stack([north + np.abs(radius), east, -controls.altitude[0]])
+    attitude = euler_to_quaternion(0.0, ALPHA, 0.5 * np.pi * np.sign(radius))
+    velocity = ned_to_body(attitude, wind) + air_velocity(airspeed, ALPHA, 0.0)
+    return np.hstack([position, velocity, attitude, np.zeros_like(position)])

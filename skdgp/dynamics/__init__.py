@@ -17,35 +17,67 @@ from skdgp._flight.frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from skdgp._mechanics.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp._mechanics.air import Air, Turbulence, dryden_wind
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.engines import Propeller, ThrustLine
-from skdgp._mechanics.estimate import ScaleFactor
-from skdgp._mechanics.loads import (
-    aerodynamic_loads,
-    external_loads,
-    propeller_loads,
-    propulsive_loads,
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, scaling_of
+from skdgp.dynamics._air import (
+    Air,
+    GustyAir,
+    LocalAir,
+    Turbulence,
+    dryden_gusts,
+    dryden_wind,
+    low_altitude_turbulence,
 )
-from skdgp._mechanics.rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
+from skdgp.dynamics._aircraft import Aircraft, check_aircraft
 from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._engines import Propeller, ThrustLine
+from skdgp.dynamics._estimate import (
+    KINDS,
+    MOMENTS,
+    PRESSURE,
+    QUANTITIES,
+    REMEDIES,
+    ScaleFactor,
+    relative_errors,
+)
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._loads import (
+    aerodynamic_loads,
+    dynamic_pressure,
+    external_loads,
+    propeller_loads,
+    propeller_speed_of,
+    propulsive_loads,
+)
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._record import REASONS, Clock, Record, channels, fly_record
 from skdgp.dynamics._replay import replay, replay_errors
+from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [
+    "KINDS",
+    "MOMENTS",
+    "PRESSURE",
+    "QUANTITIES",
+    "REASONS",
+    "REMEDIES",
     "STATE_NAMES",
     "Aerodynamics",
     "Air",
     "Aircraft",
     "Atmosphere",
+    "Clock",
     "FlightComputer",
+    "GustyAir",
+    "Instant",
     "LinearModel",
+    "LocalAir",
+    "Motion",
     "Propeller",
+    "Record",
     "ScaleFactor",
     "SimulationWarning",
     "Simulator",
@@ -58,23 +90,32 @@ __all__ = [
     "air_velocity",
     "as_aerodynamics",
     "body_to_ned",
+    "channels",
+    "check_aircraft",
+    "dryden_gusts",
     "dryden_wind",
+    "dynamic_pressure",
     "euler_to_matrix",
     "euler_to_quaternion",
     "external_loads",
+    "fly_record",
     "gravity_in_body_axes",
     "linearize",
+    "low_altitude_turbulence",
     "ned_to_body",
     "propeller_loads",
+    "propeller_speed_of",
     "propulsive_loads",
     "quaternion_rate",
     "quaternion_to_euler",
     "quaternion_to_matrix",
+    "relative_errors",
     "replay",
     "replay_errors",
     "rigid_body_derivative",
     "rk4",
     "rk4_step",
+    "scaling_of",
     "simulate",
     "stability_derivatives",
     "standard_atmosphere",

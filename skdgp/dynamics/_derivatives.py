@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.estimate import errors_of_sizes
-from skdgp._mechanics.jacobian import LAGS, check_settled, lag_of
-from skdgp._mechanics.loads import Thrust
-from skdgp._mechanics.motion import Instant, Motion
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._estimate import errors_of_sizes
+from skdgp.dynamics._jacobian import LAGS, check_settled, lag_of
 from skdgp.dynamics._linearize import check_paths, flight_point
+from skdgp.dynamics._loads import Thrust
+from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._trim import Trim
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}

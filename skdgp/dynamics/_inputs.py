@@ -29,12 +29,12 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
-from skdgp._mechanics import rigid_body
-from skdgp._mechanics.air import LocalAir
-from skdgp._mechanics.error_covariance import checked_std
-from skdgp._mechanics.loads import stacked
-from skdgp._mechanics.record import Clock
-from skdgp._mechanics.rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._error_covariance import checked_std
+from skdgp.dynamics._loads import stacked
+from skdgp.dynamics._record import Clock
+from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 AIRSPEED_TOLERANCE = 0.15

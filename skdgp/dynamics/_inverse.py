@@ -20,9 +20,9 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.loads import dynamic_pressure, external_loads, propulsive_loads
-from skdgp._mechanics.rigid_body import gyroscopic_moment
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._loads import dynamic_pressure, external_loads, propulsive_loads
+from skdgp.dynamics._rigid_body import gyroscopic_moment
 
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]

@@ -18,8 +18,8 @@ from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.jacobian import (
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._jacobian import (
     OUTPUTS,
     SPIN,
     TURN,
@@ -29,9 +29,9 @@ from skdgp._mechanics.jacobian import (
     jacobian,
     lag_of,
 )
-from skdgp._mechanics.loads import Thrust, thrust_control
-from skdgp._mechanics.motion import Motion
-from skdgp._mechanics.rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._loads import Thrust, thrust_control
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")

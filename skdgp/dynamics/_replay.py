@@ -23,13 +23,13 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import cross_matrix, quaternion_to_matrix, wrapped
-from skdgp._mechanics import rigid_body
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.error_covariance import STATES, checked_std, state_deviations
-from skdgp._mechanics.loads import aerodynamic_loads, external_loads, propulsive_loads
-from skdgp._mechanics.record import channels
-from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY, rigid_body_derivative, rk4_step
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._error_covariance import STATES, checked_std, state_deviations
 from skdgp.dynamics._inputs import table_states
+from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propulsive_loads
+from skdgp.dynamics._record import channels
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rigid_body_derivative, rk4_step
 
 REPLAYED = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES)
 

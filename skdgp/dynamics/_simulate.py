@@ -25,24 +25,11 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
-from skdgp._mechanics import rigid_body
-from skdgp._mechanics.aerodynamics import Drift
-from skdgp._mechanics.air import LocalAir, Turbulence, as_air
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.error_covariance import STATES, checked_std, state_deviations
-from skdgp._mechanics.jacobian import jacobian
-from skdgp._mechanics.loads import Thrust
-from skdgp._mechanics.motion import CONTROLS, PROPULSION, Motion
-from skdgp._mechanics.record import (
-    FLYING,
-    REASONS,
-    Clock,
-    Record,
-    channels,
-    end_reasons,
-    fly_record,
-)
-from skdgp._mechanics.rigid_body import rk4_step
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._aerodynamics import Drift
+from skdgp.dynamics._air import LocalAir, Turbulence, as_air
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._error_covariance import STATES, checked_std, state_deviations
 from skdgp.dynamics._inputs import (
     as_starts,
     control_schedule,
@@ -51,6 +38,19 @@ from skdgp.dynamics._inputs import (
     tables_of,
     warn_of_clocks,
 )
+from skdgp.dynamics._jacobian import jacobian
+from skdgp.dynamics._loads import Thrust
+from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
+from skdgp.dynamics._record import (
+    FLYING,
+    REASONS,
+    Clock,
+    Record,
+    channels,
+    end_reasons,
+    fly_record,
+)
+from skdgp.dynamics._rigid_body import rk4_step
 from skdgp.dynamics._wind import (
     airspeeds,
     drift_in,

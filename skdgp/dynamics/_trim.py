@@ -16,11 +16,11 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.jacobian import check_settled
-from skdgp._mechanics.loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
-from skdgp._mechanics.motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
-from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._jacobian import check_settled
+from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
+from skdgp.dynamics._motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
 
 ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]
 """Controls that give the thrust of any engine."""

@@ -14,8 +14,8 @@ from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp._flight.frames import body_to_ned, ned_to_body
-from skdgp._mechanics.aerodynamics import Drift
-from skdgp._mechanics.air import (
+from skdgp.dynamics._aerodynamics import Drift
+from skdgp.dynamics._air import (
     LENGTH,
     Air,
     AirAt,
@@ -27,10 +27,10 @@ from skdgp._mechanics.air import (
     dryden_gusts,
     dryden_system,
 )
-from skdgp._mechanics.motion import Motion
-from skdgp._mechanics.record import Clock
-from skdgp._mechanics.rigid_body import ATTITUDE, POSITION, VELOCITY
 from skdgp.dynamics._inputs import as_tables, interpolated, tables_of
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._record import Clock
+from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, VELOCITY
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3

@@ -16,8 +16,7 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Vector
 from skdgp._effects import JOINT
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._mechanics.loads import CENTRED
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, ThrustLine
 from skdgp.export._model import PortableModel, Regressor, Term
 from skdgp.export._text import changes_text
 
@@ -182,7 +181,7 @@ def _mass(aircraft: Aircraft) -> Element:
 
 
 def _thrust(aircraft: Aircraft) -> Element:
-    line, propeller = aircraft.thrust_line or CENTRED, aircraft.propeller
+    line, propeller = aircraft.thrust_line or ThrustLine(), aircraft.propeller
     x, y, z = map(float, line.position)
     at = [_vector("location", (-x, y, -z), unit="M"), _vector("direction", line.direction)]
     if propeller is None:

@@ -14,10 +14,8 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
-from skdgp._mechanics.aerodynamics import scaling_of
-from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
+from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SinglePosterior, training_inputs

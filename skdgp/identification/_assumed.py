@@ -14,16 +14,18 @@ from sklearn.pipeline import Pipeline
 from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES, VANES
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
-from skdgp._mechanics.estimate import (
+from skdgp.dynamics import (
     MOMENTS,
     PRESSURE,
     QUANTITIES,
     REMEDIES,
+    Aircraft,
     ScaleFactor,
+    dynamic_pressure,
+    propeller_speed_of,
+    propulsive_loads,
     relative_errors,
 )
-from skdgp._mechanics.loads import dynamic_pressure, propeller_speed_of
-from skdgp.dynamics import Aircraft, propulsive_loads
 from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 

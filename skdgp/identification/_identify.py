@@ -15,9 +15,8 @@ from sklearn.utils import Bunch
 from skdgp._compute.progress import notify
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
-from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
 from skdgp.identification import _assumed, _evaluation, _flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline

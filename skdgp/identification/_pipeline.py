@@ -15,10 +15,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import HAT, RATES, SENSOR_GUST, VANES
-from skdgp._mechanics.aircraft import check_aircraft
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import Aircraft, Turbulence
+from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,

@@ -13,8 +13,7 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, SURFACES
 from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
-from skdgp._mechanics.aircraft import Aircraft, check_aircraft
-from skdgp._mechanics.loads import propulsive_loads
+from skdgp.dynamics import Aircraft, check_aircraft, propulsive_loads
 from skdgp.preprocessing._air_motion_equations import (
     ARM,
     FAST,

@@ -11,7 +11,7 @@ from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import air_data_slopes, cross_matrix
-from skdgp._mechanics.aircraft import Aircraft
+from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion_filter import Linearisation, Noise
 from skdgp.preprocessing._air_motion_model import (
     AIR,

@@ -19,8 +19,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.frames import air_data, cross, cross_matrix
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.loads import aerodynamic_loads
+from skdgp.dynamics import Aircraft, aerodynamic_loads
 
 STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r")
 """Terms of a coefficient before those of the surfaces."""

@@ -8,7 +8,6 @@ Coriolis force, and the Earth's share of what gyroscopes feel. What is left is a
 import numpy as np
 from _jsbsim_flight import EARTH_RATE, earth_to_ned
 
-from skdgp._mechanics.rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 from skdgp.dynamics import (
     body_to_ned,
     euler_to_quaternion,
@@ -17,6 +16,7 @@ from skdgp.dynamics import (
     rigid_body_derivative,
     rk4,
 )
+from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, gyroscopic_moment
 
 CHANNELS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 

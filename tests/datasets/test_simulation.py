@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from skdgp._mechanics.air import Gusts, GustyAir, LocalAir
 from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body
+from skdgp.dynamics._air import Gusts, GustyAir, LocalAir
 
 STATE = np.r_[
     120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15

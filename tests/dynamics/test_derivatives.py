@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
 from skdgp.dynamics import (
     Aerodynamics,
@@ -16,6 +15,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
+from skdgp.dynamics._motion import Motion
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]

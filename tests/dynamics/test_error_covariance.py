@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from skdgp._mechanics.error_covariance import (
+from skdgp.dynamics import euler_to_quaternion
+from skdgp.dynamics._error_covariance import (
     STATES,
     error_covariances,
     standard_deviations,
     state_deviations,
 )
-from skdgp.dynamics import euler_to_quaternion
 
 STATE = np.r_[
     10.0, -20.0, -300.0, 25.0, -1.0, 2.0, euler_to_quaternion(0.5, 0.2, 2.0), 0.3, 0.1, -0.2

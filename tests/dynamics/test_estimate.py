@@ -7,7 +7,6 @@ import pytest
 import scipy.linalg
 
 from skdgp._flight.channels import RATE_LENGTHS
-from skdgp._mechanics.estimate import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
@@ -19,6 +18,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
+from skdgp.dynamics._estimate import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
 
 # Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
 # again.

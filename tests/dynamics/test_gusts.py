@@ -3,8 +3,8 @@ import pytest
 from scipy.integrate import cumulative_trapezoid, quad
 from scipy.signal import welch
 
-from skdgp._mechanics.air import FEET, dryden_gusts, dryden_system, low_altitude_turbulence
 from skdgp.dynamics import dryden_wind
+from skdgp.dynamics._air import FEET, dryden_gusts, dryden_system, low_altitude_turbulence
 
 AIRSPEED, SPAN = 33.0, 2.6
 LENGTH, INTENSITY = np.array([240.0, 210.0, 130.0]), np.array([1.1, 0.9, 0.7])

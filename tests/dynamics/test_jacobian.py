@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-from skdgp._mechanics.air import LocalAir
-from skdgp._mechanics.error_covariance import ERRORS
-from skdgp._mechanics.jacobian import OUTPUTS, jacobian
-from skdgp._mechanics.motion import Motion
 from skdgp.dynamics import (
     Aerodynamics,
     air_velocity,
@@ -14,6 +10,10 @@ from skdgp.dynamics import (
     ned_to_body,
     quaternion_rate,
 )
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._error_covariance import ERRORS
+from skdgp.dynamics._jacobian import OUTPUTS, jacobian
+from skdgp.dynamics._motion import Motion
 
 WIND, WIND_RATE = np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3])
 AIR = LocalAir(WIND, WIND_RATE)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
@@ -18,6 +17,7 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.dynamics._linearize import ALL_STATES
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)

@@ -11,7 +11,6 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp._mechanics.aerodynamics import Drift
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -25,6 +24,7 @@ from skdgp.dynamics import (
     standard_density,
     trajectory_bands,
 )
+from skdgp.dynamics._aerodynamics import Drift
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
 NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skdgp._flight.frames import air_data_slopes
-from skdgp._mechanics.jacobian import SHARES, Lag, jacobian, lag_of
-from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.dynamics import Aerodynamics, Air, air_velocity, euler_to_quaternion
+from skdgp.dynamics._jacobian import SHARES, Lag, jacobian, lag_of
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
 SLOPES = np.zeros((6, 7))

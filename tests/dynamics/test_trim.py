@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from skdgp._mechanics.motion import Motion
 from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
@@ -16,6 +15,7 @@ from skdgp.dynamics import (
     simulate,
     trim,
 )
+from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")

@@ -9,9 +9,6 @@ from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import Pipeline
 
 from skdgp._flight.channels import WIND
-from skdgp._mechanics.aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
-from skdgp._mechanics.air import _spectrum, dryden_gusts, dryden_system
-from skdgp._mechanics.motion import Motion
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import (
     Aerodynamics,
@@ -23,6 +20,9 @@ from skdgp.dynamics import (
     dryden_wind,
     simulate,
 )
+from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
+from skdgp.dynamics._air import _spectrum, dryden_gusts, dryden_system
+from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._mechanics.estimate import relative_errors
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
+from skdgp.dynamics._estimate import relative_errors
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (

@@ -14,8 +14,8 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import cross
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.engines import Propeller, ThrustLine
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._engines import Propeller, ThrustLine
 
 THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()

@@ -13,10 +13,10 @@ from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
-from skdgp._mechanics import rigid_body
-from skdgp._mechanics.air import AirAt
-from skdgp._mechanics.motion import Instant, Motion
-from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY, rk4_step
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._air import AirAt
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rk4_step
 
 SLOWEST = 1.0
 """Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
@@ -124,11 +124,25 @@ def fly_record(
     state: Array,
     drifts: Array | None = None,
 ) -> Record:
-    """Return what is flown from states (..., 13): the loop over time.
+    """Return the flight from states: the loop of RK4 over time.
 
-    ``commands`` (step, stage, observe) are those of :func:`control_schedule`, ``air`` (stage,
-    state) of :func:`wind_schedule`; a step has two stages. ``drifts`` (n_stages, ..., 6) are added
-    to the coefficients.
+    Parameters
+    ----------
+    motion : Motion
+    commands : callable
+        (step, stage, observe) -> controls by name; ``observe()`` gives the channels of the present
+        states. A step has two stages.
+    air : callable
+        (stage, state) -> LocalAir or None.
+    clock : Clock
+    state : array (..., 13)
+        At the start.
+    drifts : array (n_stages, ..., 6) or None
+        Added to the coefficients.
+
+    Returns
+    -------
+    Record
     """
     start, n = state, clock.n_steps + 1
     ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)

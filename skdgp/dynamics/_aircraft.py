@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.typing import Array
-from skdgp._mechanics.engines import Propeller, ThrustLine, as_floats
-from skdgp._mechanics.estimate import (
+from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
+from skdgp.dynamics._estimate import (
     INERTIAS,
     KINDS,
     QUANTITIES,

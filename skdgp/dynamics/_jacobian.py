@@ -23,10 +23,10 @@ from sklearn.utils import check_random_state
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import RATE_LENGTHS
 from skdgp._flight.frames import air_data_slopes, air_velocity, cross, cross_matrix, quaternion_rate
-from skdgp._mechanics.air import LocalAir
-from skdgp._mechanics.error_covariance import ERRORS
-from skdgp._mechanics.motion import Instant, Motion
-from skdgp._mechanics.rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._error_covariance import ERRORS
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 """Rates of change, and the rates whose slopes theirs are shares of."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import cross
-from skdgp._mechanics.aircraft import Aircraft
+from skdgp.dynamics._aircraft import Aircraft
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)

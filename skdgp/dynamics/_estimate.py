@@ -11,7 +11,7 @@ import numpy as np
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
 from skdgp._flight.checks import check_choice
-from skdgp._mechanics.engines import as_floats
+from skdgp.dynamics._engines import as_floats
 
 QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 """Sizes of an aircraft and their units."""

@@ -24,7 +24,7 @@ from skdgp._flight.frames import (
     quaternion_to_euler,
     quaternion_to_matrix,
 )
-from skdgp._mechanics.rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 
 ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATES)
 """Errors of a state: that of its attitude is a small rotation about body axes."""

@@ -22,7 +22,7 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.frames import air_velocity, body_to_ned, cross, euler_to_quaternion
-from skdgp._mechanics.rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 FEET = 0.3048
 CEILING = 1000 * FEET
@@ -133,14 +133,29 @@ def dryden_gusts(
     *,
     n_draws: int = 1,
 ) -> Gusts:
-    """Return stationary gusts every ``step`` seconds for several flights at once, each (n_times, n_flights, 3).
+    """Return stationary Dryden gusts of several flights at once.
 
-    Each flight is drawn ``n_draws`` times, (n_times, n_draws * n_flights, 3), all flights of the
-    first draw first.
+    The linear systems are discretised exactly (matrix exponentials), for any step.
 
-    ``length`` [m] and ``intensity`` [m/s] of u, v, w, (n_flights, 3), belong to a frozen field that
-    is crossed at ``airspeed`` [m/s], a number or (n_flights,). The linear systems are discretised
-    exactly (matrix exponentials), for any step.
+    Parameters
+    ----------
+    n_times : int
+    step : float
+        Time between two rows [s].
+    airspeed : float or array (n_flights,)
+        At which the frozen field is crossed [m/s].
+    length, intensity : array (n_flights, 3)
+        Of u, v, w [m], [m/s].
+    span : float
+        Of the wing [m].
+    rng : Generator
+    n_draws : int
+        Draws of each flight.
+
+    Returns
+    -------
+    Gusts
+        Each (n_times, n_draws * n_flights, 3), all flights of the first draw first.
     """
     speeds = np.broadcast_to(airspeed, len(length))
     systems = [

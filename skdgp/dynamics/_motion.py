@@ -24,11 +24,11 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
-from skdgp._mechanics.aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp._mechanics.air import LocalAir, as_air
-from skdgp._mechanics.aircraft import Aircraft
-from skdgp._mechanics.loads import Thrust, aerodynamic_loads, propulsion_loads
-from skdgp._mechanics.rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._air import LocalAir, as_air
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
@@ -109,7 +109,7 @@ class Motion:
         thrust: Thrust = "auto",
         air: Any = None,
         lagged: bool = False,
-    ):
+    ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
         if not isinstance(aircraft, Aircraft):

@@ -115,8 +115,8 @@ class LogSummary:
         lines.append("")
         kinds = self.columns.groupby(["source", "rate", "constant"], sort=False, dropna=False)
         for (source, rate, constant), rows in kinds:
-            names = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
-            lines.append(_hanging(f"{names}: {source}{' (never changes)' * constant}", 15))
+            known = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
+            lines.append(_hanging(f"{known}: {source}{' (never changes)' * bool(constant)}", 15))
         lines.append("")
         for step, names in self.missing.items():
             words = f"lacks {', '.join(names)}" if names else "nothing missing"
@@ -126,12 +126,8 @@ class LogSummary:
             lacking.add("servos")
         lines += [f"{'':20}- {words}" for name, words in ADVICE.items() if name in lacking]
         lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)]
-        words = [
-            f"{name} {row.messages} times" if np.isnan(row.rate)
-            else f"{name} {row.rate:.3g} Hz" + f" ({row.gaps} gaps)" * (row.gaps > 0)
-            for name, row in zip(self.topics.index, self.topics.itertuples(), strict=True)
-        ]  # fmt: skip
-        lines += ["", _hanging(f"topics: {', '.join(words)}", 4)] if words else []
+        topics = [f"{name} {_often(row)}" for name, row in self.topics.iterrows()]
+        lines += ["", _hanging(f"topics: {', '.join(topics)}", 4)] if topics else []
         return "\n".join(lines)
 
     def _flight_lines(self) -> list[str]:
@@ -145,11 +141,19 @@ class LogSummary:
             return [
                 f"{len(seconds)} flights of {seconds.min():.1f} to {seconds.max():.1f} s{speed}"
             ]
+        rows = self.flights[["begin", "end", "airspeed"]].to_numpy(float)
         return [
-            f"flight from {row.begin:.1f} s to {row.end:.1f} s"
-            + f" at {row.airspeed:.1f} m/s" * bool(np.isfinite(row.airspeed))
-            for row in self.flights.itertuples()
+            f"flight from {begin:.1f} s to {end:.1f} s"
+            + f" at {airspeed:.1f} m/s" * bool(np.isfinite(airspeed))
+            for begin, end, airspeed in rows
         ]
+
+
+def _often(topic: pd.Series) -> str:
+    """Return how often a topic was logged, in words."""
+    if np.isnan(topic["rate"]):
+        return f"{topic['messages']:.0f} times"
+    return f"{topic['rate']:.3g} Hz" + f" ({topic['gaps']:.0f} gaps)" * bool(topic["gaps"])
 
 
 def inspect_log(

@@ -36,13 +36,8 @@ def read_mat(path: Path) -> pd.DataFrame:
         )
     if head[-2:] not in BYTE_ORDERS:
         raise _refusal("it does not begin as one of these versions does")
-    command = [
-        sys.executable,
-        "-P",
-        _mat_vectors.__file__,
-        path,
-        str(room_for(path.stat().st_size)),
-    ]
+    room = str(room_for(path.stat().st_size))
+    command = [sys.executable, "-P", _mat_vectors.__file__, str(path), room]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(command, capture_output=True, timeout=TIMEOUT, env=environment)

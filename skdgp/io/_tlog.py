@@ -158,8 +158,8 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     places = clock.index.to_numpy(float)
     by_place = np.interp(places, attitude.index, attitude)
     time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
-    fields = pd.DataFrame([each.to_dict() for each in messages.values()]).to_dict("list")
-    return Topic(time, places, numeric_fields(fields))
+    fields = pd.DataFrame([each.to_dict() for each in messages.values()])
+    return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:

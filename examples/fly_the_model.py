@@ -25,7 +25,7 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.model_selection import thin_targets
-from skdgp.plotting import TrajectoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 
 START, SECONDS = 24.0, 10.0
 
@@ -59,7 +59,7 @@ def main(arguments=None):
     paths = simulate(model, aircraft, flown.iloc[0], flown, air=wind, n_paths=options.paths)
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     columns = ["airspeed", "altitude", "phi", "theta", "p", "q"]
-    TrajectoryDisplay.from_trajectories(paths, truth=flown, columns=columns, ax=figure)
+    TimeHistoryDisplay.from_trajectories(paths, flown, columns=columns, ax=figure)
     figure.suptitle(
         "Example aircraft: free flight through gusts from one moment of a flight that the model "
         "has not seen"

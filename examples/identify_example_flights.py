@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from skdgp.datasets import load_example_flights
 from skdgp.identification import identify
-from skdgp.plotting import CoefficientDisplay
+from skdgp.plotting import TimeHistoryDisplay
 
 
 def main(arguments=None):
@@ -37,13 +37,13 @@ def main(arguments=None):
 
     (flight,) = result.evaluations
     figure = Figure(figsize=(10, 6.5), layout="constrained")
-    CoefficientDisplay.from_predictions(
-        flight.time,
-        flight.measured,
-        flight.mean,
-        flight.measured_std,
+    rows = (flight.time >= 24) & (flight.time <= 34)
+    TimeHistoryDisplay.from_predictions(
+        flight.time[rows],
+        flight.measured[rows],
+        flight.mean[rows],
+        flight.measured_std[rows],
         ax=figure,
-        time_span=(24, 34),
     )
     figure.suptitle("Example flights: coefficients of a flight that the model has not seen")
     figure.savefig(options.output, dpi=150)

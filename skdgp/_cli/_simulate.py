@@ -21,7 +21,7 @@ from skdgp.dynamics import REASONS, Air, SimulationWarning, Trim, trajectory_ban
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.identification import named_flights
 from skdgp.io import read_flight
-from skdgp.plotting import TrajectoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 DURATION = 10.0
@@ -98,7 +98,7 @@ def simulate(run: Run) -> None:
     numbers = _numbers(options, start, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
     files |= picture_writers(
-        "trajectory.png", TrajectoryDisplay.from_trajectories, drawn, start.log, mean=mean
+        "trajectory.png", TimeHistoryDisplay.from_trajectories, drawn, start.log, mean=mean
     )
     earlier = r"bands\.csv|trajectory\.png"
     written = run.write_record("simulation.json", numbers, files, earlier)

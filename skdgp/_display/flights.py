@@ -10,11 +10,9 @@ import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from skdgp._compute.typing import ArrayLike, Vector
-from skdgp._display.style import CYCLE
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 
-START_MARKERS = "os^Dv*"
 PATH_POINTS = 600  # of one flight; a picture resolves no more
 LATERAL_STATES = (
     "v_east",
@@ -55,11 +53,6 @@ def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[st
         )
         check_time(table["time"])
     return {str(name): table for name, table in flights.items()}
-
-
-def start_marker(k: int) -> str:
-    """Return the marker of the k-th flight; flights of one colour have different markers."""
-    return START_MARKERS[(k + k // len(CYCLE)) % len(START_MARKERS)]
 
 
 def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:

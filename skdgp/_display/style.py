@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
 
@@ -114,16 +113,20 @@ def tidy(ax: Any) -> None:
 
 
 def draw_curve(
-    ax: Any, x: Vector, mean: Vector, std: Vector | None, level: float, label: str, *,
-    color: str = ROLES["mean"], band: str = ROLES["band"],
-) -> tuple[Any, Any]:  # fmt: skip
-    """Draw a line and, where its standard deviation is known, its band; return both."""
-    area = None
+    ax: Any,
+    x: Vector,
+    mean: Vector,
+    std: Vector | None,
+    label: str,
+    color: str = ROLES["mean"],
+    band: str = ROLES["band"],
+) -> None:
+    """Draw a line and, where its standard deviation is known, its 95 % band."""
     if std is not None:
-        half = half_width(level) * std
-        style = {"color": band, "alpha": 0.35, "lw": 0, "label": f"{level:.0%}"}
-        area = ax.fill_between(x, mean - half, mean + half, **style)
-    return ax.plot(x, mean, color=color, label=label)[0], area
+        half = 1.96 * std
+        style = {"color": band, "alpha": 0.35, "linewidth": 0}
+        ax.fill_between(x, mean - half, mean + half, label="95 % band", **style)
+    ax.plot(x, mean, color=color, label=label)
 
 
 def mark_samples(ax: Any, values: Vector) -> None:
@@ -138,26 +141,11 @@ def mark_samples(ax: Any, values: Vector) -> None:
     ax.plot(at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(), **style)
 
 
-def legend_above(ax: Any, handles: list | None = None) -> None:
+def legend_above(ax: Any) -> None:
     """Draw the legend above the axes, where it covers no data."""
-    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
-    if handles:
-        size = {
-            "fontsize": "small",
-            "borderaxespad": 0.2,
-            "handlelength": 1.6,
-            "columnspacing": 1.4,
-        }
-        ax.legend(
-            handles=handles, loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, **size
-        )
-
-
-def legend_of_figure(ax: Any, handles: list | None = None) -> Any:
-    """Draw the legend above all axes of the figure, and return it."""
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
-    roomy = isinstance(ax.figure.get_layout_engine(), ConstrainedLayoutEngine)
-    where = "outside upper left" if roomy else "upper left"
-    return ax.figure.legend(handles=handles, loc=where, ncols=5, frameon=False, fontsize="small")
+    if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
+        style = {"borderaxespad": 0.2, "handlelength": 1.6, "columnspacing": 1.4}
+        place = {"loc": "lower left", "bbox_to_anchor": (0, 1)}
+        ax.legend(ncols=4, frameon=False, fontsize="small", **place, **style)
+        ax.get_legend().set_in_layout(False)  # it may be wider than its panel
+        ax.set_title(" ")  # room for it

@@ -27,7 +27,7 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.identification._evaluation import Evaluation, scores, sensor_noise
-from skdgp.plotting import TrajectoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
@@ -440,7 +440,7 @@ def simulation_errors(
 
 def simulated_flight(
     pipeline: Pipeline, aircraft: Aircraft, tables: Sequence[pd.DataFrame], settings: dict
-) -> TrajectoryDisplay:
+) -> TimeHistoryDisplay:
     """Return the simulation of the middle one of the parts of `simulation_errors`, with its band, and as flown."""
     starts, parts = _windows(tables, max(settings["horizons"]))
     start, part = starts.iloc[len(starts) // 2], parts[len(starts) // 2]
@@ -457,7 +457,7 @@ def simulated_flight(
         if n_paths is not None:
             paths = simulate(pipeline, aircraft, start, controls, n_paths=n_paths, **options)
     columns = [name for name in SHOWN_STATES if name in part]
-    return TrajectoryDisplay.compute(
+    return TimeHistoryDisplay.compute_trajectories(
         paths, part, mean=mean if n_paths is not None else None, columns=columns
     )
 

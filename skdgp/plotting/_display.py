@@ -1,9 +1,9 @@
-"""Base of the displays: panels, their artists, checks of what is drawn, and long records with few points."""
+"""Base of the displays: one panel for each key; checks of what is drawn; long records with few points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -14,52 +14,58 @@ from skdgp._display.style import check_matplotlib, legend_above, tidy
 
 Names: TypeAlias = "str | Sequence[str] | None"
 GAP = 5.0  # usual steps; no line is drawn across a longer one
+N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample
+BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
 
 
 class Display:
-    """Base of displays: draws panels and keeps their axes."""
+    """Base of displays: ``keys`` name the panels, and ``draw`` draws one of them."""
 
     axes_: np.ndarray
     figure_: Any
+    size: tuple[float, float] = (4.6, 1.5)  # of a panel [in]
+    by_column = False  # whether panels follow each other column by column
 
-    def _draw_panels(
-        self,
-        ax,
-        draw,
-        keys,
-        n_cols,
-        figsize,
-        *,
-        xlabel=None,
-        by_column=False,
-        legend=False,
-        **subplots,
-    ) -> list[list]:
-        """Draw a tidy panel per key with ``draw(axes, key)``, and return the artists: a list over panels of each kind.
+    @property
+    def keys(self) -> list:
+        """The keys of all panels."""
+        raise NotImplementedError
 
-        ``figsize`` is that of one panel [inch]; ``by_column`` fills the panels column by column.
-        """
-        n_rows = -(-len(keys) // n_cols)
-        figsize = (n_cols * figsize[0], 1 + n_rows * figsize[1])
-        self.axes_ = panels(ax, n_rows, n_cols, figsize=figsize, **subplots)
+    @property
+    def n_columns(self) -> int:
+        """Number of columns of panels."""
+        return 1 if len(self.keys) <= 3 else 2
+
+    def draw(self, ax: Any, key: Any) -> None:
+        """Draw the panel of a key into an Axes."""
+        raise NotImplementedError
+
+    def words(self, key: Any) -> str:
+        """Return what a panel shows, for who cannot see it."""
+        return str(key)
+
+    def plot(self, ax: Any = None, *, keys: Any = None) -> Self:
+        """Draw the panels of some ``keys``, default all; for ``ax`` see :mod:`skdgp.plotting`."""
+        keys = self.keys if keys is None else [keys] if isinstance(keys, str) else list(keys)
+        if unknown := [key for key in keys if key not in self.keys]:
+            raise ValueError(f"Got the panels {unknown}, but expected some of {self.keys}.")
+        n_columns = min(self.n_columns, len(keys))
+        n_rows = -(-len(keys) // n_columns)
+        figsize = (n_columns * self.size[0], 1 + n_rows * self.size[1])
+        self.axes_ = panels(ax, n_rows, n_columns, figsize=figsize)
         self.figure_ = self.axes_.flat[0].figure
-        cells = list(self.axes_.T.flat if by_column else self.axes_.flat)
-        for k, one in enumerate(cells):
+        cells = list(self.axes_.T.flat if self.by_column else self.axes_.flat)
+        for one, key in zip(cells, keys, strict=False):
             tidy(one)
-            one.set_visible(k < len(keys))
-        artists = [draw(one, key) for one, key in zip(cells, keys, strict=False)]
-        if xlabel is not None:
-            for bottom in self.axes_[-1]:
-                bottom.set_xlabel(xlabel)
-        if legend:
-            legend_above(self.axes_.flat[0])
-        return [list(kind) for kind in zip(*artists, strict=True)]
+            self.draw(one, key)
+        for one in cells[len(keys) :]:
+            one.set_visible(False)
+        legend_above(cells[0])
+        return self
 
 
-def panels(
-    ax: Any, n_rows: int, n_cols: int, *, figsize: tuple[float, float], **subplots: Any
-) -> np.ndarray:
-    """Return an ``(n_rows, n_cols)`` array of axes.
+def panels(ax: Any, n_rows: int, n_columns: int, *, figsize: tuple[float, float]) -> np.ndarray:
+    """Return an ``(n_rows, n_columns)`` array of axes.
 
     ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), one Axes for one panel, or
     an array of as many axes as panels.
@@ -72,36 +78,29 @@ def panels(
 
         ax = plt.figure(figsize=figsize, layout="constrained")
     if hasattr(ax, "subplots"):
-        return ax.subplots(n_rows, n_cols, squeeze=False, **subplots)
+        return ax.subplots(n_rows, n_columns, squeeze=False)
     given = np.asarray(ax, dtype=object)
-    if given.size != n_rows * n_cols or not all(isinstance(one, Axes) for one in given.flat):
+    if given.size != n_rows * n_columns or not all(isinstance(one, Axes) for one in given.flat):
         raise ValueError(
-            f"Got {given.size} axes, but expected {n_rows * n_cols}: use fig, axes = "
-            f"plt.subplots({n_rows}, {n_cols}), or give a Figure."
+            f"Got {given.size} axes, but expected {n_rows * n_columns}: use fig, axes = "
+            f"plt.subplots({n_rows}, {n_columns}), or give a Figure."
         )
-    return given.reshape(n_rows, n_cols)
+    return given.reshape(n_rows, n_columns)
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:
     """Return ``values`` as floats ``(n, P)``, NaN allowed; a vector is one column."""
     values = np.asarray(values, dtype=float)
     values = values[:, np.newaxis] if values.ndim == 1 else values
-    if values.ndim != 2:
+    if values.ndim != 2 or (shape is not None and values.shape != shape):
         raise ValueError(
-            f"Got {what} of shape {values.shape}, but expected (n_samples, n_outputs)."
-        )
-    if shape is not None and values.shape != shape:
-        raise ValueError(
-            f"Got {what} of shape {values.shape}, but expected {shape}, like the values it is "
-            f"compared with."
+            f"Got {what} of shape {values.shape}, but expected {shape or '(n_samples, n_outputs)'}."
         )
     return values
 
 
-def check_std(std: Any, shape: tuple[int, ...]) -> Any:
-    """Return standard deviations ``(n, P)``, none negative; None for None."""
-    if std is None:
-        return None
+def check_std(std: Any, shape: tuple[int, ...]) -> Matrix:
+    """Return standard deviations ``(n, P)``, none negative."""
     std = as_columns(std, "std", shape)
     if np.any(std < 0):
         raise ValueError(
@@ -125,20 +124,6 @@ def names_of(
     return tuple(names)
 
 
-def choose(names: Sequence[str], wanted: Names) -> list[int]:
-    """Return the positions of the ``wanted`` names; all, for None."""
-    wanted = names if wanted is None else [wanted] if isinstance(wanted, str) else wanted
-    unknown = [name for name in wanted if name not in names]
-    if unknown:
-        raise ValueError(f"Got the outputs {unknown}, but expected some of {list(names)}.")
-    return [list(names).index(name) for name in wanted]
-
-
-def grid_columns(n_panels: int) -> int:
-    """Return the number of columns: two for four panels and more, forces left and moments right."""
-    return 1 if n_panels <= 3 else 2
-
-
 def predicted(estimator: Any, X: Any, Y: Any, include_noise: bool) -> tuple[Any, Any, Any]:
     """Return mean and std of a fitted estimator, and its names of outputs where Y has none."""
     check_matplotlib("skdgp.plotting")
@@ -160,28 +145,27 @@ def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
     return np.flatnonzero(np.concatenate([[True], cut]))
 
 
-def _slices(time: Vector, n_bins: int, starts: Indices | None) -> Indices:
+def _slices(time: Vector, starts: Indices) -> Indices:
     """Return the number of each sample's slice of a record; it jumps by two where a line breaks."""
     new = np.zeros(len(time), dtype=int)
-    new[:: max(1, len(time) // n_bins)] = 1
-    new[segment_starts(time) if starts is None else starts] = 2
+    new[:: max(1, len(time) // N_SLICES)] = 1
+    new[starts] = 2
     return np.cumsum(new)
 
 
-def line_points(
-    time: Vector, values: Vector, *, n_bins: int, starts: Indices | None = None
-) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest sample of each of ``n_bins`` slices, with NaN where the line breaks.
+def line_points(time: Vector, values: Vector, starts: Indices) -> tuple[Vector, Vector]:
+    """Return the lowest and the highest sample of each slice of a record, with NaN where the line breaks.
 
-    It breaks at ``starts``, by default after gaps in time, and at slices without a finite value.
+    It breaks at ``starts`` of segments, and at slices without a finite value.
 
     >>> t = np.arange(10_000) / 100.0
-    >>> v = np.sin(t); v[5000] = 7.0
-    >>> few_t, few_v = line_points(t, v, n_bins=100)
-    >>> len(few_t) < 210, float(few_v.max())
+    >>> v = np.sin(t)
+    >>> v[5000] = 7.0
+    >>> few_t, few_v = line_points(t, v, segment_starts(t))
+    >>> len(few_t) < 610, float(few_v.max())
     (True, 7.0)
     """
-    number = _slices(time, n_bins, starts)
+    number = _slices(time, starts)
     known = pd.Series(values)[np.isfinite(values)]
     slices = known.groupby(number[known.index])
     rows = np.unique(np.concatenate([slices.idxmin(), slices.idxmax()])).astype(int)
@@ -190,25 +174,17 @@ def line_points(
 
 
 def band_points(
-    time: Vector, lower: Vector, upper: Vector, *, n_bins: int, starts: Indices | None = None
+    time: Vector, lower: Vector, upper: Vector, starts: Indices
 ) -> tuple[Vector, Vector, Vector]:
     """Return times, lower and upper edge of a band: in each slice the union of the samples' intervals."""
-    number = _slices(time, n_bins, starts)
-    band = pd.DataFrame({"time": time, "lower": lower, "upper": upper, "number": number})
-    slices = band[np.isfinite(band).all(axis=1)].groupby("number")
+    band = pd.DataFrame({"time": time, "lower": lower, "upper": upper})
+    known = band[np.isfinite(band).all(axis=1)]
+    slices = known.groupby(_slices(time, starts)[known.index])
     edges = pd.DataFrame({"lower": slices["lower"].min(), "upper": slices["upper"].max()})
-    both = pd.concat(
-        [edges.assign(time=slices["time"].first()), edges.assign(time=slices["time"].last())]
+    ends = pd.concat(
+        [edges.assign(time=slices["time"].min()), edges.assign(time=slices["time"].max())]
     )
-    both = both.drop_duplicates().sort_index(kind="stable")
-    gaps = np.flatnonzero(np.diff(both.index) > 1) + 1
-    columns = (
-        np.insert(both[name].to_numpy(float), gaps, np.nan) for name in ("time", "lower", "upper")
-    )
-    return tuple(columns)  # type: ignore[return-value]
-
-
-def isolated(values: Vector) -> list[int]:
-    """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
-    known = np.concatenate([[False], np.isfinite(values), [False]])
-    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:]).tolist()
+    ends = ends.sort_index(kind="stable")
+    gaps = np.flatnonzero(np.diff(ends.index) > 1) + 1
+    broken = np.insert(ends.to_numpy(float), gaps, np.nan, axis=0)
+    return broken[:, 2], broken[:, 0], broken[:, 1]

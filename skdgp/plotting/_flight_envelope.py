@@ -16,11 +16,10 @@ from skdgp._display.style import (
     axis_label,
     check_matplotlib,
     display_unit,
-    legend_of_figure,
     units_shown,
 )
 from skdgp._flight.checks import check_names
-from skdgp.plotting._display import Display, Names, choose
+from skdgp.plotting._display import Display
 
 PAIRS = (
     ("alpha", "beta"),
@@ -54,18 +53,14 @@ class EnvelopeDisplay(Display):
     function is known; at 1 the expected normalised RMSE is 1, as of predicting the mean. Regressors
     that a panel does not show have their medians.
 
-    The artists are ``contours_``, ``flown_``, ``paths_`` and ``legend_``.
-
     Parameters
     ----------
     flown, path : DataFrame (n, d), DataFrame (m, d) or None
         Regressors of the training samples and of another flight, SI units and radians.
     pairs, points : list of (name, name), list of pairs of ndarray (G,)
         Horizontal and vertical regressor of each panel, and the grid along both.
-    variance : ndarray (n_pairs, G, G, P)
-        Posterior variance of each output on the grid: second axis vertical, third horizontal.
-    flown_variance, output_names : ndarray (P,), P names
-        V_i, the variance of each output as flown.
+    relative_std : ndarray (n_pairs, G, G)
+        rho on the grid: second axis vertical, third horizontal.
 
     Examples
     --------
@@ -76,7 +71,7 @@ class EnvelopeDisplay(Display):
     >>> flown = pd.DataFrame(np.random.default_rng(0).normal(0, 0.05, (60, 2)), columns=["alpha", "beta"])
     >>> model = DependentGPRegressor(n_latent=1, optimizer=None).fit(flown, np.sin(20 * flown["alpha"]))
     >>> display = EnvelopeDisplay.from_estimator(model, flown, ax=Figure())
-    >>> rho = display.relative_std()[0]
+    >>> rho = display.relative_std[0]
     >>> bool(rho[8, 8] < rho[0, 0])
     True
     """
@@ -85,46 +80,43 @@ class EnvelopeDisplay(Display):
     path: pd.DataFrame | None = None
     pairs: list[tuple[str, str]]
     points: list[tuple[Vector, Vector]]
-    variance: Array
-    flown_variance: Vector
-    output_names: tuple[str, ...]
+    relative_std: Array
+    size = (2.9, 2.45)
 
-    def relative_std(self, outputs: Names = None) -> Array:
-        """Return the relative uncertainty rho of ``outputs``, default all, on the grid: (n_pairs, G, G)."""
-        chosen = choose(self.output_names, outputs)
-        return np.sqrt((self.variance[..., chosen] / self.flown_variance[chosen]).mean(axis=-1))
+    @property
+    def keys(self) -> list[tuple[str, str]]:
+        """The pairs of regressors."""
+        return self.pairs
 
-    def plot(
-        self, ax: Any = None, *, outputs: Names = None, legend: bool = True, pairs: Any = None
-    ) -> Self:
-        """Draw a panel for each of ``pairs``, default all; other options are those of :mod:`skdgp.plotting`."""
-        wanted = self.pairs if pairs is None else [tuple(pair) for pair in pairs]
-        unknown = [pair for pair in wanted if pair not in self.pairs]
-        if unknown or not wanted:
-            raise ValueError(f"Got the pairs {unknown}, but expected some of {self.pairs}.")
-        relative = self.relative_std(outputs)
+    @property
+    def n_columns(self) -> int:
+        """At most three panels stand side by side."""
+        return 3
 
-        def draw(ax, k):
-            names = list(self.pairs[k])
-            factors = np.array([display_unit(name)[0] for name in names])
-            axes = [factor * axis for factor, axis in zip(factors, self.points[k], strict=True)]
-            levels = [0.0, *LEVELS, max(1.0, relative[k].max())]
-            contours = ax.contourf(*axes, relative[k], levels, cmap="Blues", alpha=0.6)
-            lines = ax.contour(*axes, relative[k], LEVELS, colors=PALETTE["blue"], linewidths=0.8)
-            ax.clabel(lines, fmt="%.2g", fontsize="small")
-            dots = [
-                None if table is None else _dots(ax, factors * table[names].to_numpy(), axes, style)
-                for table, style in ((self.flown, FLOWN), (self.path, PATH))
-            ]
-            ax.set(xlabel=axis_label(names[0]), ylabel=axis_label(names[1]))
-            ax.set(xlim=axes[0][[0, -1]], ylim=axes[1][[0, -1]])
-            return contours, *dots
+    def words(self, key: tuple[str, str]) -> str:
+        """Return what a panel shows."""
+        return f"{key[1]} against {key[0]}: where samples were flown, and how uncertain the model is there"
 
-        chosen = [self.pairs.index(pair) for pair in wanted]
-        artists = self._draw_panels(ax, draw, chosen, min(len(chosen), 3), (3.3, 2.9))
-        self.contours_, self.flown_, self.paths_ = artists
-        self.legend_ = legend_of_figure(self.axes_.flat[0]) if legend else None
-        return self
+    def draw(self, ax: Any, key: tuple[str, str]) -> None:
+        """Draw contours and samples of a pair."""
+        k = self.pairs.index(key)
+        factors = np.array([display_unit(name)[0] for name in key])
+        axes = [factor * axis for factor, axis in zip(factors, self.points[k], strict=True)]
+        rho = self.relative_std[k]
+        levels = [0.0, *LEVELS, max(1.0, rho.max())]
+        ax.contourf(*axes, rho, levels, cmap="Blues", alpha=0.6)
+        lines = ax.contour(*axes, rho, LEVELS, colors=PALETTE["blue"], linewidths=0.8)
+        ax.clabel(lines, fmt="%.2g", fontsize="small")
+        for table, color, label in (
+            (self.flown, "#333333", "learned from"),
+            (self.path, PALETTE["vermillion"], "other flight"),
+        ):
+            if table is not None:
+                dots = _occupied(factors * table[list(key)].to_numpy(), axes)
+                style = {"marker": ".", "markersize": 2, "markeredgewidth": 0, "color": color}
+                ax.plot(*dots.T, linestyle="none", label=label, **style)
+        ax.set(xlabel=axis_label(key[0]), ylabel=axis_label(key[1]))
+        ax.set(xlim=axes[0][[0, -1]], ylim=axes[1][[0, -1]])
 
     @classmethod
     def from_estimator(
@@ -135,14 +127,12 @@ class EnvelopeDisplay(Display):
         flight: Any = None,
         pairs: Any = None,
         n_grid: int = 16,
-        **plot_options: Any,
+        ax: Any = None,
     ) -> Self:
-        """Compute the uncertainty of an estimator around its data, and draw; see :meth:`compute` and :meth:`plot`."""
+        """Draw the uncertainty of an estimator around its data; the options are those of :meth:`compute`."""
         check_matplotlib(cls.__name__)
         with units_shown(getattr(estimator, "control_units_", {})):
-            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(
-                **plot_options
-            )
+            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(ax)
 
     @classmethod
     def compute(
@@ -171,31 +161,19 @@ class EnvelopeDisplay(Display):
         both = pd.concat([flown, path])
         points = [(_grid(both[x], n_grid), _grid(both[y], n_grid)) for x, y in pairs]
         rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
-        variance = _moments(last, scaling, rows)[1]
         means, variances = _moments(last, scaling, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
-        names = getattr(last, "output_names_", [f"y{i}" for i in range(means.shape[1])])
-        return cls(
-            flown=flown,
-            pairs=pairs,
-            points=points,
-            variance=variance.reshape(len(pairs), n_grid, n_grid, -1),
-            flown_variance=means.var(axis=0) + variances.mean(axis=0),
-            output_names=tuple(names),
-            path=path,
-        )
+        as_flown = means.var(axis=0) + variances.mean(axis=0)
+        ratio = (_moments(last, scaling, rows)[1] / as_flown).mean(axis=1)
+        rho = np.sqrt(ratio).reshape(len(pairs), n_grid, n_grid)
+        return cls(flown=flown, path=path, pairs=pairs, points=points, relative_std=rho)
 
 
-FLOWN = {"color": "#333333", "marker": ".", "label": "learned from"}
-PATH = {"color": PALETTE["vermillion"], "marker": ".", "label": "other flight"}
-
-
-def _dots(ax: Any, values: Matrix, axes: Any, style: dict) -> Any:
-    """Draw one dot for each occupied cell of a panel, so that isolated samples remain."""
+def _occupied(values: Matrix, axes: Any) -> Matrix:
+    """Return one sample of each occupied cell of a panel, so that isolated samples remain."""
     low, high = np.transpose([axis[[0, -1]] for axis in axes])
     values = values[np.isfinite(values).all(axis=1)]
     cells = np.floor(N_CELLS * (values - low) / (high - low))
-    kept = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return ax.plot(*values[kept].T, linestyle="none", markersize=2, markeredgewidth=0, **style)[0]
+    return values[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _split_steps(estimator: Any) -> tuple[Any, Any, Any]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+import numpy as np
 import pandas as pd
 
-from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import (
     PALETTE,
@@ -15,17 +16,17 @@ from skdgp._display.style import (
     check_matplotlib,
     display_unit,
     draw_curve,
-    legend_of_figure,
     mark_samples,
     plain,
     symbol,
     units_shown,
 )
 from skdgp._effects import Curve, Interaction, effects, interactions
-from skdgp._flight.checks import check_choice
-from skdgp.plotting._display import Display, Names, choose
+from skdgp._flight.checks import check_choice, check_names
+from skdgp.plotting._display import BAND, Display
 
-OTHERS = ""  # key of the column of terms of several regressors
+N_EFFECTS = 4
+"""Regressors shown for each output: those whose effects vary most over the samples."""
 DEFAULT_DERIVATIVES = (
     "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
     "Cl_aileron", "Cn_rudder",
@@ -34,13 +35,11 @@ DEFAULT_DERIVATIVES = (
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class EffectsDisplay(Display):
-    r"""The effect of each regressor with its band: a row for each output, a column for each regressor.
+    r"""The largest effects on each output with their 95 % bands, and its strongest interactions.
 
-    Panels of a row have the same vertical axis. Short lines at their bottom are quantiles of the
-    samples, each 4 %. Bars in the last column are terms of several regressors: the range that holds
-    the given probability of their values over the samples, if these are normally distributed.
-
-    The artists are ``lines_``, ``bands_`` and ``bars_``.
+    A row holds the four regressors whose effects vary most over the samples, on one scale, and the
+    two strongest interactions: the change with one regressor at a low and at a high value of
+    another. Short lines at the bottom are quantiles of the samples, each 4 %.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ class EffectsDisplay(Display):
     samples : DataFrame (n, d)
         Regressors of the samples.
     interactions : dict of str to list of Interaction, optional
-        The strongest interactions of each output, as `draw_interaction` draws them.
+        The strongest interactions of each output.
 
     Examples
     --------
@@ -64,8 +63,8 @@ class EffectsDisplay(Display):
     >>> Y = pd.DataFrame({"Cm": np.sin(4 * X["alpha"]) - 0.5 * X["elevator"]})
     >>> model = DependentGPRegressor(structure="trend").fit(X, Y)
     >>> display = EffectsDisplay.from_model(model, ax=Figure())
-    >>> [ax.get_xlabel() for ax in display.axes_.flat]
-    ['$\\alpha$\n[deg]', 'elevator\n[deg]']
+    >>> display.keys
+    [('Cm', 'alpha'), ('Cm', 'elevator'), ('Cm', 0)]
     """
 
     curves: dict[str, Curve]
@@ -73,92 +72,81 @@ class EffectsDisplay(Display):
     samples: pd.DataFrame
     interactions: dict[str, list[Interaction]] = field(default_factory=dict)
 
-    def plot(
-        self, ax: Any = None, *, level: float = 0.95, outputs: Names = None, legend: bool = True
-    ) -> Self:
-        """Draw the panels; see :mod:`skdgp.plotting`."""
-        z = half_width(level)
-        names = list(self.importance.columns)
-        rows = choose(names, outputs)
-        several = [name for name in self.importance.index if name not in self.curves]
-        columns = [*self.curves, *[OTHERS] * bool(several)]
+    size = (2.9, 1.75)
 
-        def draw(ax, key):
-            i, column = key
-            if column == columns[0]:
-                ax.set_ylabel(symbol(names[i]))
-            if column != OTHERS:
-                artists = self.draw_effect(ax, names[i], column, level=level)
-                if i == rows[-1]:
-                    ax.set_xlabel(axis_label(column).replace(" [", "\n["))
-                return *artists, None
-            ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
-            half = z * self.importance.loc[several].iloc[:, i].to_numpy()
-            style = {"width": 0.5, "color": PALETTE["purple"], "alpha": 0.6}
-            bars = ax.bar(range(len(several)), 2 * half, bottom=-half, **style)
-            ax.grid(False, axis="x")
-            ax.set_xlim(-0.75, len(several) - 0.25)
-            ax.set_xticks(range(len(several)), [plain(name.replace("_", " ")) for name in several])
-            ax.tick_params(axis="x", length=0)
-            return None, None, bars
+    @property
+    def keys(self) -> list[tuple[str, str | int]]:
+        """Output and regressor, or output and number of an interaction."""
+        keys: list[tuple[str, str | int]] = []
+        for output in map(str, self.importance):
+            keys += [(output, name) for name in self._largest(output)]
+            keys += [(output, k) for k in range(len(self.interactions.get(output, ())))]
+        return keys
 
-        keys = [(i, column) for i in rows for column in columns]
-        size = (max(1.25, min(3.0, 9.0 / len(columns))), 1.15)
-        artists = self._draw_panels(ax, draw, keys, len(columns), size, sharex="col", sharey="row")
-        self.lines_, self.bands_, self.bars_ = artists
-        self.figure_.align_labels(self.axes_.ravel())
-        if legend:
-            legend_of_figure(self.axes_[-1, 0])
-        return self
+    @property
+    def n_columns(self) -> int:
+        """A row for each output."""
+        return -(-len(self.keys) // len(self.importance.columns))
 
-    def draw_effect(
-        self, ax: Any, output: str, regressor: str, *, level: float = 0.95
-    ) -> tuple[Any, Any]:
-        """Draw the effect of a regressor on an output into one Axes, and return its line and band."""
-        k = choose(list(self.importance.columns), output)[0]
-        curve = self.curves[regressor]
-        factor = display_unit(regressor)[0]
+    def _largest(self, output: str) -> list[str]:
+        return list(self.importance.loc[list(self.curves), output].nlargest(N_EFFECTS).index)
+
+    def words(self, key: tuple[str, str | int]) -> str:
+        """Return what a panel shows."""
+        output, name = key
+        if isinstance(name, str):
+            return f"{output} by {name}"
+        first, second = self.interactions[output][name].regressors
+        return f"{output} by {first}, at two {second}"
+
+    def draw(self, ax: Any, key: tuple[str, str | int]) -> None:
+        """Draw an effect, or an interaction."""
+        output, name = key
         ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
-        std = curve.std[:, k]
-        artists = draw_curve(ax, factor * curve.at, curve.mean[:, k], std, level, "effect")
-        mark_samples(ax, factor * self.samples[regressor].to_numpy())
-        ax.locator_params(axis="x", nbins=2, min_n_ticks=2)
+        if isinstance(name, str):
+            self._draw_effect(ax, output, name)
+        else:
+            self._draw_interaction(ax, self.interactions[output][name])
+        ax.locator_params(axis="both", nbins=4)
         ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
-        ax.locator_params(axis="y", nbins=4)
-        return artists
+        ax.set_ylabel(symbol(output))
 
-    def draw_interaction(
-        self, ax: Any, output: str, number: int, *, level: float = 0.95, legend: bool = True
-    ) -> list[tuple[Any, Any]]:
-        """Draw an interaction of an output: the change with one regressor, at two values of the other."""
-        found = self.interactions[output][number]
-        (first, second), (factor, _) = found.regressors, display_unit(found.regressors[0])
+    def _draw_effect(self, ax, output, name):
+        k = list(self.importance).index(output)
+        curve = self.curves[name]
+        factor = display_unit(name)[0]
+        draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], "effect")
+        mark_samples(ax, factor * self.samples[name].to_numpy())
+        shown = [self.curves[each] for each in self._largest(output)]
+        top = max(np.abs(each.mean[:, k]).max() + BAND * each.std[:, k].min() for each in shown)
+        ax.set_ylim(-1.08 * top, 1.08 * top)
+        ax.set_xlabel(axis_label(name))
+
+    def _draw_interaction(self, ax, found):
+        first, second = found.regressors
+        factor = display_unit(first)[0]
         times, unit = display_unit(second)
-        artists = []
-        for k, color in enumerate(("blue", "vermillion")):
+        for k, color in enumerate((PALETTE["blue"], PALETTE["vermillion"])):
             label = f"{symbol(second)} = {times * found.levels[k]:.3g} {unit}".rstrip()
-            mean, std = found.mean[:, k], found.std[:, k]
-            colors = {"color": PALETTE[color], "band": PALETTE[color]}
-            artists.append(draw_curve(ax, factor * found.at, mean, std, level, label, **colors))
-        ax.locator_params(axis="x", nbins=3, min_n_ticks=2)
-        ax.locator_params(axis="y", nbins=4)
+            draw_curve(
+                ax, factor * found.at, found.mean[:, k], found.std[:, k], label, color, color
+            )
         ax.set_xlabel(axis_label(first))
-        if legend:
-            ax.legend(handles=[line for line, _ in artists], frameon=False, fontsize="small")
-        return artists
+        lines = [line for line in ax.lines if not line.get_label().startswith("_")]
+        ax.legend(handles=lines, frameon=False, fontsize="small")
 
     @classmethod
     def from_model(
-        cls, model: Any, X: Any = None, *, n_grid: int = 30, **plot_options: Any
+        cls, model: Any, X: Any = None, *, n_grid: int = 30, ax: Any = None, keys: Any = None
     ) -> Self:
-        """Compute the :func:`skdgp.effects` of a model, and draw them with the options of :meth:`plot`."""
+        """Draw the :func:`skdgp.effects` and the interactions of a model."""
         check_matplotlib(cls.__name__)
         with units_shown(getattr(model, "control_units_", {})):
-            return cls.compute(model, X, n_grid=n_grid).plot(**plot_options)
+            return cls.compute(model, X, n_grid=n_grid).plot(ax, keys=keys)
 
     @classmethod
     def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
-        """Compute the :func:`skdgp.effects` and the interactions of a model, without drawing them."""
+        """Return what :meth:`from_model` draws."""
         found = effects(model, X, n_grid=n_grid)
         return cls(
             curves=found.curves,
@@ -170,9 +158,7 @@ class EffectsDisplay(Display):
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class DerivativeDisplay(Display):
-    """Derivatives with their bands over airspeed, alpha or beta, one panel each.
-
-    The artists are ``lines_`` and ``bands_``.
+    """Derivatives with their 95 % bands over airspeed, alpha or beta, one panel each.
 
     Parameters
     ----------
@@ -205,28 +191,25 @@ class DerivativeDisplay(Display):
     names: tuple[str, ...]
     std: Matrix | None = None
 
-    def plot(self, ax: Any = None, *, level: float = 0.95, legend: bool = True) -> Self:
-        """Draw the panels; see :mod:`skdgp.plotting`."""
+    size = (3.2, 1.9)
+
+    @property
+    def keys(self) -> list[str]:
+        """The derivatives."""
+        return list(self.names)
+
+    @property
+    def n_columns(self) -> int:
+        """At most three panels stand side by side."""
+        return 3
+
+    def draw(self, ax: Any, key: str) -> None:
+        """Draw a derivative."""
+        k = self.names.index(key)
         at = self.at * display_unit(self.over)[0]
-
-        def draw(ax, k):
-            ax.set_ylabel(_label(self.names[k]))
-            return draw_curve(
-                ax,
-                at,
-                self.values[:, k],
-                None if self.std is None else self.std[:, k],
-                level,
-                "model",
-            )
-
-        keys, options = (
-            range(len(self.names)),
-            {"xlabel": axis_label(self.over), "legend": legend, "sharex": True},
-        )
-        artists = self._draw_panels(ax, draw, keys, min(3, len(keys)), (3.2, 1.9), **options)
-        self.lines_, self.bands_ = artists
-        return self
+        std = None if self.std is None else self.std[:, k]
+        draw_curve(ax, at, self.values[:, k], std, "model")
+        ax.set(xlabel=axis_label(self.over), ylabel=_label(key))
 
     @classmethod
     def from_sweep(
@@ -234,10 +217,10 @@ class DerivativeDisplay(Display):
         sweep: pd.DataFrame,
         *,
         over: str = "airspeed",
-        derivatives: Names = None,
-        **plot_options: Any,
+        derivatives: Sequence[str] | None = None,
+        ax: Any = None,
     ) -> Self:
-        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points; see :meth:`plot`.
+        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points.
 
         ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The
         derivatives are by default the most common ones of the table.
@@ -245,31 +228,25 @@ class DerivativeDisplay(Display):
         if not isinstance(sweep.index, pd.MultiIndex):
             raise ValueError(
                 "Got derivatives of a single point, but expected those of several: "
-                "stability_derivatives(model, "
-                "aircraft, [trim, ...])."
+                "stability_derivatives(model, aircraft, [trim, ...])."
             )
         check_choice("over", over, ("airspeed", "alpha", "beta"))
-        known = sweep.index.unique(level=1)
-        names = (
-            [name for name in DEFAULT_DERIVATIVES if name in known]
-            if derivatives is None
-            else list(derivatives)
-        )
-        choose(tuple(known), names)
+        known = list(sweep.index.unique(level=1))
+        names = list(derivatives or [name for name in DEFAULT_DERIVATIVES if name in known])
+        check_names(names, known, "derivatives")
         at = sweep[over].groupby(level=0).first().sort_values()
-
-        def columns(column):
-            return (
-                sweep[column]
-                .unstack(1)
-                .reindex(index=at.index, columns=names)
-                .to_numpy(dtype=float)
-            )
-
+        columns = {
+            column: sweep[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(float)
+            for column in ("value", "std")
+            if column in sweep
+        }
         return cls(
-            at=at.to_numpy(dtype=float), values=columns("value"), std=columns("std") if "std" in sweep else None,
-            over=over, names=tuple(names),
-        ).plot(**plot_options)  # fmt: skip
+            at=at.to_numpy(float),
+            values=columns["value"],
+            std=columns.get("std"),
+            over=over,
+            names=tuple(names),
+        ).plot(ax)
 
 
 def _label(name: str) -> str:

@@ -1,137 +1,205 @@
-"""CoefficientDisplay and StateDisplay: measured and estimated values with bands against time."""
+"""TimeHistoryDisplay: measured, estimated, replayed, simulated or true values with bands against time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.statistics import half_width
+from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
-from skdgp._display.style import ROLES, axis_label, display_unit
-from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.checks import check_choice, check_columns
+from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
+from skdgp._flight.checks import check_columns
+from skdgp._flight.frames import unwrapped_paths
 from skdgp.plotting._display import (
+    BAND,
     Display,
-    Names,
     as_columns,
     band_points,
     check_std,
-    choose,
-    grid_columns,
-    isolated,
     line_points,
     names_of,
     predicted,
     segment_starts,
 )
 
-KINDS = {"values": ("values",), "residuals": ("residuals",), "both": ("values", "residuals")}
+LEVEL = 0.95
 MAX_BAND = 0.6
 """Largest part of the lines' range by which a band widens the vertical axis."""
+INPUTS = ("throttle", *SURFACES, *ELEVONS)
+TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class CoefficientDisplay(Display):
-    """Measured and estimated outputs with the band of the estimate (the paper's figure 6).
+class TimeHistoryDisplay(Display):
+    """Measured and estimated values with the 95 % band of the estimate, a panel for each name.
 
-    The artists are ``measured_``, ``mean_``, ``bands_`` and ``truth_``.
+    Units are SI and radians, drawn in degrees. No line is drawn across a gap, nor where time goes
+    back or a replay restarts.
 
     Parameters
     ----------
-    time : (n,)
-        Time of the samples [s]. No line is drawn across a gap, nor where time goes back (a new
-        flight).
-    measured, mean : (n, P)
-        Measured outputs, NaN = not observed; estimated outputs.
-    std, truth : (n, P), optional
-        Standard deviations of the estimate; noise-free outputs of a simulation.
-    output_names : P names, optional
-        Default: those of a DataFrame ``measured``; for six unnamed columns CX CY CZ Cl Cm Cn.
+    time, names : (n,), k names
+        Time of the samples [s]; outputs, or columns of a flight table.
+    measured, mean, truth : (n, k), optional
+        Measured values, NaN = not observed; estimated ones; noise-free ones of a simulation.
+    lower, upper : (n, k), optional
+        Edges of the band.
+    window : (n,), optional
+        Number of the replay that a row belongs to, which changes at a restart.
+    beyond : (n,), optional
+        Fraction of simulated paths outside the range of the training data, marked at the upper
+        edge.
+    estimate, suffix : str
+        What ``mean`` is called; the end of the vertical axes' labels.
 
     Examples
     --------
     >>> import numpy as np
     >>> from matplotlib.figure import Figure
-    >>> from skdgp.plotting import CoefficientDisplay
+    >>> from skdgp.plotting import TimeHistoryDisplay
     >>> time = np.linspace(0, 10, 400)
     >>> mean = np.sin(time[:, None] * np.arange(1, 7))
-    >>> display = CoefficientDisplay.from_predictions(time, mean + 0.1, mean, 0.1 + 0 * mean, ax=Figure())
-    >>> display.axes_.shape, display.output_names[:2]
+    >>> display = TimeHistoryDisplay.from_predictions(time, mean + 0.1, mean, 0.1 + 0 * mean, ax=Figure())
+    >>> display.axes_.shape, display.names[:2]
     ((3, 2), ('CX', 'CY'))
     """
 
     time: Vector
-    measured: Matrix
-    mean: Matrix
-    std: Matrix | None = None
+    names: tuple[str, ...]
+    measured: Matrix | None = None
+    mean: Matrix | None = None
     truth: Matrix | None = None
-    output_names: Any = None
+    lower: Matrix | None = None
+    upper: Matrix | None = None
+    window: np.ndarray | None = None
+    beyond: Vector | None = None
+    estimate: str = "estimated"
+    suffix: str = ""
+    by_column = True
 
-    def plot(
-        self, ax: Any = None, *, outputs: Names = None, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
-        kind: str = "values", time_span: tuple[float, float] | None = None,
-    ) -> Self:  # fmt: skip
-        """Draw ``kind`` "values", "residuals", measured minus estimated, or "both"; see :mod:`skdgp.plotting`."""
-        check_choice("kind", kind, tuple(KINDS))
-        chosen, kinds = choose(self.output_names, outputs), KINDS[kind]
-        draws = {}
-        for name in kinds:
-            zero = self.mean if name == "residuals" else np.zeros_like(self.mean)
-            truth = None if self.truth is None else self.truth - zero
-            std = self.std
-            if kind == "both":  # the truth above, the band beneath
-                truth, std = (truth, None) if name == "values" else (None, std)
-            columns = self.measured - zero, self.mean - zero, std, truth
-            less = " less estimate" if kind == "residuals" else ""
-            draws[name] = _drawing(
-                self.time, columns, self.output_names, "estimated", level, n_bins, time_span, less
+    @property
+    def keys(self) -> list[str]:
+        """The names."""
+        return list(self.names)
+
+    def words(self, key: str) -> str:
+        """Return what a panel shows."""
+        return f"{key}{self.suffix} against time"
+
+    def residuals(self) -> Self:
+        """Return the display of everything less the estimate."""
+
+        def less(values):
+            return None if values is None else values - self.mean
+
+        return replace(
+            self,
+            measured=less(self.measured),
+            mean=less(self.mean),
+            truth=less(self.truth),
+            lower=less(self.lower),
+            upper=less(self.upper),
+            suffix=" less estimate",
+        )
+
+    def between(self, begin: float, end: float) -> Self:
+        """Return the display of a time span [s]; raise ValueError if it holds no sample."""
+        rows = (self.time >= begin) & (self.time <= end)
+        if not rows.any():
+            raise ValueError(
+                f"Got {begin:g} to {end:g} s, but the samples run from {self.time.min():g} to "
+                f"{self.time.max():g} s: choose a span inside."
             )
+        columns = ("time", "measured", "mean", "truth", "lower", "upper", "window", "beyond")
+        given = {name: getattr(self, name) for name in columns}
+        return replace(
+            self, **{name: values[rows] for name, values in given.items() if values is not None}
+        )
 
-        def draw(ax, key):
-            artists = draws[key[1]](ax, key[0])
-            if len(kinds) > 1 and key[1] == "residuals":
-                ax.set_ylabel("residual")
-            return artists
-
-        n_cols = grid_columns(len(chosen)) if len(chosen) % 2 == 0 or kind != "both" else 1
-        n_rows = -(-len(chosen) // n_cols)
-        ratios = {"height_ratios": [2.0, 1.2] * n_rows} if kind == "both" else {}
-        options = {"xlabel": "time [s]", "legend": legend, "by_column": True, "sharex": True}
-        keys = [(k, name) for k in chosen for name in kinds]
-        artists = self._draw_panels(ax, draw, keys, n_cols, (5, 1.7), gridspec_kw=ratios, **options)
-        self.measured_, self.mean_, self.bands_, self.truth_ = artists
-        return self
+    def draw(self, ax: Any, key: str) -> None:
+        """Draw the lines and the band of a name."""
+        k = self.names.index(key)
+        factor = display_unit(key)[0]
+        starts = segment_starts(self.time, self.window)
+        if self.lower is not None and self.upper is not None:
+            lower = factor * self.lower[:, k]
+            band = band_points(self.time, lower, factor * self.upper[:, k], starts)
+            style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.6, "zorder": 2.2}
+            ax.fill_between(*band, label="95 % band", **style)
+        lines = {
+            "measured": (self.measured, {"color": ROLES["measured"], "linewidth": 1.4}),
+            "truth": (self.truth, {"color": ROLES["truth"], "linewidth": 0.9, "linestyle": "--"}),
+            self.estimate: (
+                self.mean,
+                {"color": ROLES["mean"], "linewidth": 0.8, "zorder": 2.3},
+            ),
+        }
+        for label, (values, style) in lines.items():
+            if values is not None:
+                points = line_points(self.time, factor * values[:, k], starts)
+                alone = _isolated(points[1])
+                marker = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
+                ax.plot(*points, label=label, **marker, **style)
+        _fit_to_lines(ax)
+        if self.beyond is not None and (self.beyond > 0).any():
+            marks = np.where(self.beyond > 0, 1.0, np.nan)
+            style = {"color": PALETTE["orange"], "linewidth": 4, "clip_on": False}
+            style["transform"] = ax.get_xaxis_transform()
+            ax.plot(self.time, marks, label="outside the training data", **style)
+        ax.set(xlabel="time [s]", ylabel=axis_label(key) + self.suffix)
 
     @classmethod
     def from_predictions(
-        cls, time: ArrayLike, measured: ArrayLike, mean: ArrayLike, std: ArrayLike | None = None, *,
-        truth: ArrayLike | None = None, output_names: Any = None, **plot_options: Any,
-    ) -> Self:  # fmt: skip
-        """Draw predictions and measurements; see the class and :meth:`plot`."""
+        cls,
+        time: ArrayLike,
+        measured: ArrayLike,
+        mean: ArrayLike,
+        std: ArrayLike | None = None,
+        *,
+        truth: ArrayLike | None = None,
+        output_names: Any = None,
+        ax: Any = None,
+        keys: Any = None,
+    ) -> Self:
+        """Draw predictions (n, P) and measurements.
+
+        ``output_names`` are by default those of a DataFrame ``measured``, or of six unnamed columns
+        CX CY CZ Cl Cm Cn.
+        """
         values = as_columns(measured, "measured outputs")
+        mean = as_columns(mean, "mean", values.shape)
+        half = None if std is None else BAND * check_std(std, values.shape)
         return cls(
             time=check_time(time, len(values)),
             measured=values,
-            mean=as_columns(mean, "mean", values.shape),
-            std=check_std(std, values.shape),
+            mean=mean,
+            lower=None if half is None else mean - half,
+            upper=None if half is None else mean + half,
             truth=None if truth is None else as_columns(truth, "truth", values.shape),
-            output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-        ).plot(**plot_options)
+            names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
+        ).plot(ax, keys=keys)
 
     @classmethod
     def from_estimator(
-        cls, estimator: Any, X: Any, Y: Any, *, time: ArrayLike | None = None, truth: ArrayLike | None = None,
-        include_noise: bool = False, **plot_options: Any,
-    ) -> Self:  # fmt: skip
-        """Predict with a fitted estimator and draw, as :meth:`CalibrationDisplay.from_estimator`; see :meth:`plot`.
+        cls,
+        estimator: Any,
+        X: Any,
+        Y: Any,
+        *,
+        time: ArrayLike | None = None,
+        include_noise: bool = False,
+        **options: Any,
+    ) -> Self:
+        """Predict with a fitted estimator, and draw with the options of :meth:`from_predictions`.
 
-        ``time`` (n,) is by default the column ``time`` of X. With ``include_noise`` the band is
-        that of a measurement.
+        Its ``predict`` takes ``return_std``. X (n, d) are regressors, or the flights of an
+        identification pipeline; Y (n, P) measured outputs, NaN = not observed. ``time`` (n,) is by
+        default the column ``time`` of X. With ``include_noise`` the band is that of a measurement.
         """
         if time is None and "time" not in getattr(X, "columns", ()):
             raise ValueError(
@@ -139,77 +207,36 @@ class CoefficientDisplay(Display):
             )
         mean, std, names = predicted(estimator, X, Y, include_noise)
         time = X["time"].to_numpy() if time is None else time
-        return cls.from_predictions(
-            time, Y, mean, std, truth=truth, output_names=names, **plot_options
-        )
-
-
-@dataclass(kw_only=True, eq=False, repr=False)
-class StateDisplay(Display):
-    """Measured states and those replayed with estimated coefficients (the paper's figure 7).
-
-    A replay restarts from the measured state every few seconds, where lines break. States are given
-    in SI units and drawn in degrees.
-
-    The artists are ``measured_``, ``replayed_`` and ``bands_``.
-
-    Parameters
-    ----------
-    time : (n,)
-        Time of the samples [s].
-    measured, replayed : (n, k)
-        States, SI units and radians.
-    window : (n,)
-        Number of the replay that a row belongs to, which changes at a restart.
-    state_names : k names
-        Columns of a flight table.
-    std : (n, k), optional
-        Standard deviations of the replayed states.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> from matplotlib.figure import Figure
-    >>> from skdgp.plotting import StateDisplay
-    >>> flight = pd.DataFrame({"time": np.arange(0, 30, 0.1), "p": 0.1})
-    >>> replayed = flight.assign(horizon=10.0, window=flight["time"] // 10, p=0.11)
-    >>> StateDisplay.from_replay(replayed, flight, states=["p"], ax=Figure()).axes_[0, 0].get_ylabel()
-    '$p$ [deg/s]'
-    """
-
-    time: Vector
-    measured: Matrix
-    replayed: Matrix
-    window: np.ndarray
-    state_names: tuple[str, ...]
-    std: Matrix | None = None
-
-    def plot(
-        self, ax: Any = None, *, level: float = 0.95, n_bins: int = 2000, legend: bool = True,
-        time_span: tuple[float, float] | None = None,
-    ) -> Self:  # fmt: skip
-        """Draw the states, one above the other; see :mod:`skdgp.plotting`."""
-        columns = self.measured, self.replayed, self.std, None
-        names = self.state_names
-        draw = _drawing(
-            self.time, columns, names, "replayed", level, n_bins, time_span, window=self.window
-        )
-        options = {"xlabel": "time [s]", "legend": legend, "sharex": True}
-        artists = self._draw_panels(ax, draw, range(len(names)), 1, (9, 1.7), **options)
-        self.measured_, self.replayed_, self.bands_, _ = artists
-        return self
+        return cls.from_predictions(time, Y, mean, std, **{"output_names": names, **options})
 
     @classmethod
     def from_replay(
-        cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, states: Any = LATERAL_STATES,
-        horizon: float | None = None, **plot_options: Any,
-    ) -> Self:  # fmt: skip
-        """Draw the result of :func:`skdgp.dynamics.replay` and the flight that it replays; see :meth:`plot`.
+        cls,
+        trajectory: pd.DataFrame,
+        flight: pd.DataFrame,
+        *,
+        states: Any = LATERAL_STATES,
+        horizon: float | None = None,
+        ax: Any = None,
+    ) -> Self:
+        """Draw a :func:`skdgp.dynamics.replay` and the flight that it replays (the paper's figure 7).
 
-        ``trajectory`` has columns ``time``, ``horizon``, ``window``, the states and, for bands,
-        ``<state>_std``, and one row per row of the flight and horizon. ``flight`` holds the
-        measured states, in the same row order. The horizon [s] is by default the longest.
+        ``trajectory`` has ``time``, ``horizon``, ``window``, the states and, for bands,
+        ``<state>_std``, and a row for each row of the flight and horizon. The horizon [s] is by
+        default the longest.
         """
+        return cls.compute_replay(trajectory, flight, states=states, horizon=horizon).plot(ax)
+
+    @classmethod
+    def compute_replay(
+        cls,
+        trajectory: pd.DataFrame,
+        flight: pd.DataFrame,
+        *,
+        states: Any = LATERAL_STATES,
+        horizon: float | None = None,
+    ) -> Self:
+        """Return what :meth:`from_replay` draws."""
         states = list(states)
         rows = replay_rows(trajectory, horizon)
         check_columns(rows, ["time", "window", *states], what="trajectory")
@@ -219,73 +246,141 @@ class StateDisplay(Display):
                 f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
                 f"flight that was replayed, with all its rows."
             )
-        bands = [f"{name}_std" for name in states]
+        mean = rows[states].to_numpy(float)
+        half = _half_width(rows, states)
         return cls(
             time=check_time(rows["time"]),
+            names=tuple(states),
             measured=flight[states].to_numpy(float),
-            replayed=rows[states].to_numpy(float),
-            std=rows[bands].to_numpy(float) if set(bands) <= set(rows.columns) else None,
+            mean=mean,
+            lower=None if half is None else mean - half,
+            upper=None if half is None else mean + half,
             window=rows["window"].to_numpy(),
-            state_names=tuple(states),
-        ).plot(**plot_options)
+            estimate="replayed",
+        )
 
+    @classmethod
+    def from_trajectories(
+        cls,
+        trajectories: pd.DataFrame,
+        flown: pd.DataFrame | None = None,
+        *,
+        mean: pd.DataFrame | None = None,
+        columns: Any = TRAJECTORY,
+        ax: Any = None,
+    ) -> Self:
+        """Draw one trajectory of :func:`skdgp.dynamics.simulate`, or the paths of one start.
 
-def _drawing(time, columns, names, estimate, level, n_bins, span, less="", window=None) -> Callable:
-    """Return the function that draws panel k of ``columns``: measured, estimate, its deviations and truth, (n, P) each.
+        The band holds 95 % of the paths at each time, or is that of the trajectory's standard
+        deviations. The line is the trajectory ``mean`` of the model's mean where it is given, else
+        the median of the paths, which no aircraft flies. ``flown`` is the recorded flight,
+        interpolated to the times of the simulation.
+        """
+        return cls.compute_trajectories(trajectories, flown, mean=mean, columns=columns).plot(ax)
 
-    It returns the artists of measured, estimate, band and truth, None where there is none.
-    """
-    from matplotlib.colors import to_rgb
-
-    z = half_width(level)
-    rows = slice(None)
-    if span is not None:
-        rows = (time >= span[0]) & (time <= span[1])
-        if not rows.any():
+    @classmethod
+    def compute_trajectories(
+        cls,
+        trajectories: pd.DataFrame,
+        flown: pd.DataFrame | None = None,
+        *,
+        mean: pd.DataFrame | None = None,
+        columns: Any = TRAJECTORY,
+    ) -> Self:
+        """Return what :meth:`from_trajectories` draws."""
+        names = list(columns)
+        check_columns(trajectories, ["time", *names], what="trajectory")
+        if "start" in trajectories and trajectories["start"].nunique() > 1:
             raise ValueError(
-                f"Got time_span {span[0]:g} to {span[1]:g} s, but the samples run from "
-                f"{time.min():g} to {time.max():g} s: choose a span inside."
+                f"Got trajectories of {trajectories['start'].nunique()} starts, but expected those "
+                f"of one: trajectories[trajectories['start'] == 0]."
             )
-    time = time[rows]
-    starts = segment_starts(time, None if window is None else window[rows])
+        n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
+        time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
+        values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), -1)
+        if mean is not None:
+            check_columns(mean, names, what="mean")
+            if len(mean) != len(time):
+                raise ValueError(
+                    f"Got a mean of {len(mean)} rows, but expected the {len(time)} of each path."
+                )
+            values = np.concatenate([mean[names].to_numpy(float)[None], values])
+        for k in (k for k, name in enumerate(names) if name in EULER):
+            values[:, :, k] = unwrapped_paths(values[:, :, k])
+        line = values[0]
+        lower = upper = None
+        if n_paths > 1:
+            paths = values[-n_paths:]
+            edges = [path_quantiles(paths[:, :, k], LEVEL) for k in range(len(names))]
+            lower, middle, upper = np.stack(edges, axis=-1)
+            line = middle if mean is None else line
+        elif (half := _half_width(trajectories, names)) is not None:
+            lower, upper = line - half, line + half
+        beyond = None
+        if "beyond" in trajectories:
+            outside = (trajectories["beyond"] != "").to_numpy()
+            beyond = outside.reshape(n_paths, -1).mean(axis=0)
+        return cls(
+            time=time,
+            names=tuple(names),
+            mean=line,
+            lower=lower,
+            upper=upper,
+            measured=None if flown is None else _interpolated(flown, time, names, values[0, 0]),
+            beyond=beyond,
+            estimate="simulated" if n_paths == 1 or mean is not None else "median of the paths",
+        )
 
-    def draw(ax, k):
-        factor = display_unit(names[k])[0]
-        shown = [None if values is None else factor * values[rows, k] for values in columns]
-        measured, mean, std, truth = shown
+    @classmethod
+    def from_inputs(cls, flight: pd.DataFrame, *, channels: Any = None, ax: Any = None) -> Self:
+        """Draw the inputs of a flight (the paper's figure 4), by default throttle and surfaces."""
+        return cls.compute_inputs(flight, channels=channels).plot(ax)
 
-        def line(values, **style):
-            if values is None:
-                return None
-            points = line_points(time, values, n_bins=n_bins, starts=starts)
-            alone = isolated(points[1])
-            return ax.plot(
-                *points, marker="." if alone else None, markersize=3, markevery=alone, **style
-            )[0]
-
-        thick = line(measured, color=ROLES["measured"], linewidth=1.4, label="measured")
-        band = None
-        if std is not None:
-            half = z * std
-            edges = band_points(time, mean - half, mean + half, n_bins=n_bins, starts=starts)
-            # Above the measured values, which may fill the band.
-            style: dict[str, Any] = {
-                "facecolor": (*to_rgb(ROLES["band"]), 0.35),
-                "edgecolor": ROLES["edge"],
-            }
-            style |= {"linewidth": 0.6, "zorder": 2.2, "label": f"{level:.0%} band"}
-            band = ax.fill_between(*edges, **style)
-        known = line(truth, color=ROLES["truth"], linewidth=0.9, linestyle="--", label="truth")
-        thin = line(mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3, label=estimate)
-        _limit(ax, np.concatenate([one for one in (measured, mean, truth) if one is not None]))
-        ax.set_ylabel(axis_label(names[k]) + less)
-        return thick, thin, band, known
-
-    return draw
+    @classmethod
+    def compute_inputs(cls, flight: pd.DataFrame, *, channels: Any = None) -> Self:
+        """Return what :meth:`from_inputs` draws."""
+        names = [name for name in INPUTS if name in flight] if channels is None else list(channels)
+        if not names:
+            raise ValueError(
+                f"Got a flight without any of {list(INPUTS)}: name the columns as channels=..."
+            )
+        check_columns(flight, ["time", *names])
+        return cls(
+            time=check_time(flight["time"]),
+            names=tuple(names),
+            measured=flight[names].to_numpy(float),
+        )
 
 
-def _limit(ax: Any, shown: Vector) -> None:
+def _half_width(table: pd.DataFrame, names: list[str]) -> Matrix | None:
+    """Return half the width of the 95 % band of columns whose standard deviations a table has."""
+    bands = [f"{name}_std" for name in names]
+    return BAND * table[bands].to_numpy(float) if set(bands) <= set(table) else None
+
+
+def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:
+    """Return a flight at times, its angles without jumps, within half a turn of the simulated ones at the start."""
+    check_columns(flown, ["time", *names], what="flown")
+    clock = flown["time"].to_numpy(float)
+    columns = []
+    for name, first in zip(names, start, strict=True):
+        column = flown[name].to_numpy(float)
+        column = np.unwrap(column) if name in EULER else column
+        column = np.interp(time, clock, column, left=np.nan, right=np.nan)
+        turns = np.round((first - column[0]) / (2 * np.pi)) if name in EULER else 0.0
+        columns.append(column + 2 * np.pi * turns)
+    return np.stack(columns, axis=-1)
+
+
+def _isolated(values: Vector) -> list[int]:
+    """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:]).tolist()
+
+
+def _fit_to_lines(ax: Any) -> None:
     """Fit the vertical axis to the lines; a much wider band is cut off."""
+    shown = np.concatenate([line.get_ydata() for line in ax.lines])
     shown = shown[np.isfinite(shown)]
     if shown.size and np.ptp(shown) > 0:
         room = MAX_BAND * np.ptp(shown)

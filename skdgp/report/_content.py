@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
+from skdgp._display.flights import LATERAL_STATES, check_time
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TrajectoryDisplay
+from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
 from skdgp.report._tables import HONEST, SCORES, STATISTICS
 
 
@@ -114,7 +114,7 @@ class FlightMechanics:
     simulation : DataFrame, optional
         By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
         ``horizon`` [s].
-    simulated : TrajectoryDisplay, optional
+    simulated : TimeHistoryDisplay, optional
         A part of a test flight, simulated with its bands, and as flown.
     note, simulation_note : str
         Why derivatives, or the simulation, are missing.
@@ -125,7 +125,7 @@ class FlightMechanics:
     least_squares: pd.DataFrame | None = None
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
-    simulated: TrajectoryDisplay | None = None
+    simulated: TimeHistoryDisplay | None = None
     note: str = ""
     simulation_note: str = ""
 
@@ -208,26 +208,11 @@ class FlightResult:
             raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
 
     @property
-    def measured_states(self) -> dict[str, Vector]:
-        """Measured values of the lateral states that were replayed, by name."""
-        replay, table = self.replay, self.table
-        if replay is None or table is None:
-            return {}
-        return {
-            name: table[name].to_numpy(dtype=float)
-            for name in LATERAL_STATES
-            if name in replay and name in table
-        }
-
-    def replay_over(self, horizon: float) -> pd.DataFrame:
-        """Return the rows of the replay of one horizon; bands wider than the motion itself say nothing, and are NaN."""
-        rows = replay_rows(cast("pd.DataFrame", self.replay), horizon).copy()
-        for name, measured in self.measured_states.items():
-            if f"{name}_std" in rows:
-                rows[f"{name}_std"] = rows[f"{name}_std"].where(
-                    rows[f"{name}_std"] <= np.nanstd(measured)
-                )
-        return rows
+    def replayed_states(self) -> list[str]:
+        """Lateral states that were measured and replayed."""
+        if self.replay is None or self.table is None:
+            return []
+        return [name for name in LATERAL_STATES if name in self.replay and name in self.table]
 
     @property
     def noisy_std(self) -> Matrix:

@@ -1,29 +1,18 @@
-"""Figures of the report: panels drawn by the displays of `skdgp.plotting`."""
+"""Figures of the report: the displays of `skdgp.plotting`, each panel an image of its own."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, cast
+import re
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.flights import START_MARKERS, named_flights, start_marker
-from skdgp._display.page import MARGINS, THIN, WIDTH, figure, number, picture, strip, symbol, text
-from skdgp._display.style import CYCLE, PALETTE, display_unit, tidy
+from skdgp._display.page import THIN, WIDTH, figure, number, picture, text
+from skdgp._display.style import tidy
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting import (
-    CalibrationDisplay,
-    CoefficientDisplay,
-    EffectsDisplay,
-    EnvelopeDisplay,
-    FlightDisplay,
-    StateDisplay,
-    TrajectoryDisplay,
-)
+from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import FlightResult
-from skdgp.report._tables import regressor
 
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
@@ -31,15 +20,49 @@ CHAPTER = 60.0
 """Shortest length of the parts in which a long flight is shown whole [s]."""
 MOST_CHAPTERS = 6
 """Parts that the figures of one page are divided into at most, which keeps it small."""
-N_BINS = 300
-"""Slices that a line over time is drawn with: as many as a screen shows."""
-N_EFFECTS = 4
-"""Regressors shown for each coefficient: those whose effects vary most over the samples."""
-SIGNS = dict(zip(START_MARKERS, "○□△◇▽☆", strict=True))
-"""Letters that look like the markers of paths."""
-KEY = [("grey", "measured", ""), ("blue", "estimated", ""), ("sky", "95 % band", "area")]
-TRUTH = ("vermillion", "truth", "")
-SMALL: dict[str, Any] = {"size": (2.9, 1.75), "margins": (0.6, 0.08, 0.42, 0.08)}
+
+
+def display_figure(*displays: Any, caption: str) -> str:
+    """Return a figure of all panels of displays, side by side; those of one key stand beneath each other."""
+    layout = {1: "single"}.get(
+        len(displays[0].keys), "" if displays[0].size[0] >= WIDTH else "trio"
+    )
+    first: list[Any] = []
+
+    def image(display: Any, key: Any) -> str:
+        def draw(figure: Any) -> None:
+            ax = figure.subplots()
+            first.append(ax)
+            tidy(ax)
+            display.draw(ax, key)
+
+        return picture(draw, label=display.words(key), size=display.size)
+
+    panels = [
+        f"<div>{''.join(image(display, key) for display in displays)}</div>"
+        for key in displays[0].keys
+    ]
+    return figure(panels, caption, _legend(first[0]), layout)
+
+
+def _legend(ax: Any) -> list[tuple[str, str, str]]:
+    """Return colour, name and kind of each labelled artist of a panel; none where it has a legend itself."""
+    from matplotlib.collections import Collection
+    from matplotlib.colors import to_hex
+
+    if ax.get_legend() is not None:
+        return []
+    found = []
+    artist: Any
+    for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
+        label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
+        if isinstance(artist, Collection):
+            area: Any = artist.get_facecolor()
+            found.append((to_hex(area[0]), label, "area"))
+        else:
+            sign = "•" if artist.get_linestyle() == "None" else ""
+            found.append((to_hex(artist.get_color()), label, sign))
+    return found
 
 
 def busiest_span(
@@ -60,195 +83,54 @@ def busiest_span(
     return first, first + length
 
 
-def coefficient_figure(result: FlightResult, span: Any, caption: str) -> str:
-    """Return measured and estimated coefficients over a span, with residuals and their band beneath each."""
-    display = CoefficientDisplay(
-        time=result.time, measured=result.measured, mean=result.mean, truth=result.truth,
-        std=result.noisy_std, output_names=COEFFICIENTS,
-    )  # fmt: skip
+def coefficient_display(result: FlightResult) -> TimeHistoryDisplay:
+    """Return measured and estimated coefficients of a flight."""
+    half = 1.96 * result.noisy_std
+    return TimeHistoryDisplay(
+        time=result.time,
+        names=COEFFICIENTS,
+        measured=result.measured,
+        mean=result.mean,
+        truth=result.truth,
+        lower=result.mean - half,
+        upper=result.mean + half,
+    )
 
-    def draw(figure, name):
-        options = {"time_span": span, "n_bins": N_BINS, "legend": False}
-        display.plot(figure, outputs=name, kind="both", **options)
-        for ax in figure.axes:
-            ax.yaxis.set_label_coords(-0.185, 0.5)
 
-    panels = [
-        picture(
-            partial(draw, name=name),
-            label=f"{name} against time: measured and estimated with its 95 % band, and residuals",
-            size=(WIDTH, 2.25),
-            margins=(0.82, *MARGINS[1:]),
-        )
-        for name in COEFFICIENTS
-    ]
-    key = KEY + ([] if result.truth is None else [TRUTH])
-    return figure(panels, caption, key)
+def coefficient_figure(display: TimeHistoryDisplay, caption: str) -> str:
+    """Return coefficients, with what the estimate misses of them beneath each."""
+    return display_figure(display, display.residuals(), caption=caption)
 
 
 def chapters(result: FlightResult, length: float) -> str:
     """Return the coefficients of a long flight in parts of ``length`` [s], to be opened by hand."""
     begin, end = result.time[[0, -1]]
+    display = coefficient_display(result)
     parts = ""
     for first in np.arange(begin, end, length) if end - begin > 1.5 * CHAPTER else ():
         last = min(first + length, end)
         if np.any((result.time >= first) & (result.time <= last)):
             words = f"{number(first, '.0f')} to {number(last, '.0f')}{THIN}s"
             caption = f"Coefficients of {text(result.name)}, {words}."
-            body = coefficient_figure(result, (first, last), caption)
+            body = coefficient_figure(display.between(first, last), caption)
             parts += f"<details><summary>{words}</summary>{body}</details>"
     return parts
 
 
-def state_figure(result: FlightResult, horizon: float, span: Any) -> str:
-    """Return the lateral states that were replayed and measured; empty where there is none."""
-    if not result.measured_states:
+def state_figure(result: FlightResult, span: Any) -> str:
+    """Return the lateral states that were replayed over the shortest horizon; empty where there is none."""
+    if result.replay is None or result.table is None or not result.replayed_states:
         return ""
-    rows = result.replay_over(horizon)
-    table = cast("pd.DataFrame", result.table)
-    span = span if span is not None and rows["time"].between(*span).any() else None
-
-    def draw(ax, name):
-        options = {"time_span": span, "n_bins": N_BINS, "legend": False}
-        StateDisplay.from_replay(rows, table, states=[name], ax=ax, **options)
-
-    panels = [
-        strip(partial(draw, name=name), label=f"{name} against time: measured and replayed")
-        for name in result.measured_states
-    ]
+    horizon = float(result.replay["horizon"].min())
+    display = TimeHistoryDisplay.compute_replay(
+        result.replay, result.table, states=result.replayed_states, horizon=horizon
+    )
+    if span is not None and np.any((display.time >= span[0]) & (display.time <= span[1])):
+        display = display.between(*span)
     caption = (
         f"Coefficients of {text(result.name)} in motion (the paper's figure 7): states integrated "
         f"from the coefficients estimated at the measured states, restarted from the measured state "
         f"every {number(horizon, 'g')}{THIN}s. No control or stability of the aircraft corrects "
         f"their drift, so this is not a simulation."
     )
-    key = [KEY[0], ("blue", "integrated", ""), KEY[2]]
-    return figure(panels, caption, key)
-
-
-def simulation_figure(display: TrajectoryDisplay, caption: str) -> str:
-    """Return a simulated flight with its bands beside the flown one."""
-    panels = []
-    for k, name in enumerate(display.names):
-        panels.append(
-            strip(
-                partial(display.plot, legend=False, columns=[name]),
-                label=f"{name} against time: simulated with its 95 % band, and flown",
-                bottom=k >= len(display.names) - 2,
-            )
-        )
-    key = [("blue", "simulated", ""), ("sky", "95 % band", "area"), ("vermillion", "flown", "")]
-    if display.beyond is not None and (display.beyond > 0).any():
-        key.append(("orange", "outside what was learned from", "▬"))
-    return figure(panels, caption, key)
-
-
-def input_figure(name: str, table: pd.DataFrame, color: str) -> str:
-    """Return the inputs of one flight."""
-    display = FlightDisplay(flights={name: table})
-
-    def draw(ax, channel):
-        display.plot_inputs(ax, channels=channel, n_bins=N_BINS)
-        display.lines_[0].set_color(color)
-        ax.set_title("")
-
-    channels = display.inputs
-    panels = [
-        strip(partial(draw, channel=channel), label=f"{channel} against time", bottom=True)
-        for channel in channels
-    ]
-    return figure(panels, f"Inputs of {text(name)}.")
-
-
-def path_figure(flights: dict[str, pd.DataFrame]) -> str:
-    """Return the ground paths, coloured by flight."""
-    display = FlightDisplay(flights=named_flights(flights))
-    panel = picture(
-        partial(display.plot_path, legend=False),
-        label="Path over the ground, coloured by flight",
-        size=(WIDTH, 4.0),
-    )
-    names = {color: name for name, color in PALETTE.items()}
-    key = [
-        (names[CYCLE[k % len(CYCLE)]], name, SIGNS[start_marker(k)])
-        for k, name in enumerate(flights)
-    ]
-    caption = "Path over the ground, north up; the flight's marker shows where it begins."
-    if any("north" not in table.columns for table in flights.values()):
-        caption += " Without recorded positions: integrated from the velocities, from the origin."
-    return figure([panel], caption, key, "single")
-
-
-def calibration_figure(values: Matrix, mean: Matrix, std: Matrix) -> str:
-    """Return nominal against observed coverage."""
-    panel = picture(
-        lambda figure: CalibrationDisplay.from_predictions(
-            values, mean, std, output_names=COEFFICIENTS, ax=figure
-        ),
-        label="Observed against nominal coverage of measured coefficients",
-        size=(4.0, 3.85),
-    )
-    caption = (
-        "How often intervals, with the noise, hold the measured values of all test flights. On the "
-        "dotted line they hold as often as they say."
-    )
-    return figure([panel], caption, layout="single")
-
-
-def effect_figures(display: EffectsDisplay) -> str:
-    """Return for each output its largest effects, on one scale, and its strongest interactions."""
-    parts = []
-    for output in map(str, display.importance):
-        names = list(display.importance.loc[list(display.curves), output].nlargest(N_EFFECTS).index)
-        k = list(display.importance).index(output)
-        curves = [display.curves[name] for name in names]
-        tops = [np.abs(one.mean[:, k]).max() + 1.96 * one.std[:, k].min() for one in curves]
-        top = 1.08 * max(tops, default=1.0)
-
-        def draw_effect(figure, name, output=output, top=top):
-            ax = figure.subplots()
-            tidy(ax)
-            display.draw_effect(ax, output, name)
-            ax.set_ylim(-top, top)
-            ax.set_xlabel(display_unit(name)[1])
-
-        def draw_interaction(figure, number, output=output):
-            ax = figure.subplots()
-            tidy(ax)
-            display.draw_interaction(ax, output, number)
-
-        titles = [f"{symbol(output)} by {regressor(name)}" for name in names]
-        panels = [
-            picture(partial(draw_effect, name=name), label=f"Effect of {name} on {output}", **SMALL)
-            for name in names
-        ]
-        for n, found in enumerate(display.interactions.get(output, ())):
-            first, second = found.regressors
-            titles.append(f"{symbol(output)} by {regressor(first)}, at two {regressor(second)}")
-            label = f"Effect of {first} on {output} at two values of {second}"
-            panels.append(picture(partial(draw_interaction, number=n), label=label, **SMALL))
-        cells = [f"<div><p>{a}</p>{b}</div>" for a, b in zip(titles, panels, strict=True)]
-        parts.append(figure(cells, f"Effects on {symbol(output)}.", layout="trio"))
-    return "".join(parts)
-
-
-def envelope_figure(display: EnvelopeDisplay) -> str:
-    """Return a panel for each pair of regressors: samples, relative uncertainty, another flight."""
-    left, right, below, above = MARGINS
-    panels = [
-        picture(
-            partial(display.plot, pairs=[pair], legend=False),
-            label=f"{pair[1]} against {pair[0]}: where samples were flown, and how uncertain the model is there",
-            size=(2.9, 2.45), margins=(left - 0.1, right, below + 0.05, above),
-        )
-        for pair in display.pairs
-    ]  # fmt: skip
-    key = [("#333333", "learned from", "•"), ("blue", "relative uncertainty", "")]
-    key += [] if display.path is None else [("vermillion", "test flights", "•")]
-    caption = (
-        "Pairs of regressors; those that a panel does not show are at their medians. Contours: the "
-        "standard deviation of the coefficients, over how much they vary where samples were flown: "
-        "0 where they are known, 1 where any value flown is as likely. Where a test flight, or a "
-        "simulation, leaves the dots for darker blue, coefficients are extrapolated."
-    )
-    return figure(panels, caption, key, "trio")
+    return display_figure(display, caption=caption)

@@ -23,8 +23,9 @@ from skdgp._display.page import (
     table,
     text,
 )
-from skdgp._display.style import CYCLE, display_unit, units_shown
-from skdgp._flight.channels import MIRRORED
+from skdgp._display.style import display_unit, units_shown
+from skdgp._flight.channels import COEFFICIENTS, MIRRORED
+from skdgp.plotting import CalibrationDisplay, PathDisplay, TimeHistoryDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
 from skdgp.report._tables import (
@@ -376,7 +377,7 @@ def _simulation(found: FlightMechanics, draw: bool) -> str:
             "holds 95 % of the aircraft that the model allows, in still air: gusts and steady wind "
             "are not in it."
         )
-        parts.append(figures.simulation_figure(found.simulated, caption))
+        parts.append(figures.display_figure(found.simulated, caption=caption))
     return _section("Simulation", *parts)
 
 
@@ -410,15 +411,13 @@ def _flight(result: FlightResult, length: float | None) -> str:
     name = text(result.name)
     span = figures.busiest_span(result.time, result.mean)
     caption = f"Coefficients of {name}, and beneath each measured less estimated, in the 95 % band."
-    parts.append(figures.coefficient_figure(result, None, caption))
+    display = figures.coefficient_display(result)
+    parts.append(figures.coefficient_figure(display, caption))
     if span is not None:
         seconds = number(span[1] - span[0], "g")
         caption = f"The {seconds}{THIN}s of {name} in which the estimates move most."
-        parts.append(figures.coefficient_figure(result, span, caption))
-    parts.append(figures.chapters(result, length))
-    if result.replay is not None:
-        horizon = float(result.replay["horizon"].min())
-        parts.append(figures.state_figure(result, horizon, span))
+        parts.append(figures.coefficient_figure(display.between(*span), caption))
+    parts += [figures.chapters(result, length), figures.state_figure(result, span)]
     return "".join(parts)
 
 
@@ -430,7 +429,12 @@ def _calibration(content: ReportContent) -> str:
         np.concatenate([getattr(one, name) for one in content.test])
         for name in ("measured", "mean", "noisy_std")
     ]
-    return _section("Calibration", figures.calibration_figure(*columns))
+    display = CalibrationDisplay.compute(*columns, output_names=COEFFICIENTS)
+    caption = (
+        "How often intervals, with the noise, hold the measured values of all test flights. On the "
+        "dotted line they hold as often as they say."
+    )
+    return _section("Calibration", figures.display_figure(display, caption=caption))
 
 
 def _effects(content: ReportContent) -> str:
@@ -438,20 +442,28 @@ def _effects(content: ReportContent) -> str:
     if content.effects is None:
         return ""
     words = (
-        f"For each coefficient the {figures.N_EFFECTS} regressors whose effect varies most, on one "
+        "For each coefficient the regressors whose effect varies most, on one "
         "scale, with mean zero over the samples (short lines) and the 95 % band. Then the two "
         "strongest interactions: how the coefficient changes with one regressor at a low (5 %) and "
         "a high (95 %) value of another, all others at their means. Without an interaction both "
         "lines are one. Bands are wide where regressors moved together in the flights: the sum is "
         "then known better than its terms."
     )
-    return _section("Effects", _note(words), figures.effect_figures(content.effects))
+    return _section("Effects", figures.display_figure(content.effects, caption=words))
 
 
 def _envelope(content: ReportContent) -> str:
     if content.envelope is None:
         return ""
-    return _section("Where the model knows", figures.envelope_figure(content.envelope))
+    caption = (
+        "Pairs of regressors; those that a panel does not show are at their medians. Contours: the "
+        "standard deviation of the coefficients, over how much they vary where samples were flown: "
+        "0 where they are known, 1 where any value flown is as likely. Where a test flight, or a "
+        "simulation, leaves the dots for darker blue, coefficients are extrapolated."
+    )
+    return _section(
+        "Where the model knows", figures.display_figure(content.envelope, caption=caption)
+    )
 
 
 def _flown(content: ReportContent) -> str:
@@ -461,11 +473,20 @@ def _flown(content: ReportContent) -> str:
     tracked = {
         name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)
     }  # fmt: skip
-    parts = [figures.path_figure(tracked)] if tracked else []
+    parts = []
+    if tracked:
+        caption = "Path over the ground, north up; the flight's marker shows where it begins."
+        if any("north" not in table.columns for table in tracked.values()):
+            caption += (
+                " Without recorded positions: integrated from the velocities, from the origin."
+            )
+        parts.append(figures.display_figure(PathDisplay.compute(tracked), caption=caption))
     shown = list(flights.items())[: 2 * MOST_OPEN]
     parts += [
-        figures.input_figure(name, table, CYCLE[k % len(CYCLE)])
-        for k, (name, table) in enumerate(shown)
+        figures.display_figure(
+            TimeHistoryDisplay.compute_inputs(table), caption=f"Inputs of {text(name)}."
+        )
+        for name, table in shown
     ]
     if len(shown) < len(flights):
         parts.append(_note(f"Inputs of the first {len(shown)} of {len(flights)} flights."))

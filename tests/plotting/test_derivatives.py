@@ -44,12 +44,12 @@ def test_lines_and_bands_are_those_of_the_table_in_order(sweep):
     display = DerivativeDisplay.from_sweep(
         sweep, over="alpha", derivatives=["CX_alpha"], ax=Figure()
     )
-    x, y = display.lines_[0].get_data()
+    x, y = display.axes_[0, 0].lines[0].get_data()
     assert x == pytest.approx(np.rad2deg(np.sort(ALPHAS)))
     assert y == pytest.approx(0.8 * np.sort(ALPHAS))
     std = sweep.xs("CX_alpha", level=1)["std"].to_numpy()[np.argsort(ALPHAS)]
-    drawn = display.bands_[0].get_paths()[0].vertices
-    assert drawn[:, 1].max() == pytest.approx((y + norm.ppf(0.975) * std).max())
+    drawn = display.axes_[0, 0].collections[0].get_paths()[0].vertices
+    assert drawn[:, 1].max() == pytest.approx((y + norm.ppf(0.975) * std).max(), rel=1e-4)
     assert display.axes_[0, 0].get_ylabel() == r"$C_{X_{\alpha}}$"
 
 

@@ -22,49 +22,40 @@ def model():
     return DependentGPRegressor(structure="additive", n_latent=0, optimizer=None).fit(X, Y)
 
 
-def test_draws_a_row_for_each_output_and_a_column_for_each_regressor(model):
-    display, found = EffectsDisplay.from_model(model, ax=Figure(), level=0.9), effects(model)
+def test_a_row_for_each_output_holds_effects_and_interactions(model):
+    display, found = EffectsDisplay.from_model(model, ax=Figure()), effects(model)
     assert display.axes_.shape == (2, 3)
+    assert display.keys[3:] == [("Cm", "alpha"), ("Cm", "throttle"), ("Cm", 0)]
     assert [ax.get_ylabel() for ax in display.axes_[:, 0]] == ["$C_Z$", "$C_m$"]
-    assert [ax.get_xlabel() for ax in display.axes_[-1]] == ["$\\alpha$\n[deg]", "throttle", ""]
-    x, y = display.lines_[3].get_data()
-    np.testing.assert_allclose(x, np.rad2deg(found.curves["alpha"].at))
-    np.testing.assert_allclose(y, found.curves["alpha"].mean[:, 1])
-    upper = display.bands_[3].get_paths()[0].vertices[:, 1].max()
-    assert upper == pytest.approx((y + norm.ppf(0.95) * found.curves["alpha"].std[:, 1]).max())
-    (bar,) = display.bars_[2]
-    assert bar.get_height() == pytest.approx(
-        2 * norm.ppf(0.95) * found.importance.loc["joint", "CZ"]
-    )
+    assert [ax.get_xlabel() for ax in display.axes_[0, :2]] == [r"$\alpha$ [deg]", "throttle"]
+    _, line, _ = display.axes_[1, 0].lines
+    curve = found.curves["alpha"]
+    np.testing.assert_allclose(line.get_xdata(), np.rad2deg(curve.at))
+    np.testing.assert_allclose(line.get_ydata(), curve.mean[:, 1])
+    upper = display.axes_[1, 0].collections[0].get_paths()[0].vertices[:, 1].max()
+    expected = (curve.mean + norm.ppf(0.975) * curve.std)[:, 1].max()
+    assert upper == pytest.approx(expected, rel=1e-4)
     for row in display.axes_:
-        assert len({ax.get_ylim() for ax in row}) == 1
+        assert row[0].get_ylim() == row[1].get_ylim()
+    of_levels = display.axes_[1, 2].get_legend().texts
+    assert len(of_levels) == 2
 
 
 def test_controls_in_parts_of_their_full_throw_are_shown_so(model):
     parts = copy(model)
     parts.control_units_ = {"alpha": "full throw"}  # as of a pipeline of `identify`
-    display = EffectsDisplay.from_model(parts, ax=Figure())
-    assert display.axes_[-1, 0].get_xlabel() == "$\\alpha$\n[full throw]"
-    np.testing.assert_allclose(display.lines_[0].get_xdata(), display.curves["alpha"].at)
+    display = EffectsDisplay.from_model(parts, ax=Figure(), keys=[("CZ", "alpha")])
+    (ax,) = display.axes_.flat
+    assert ax.get_xlabel() == r"$\alpha$ [full throw]"
+    np.testing.assert_allclose(ax.lines[1].get_xdata(), display.curves["alpha"].at)
 
 
-def test_draws_what_is_wanted(model):
-    display = EffectsDisplay.compute(model, n_grid=5)
-    display.plot(Figure(), outputs="Cm", legend=False)
-    assert display.axes_.shape == (1, 3)
-    assert len(display.lines_[0].get_xdata()) == 5
-    assert display.figure_.legends == []
-    with pytest.raises(ValueError, match=r"Got the outputs \['CX'\]"):
-        display.plot(Figure(), outputs="CX")
-
-
-def test_joint_processes_alone_have_no_curves(model):
+def test_joint_processes_alone_have_interactions(model):
     X = effects(model).samples
     joint = DependentGPRegressor(trend="constant", n_latent=0, optimizer=None).fit(X, X["alpha"])
     display = EffectsDisplay.from_model(joint, ax=Figure())
     display.figure_.canvas.draw()
-    assert display.axes_.shape == (1, 1)
-    assert [label.get_text() for label in display.axes_[0, 0].get_xticklabels()] == ["joint"]
+    assert display.keys == [("alpha", 0)]
 
 
 def test_an_interaction_is_what_effects_do_not_add_up_to(model):
@@ -84,9 +75,10 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     assert np.diff(slopes) == pytest.approx(20 * np.diff(strongest.levels), rel=0.15)
     assert (strongest.std >= 0).all()
     display = EffectsDisplay.compute(joint)
-    (low, band), (high, _) = display.draw_interaction(Figure().subplots(), "CZ", 0)
+    display.draw(ax := Figure().subplots(), ("CZ", 0))
+    _, low, high = ax.lines
     np.testing.assert_allclose(low.get_ydata(), display.interactions["CZ"][0].mean[:, 0])
     assert high.get_label().startswith("$q$ = ")
-    assert band is not None
+    assert len(ax.collections) == 2
     sums = interactions(model)  # of functions of single regressors, but for the joint process
     assert set(sums) == {"CZ", "Cm"}

@@ -180,6 +180,20 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
         )
 
 
+def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int, chosen: bool) -> None:
+    """Warn that inducing inputs leave a variance unexplained, ``neglected`` over that of the noise."""
+    found = f"{n_inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained"
+    if chosen:
+        _warn(
+            f"{found}, so the model is learned from {n_exact} of the values by exact inference. "
+            "Raise n_inducing to learn from all."
+        )
+    else:
+        _warn(
+            f"{found}: predictions are less accurate than those of exact inference. Raise n_inducing."
+        )
+
+
 def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
     """Return R (d, r) of the covariance R R^T of the regressors' noise; None and "learned" are returned unchanged."""
     if input_noise is None or isinstance(input_noise, str):

@@ -33,6 +33,11 @@ An exact posterior of 6000 values takes seconds. Errors of a log are correlated,
 posterior takes into account.
 """
 MOST_NEGLECTED = 0.3
+"""Largest prior variance that inducing variables may leave unexplained, over that of the noise.
+
+With 0.5 of it the error of kin8nm is 0.47, of exact inference 0.27; with 0.02 that of Friedman's
+function is the same as of exact inference.
+"""
 ADDITIVE_SAMPLES = (
     5000  # of a log: largest number for which an average has main effects, see docs/theory.md
 )
@@ -57,8 +62,11 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool, inference: str) -
         fit = fit_exact(kernel, X, Z, **options)
     else:
         fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
-        chosen = model.inference == "auto" and not log and not fit.interrupted
-        if chosen and _neglect(fit) > MOST_NEGLECTED:
+        neglected = 0.0 if log or fit.interrupted else _neglect(fit)
+        chosen = model.inference == "auto"
+        if neglected > MOST_NEGLECTED:
+            _checks.warn_of_approximation(neglected, model.n_inducing, EXACT_LIMIT, chosen)
+        if neglected > MOST_NEGLECTED and chosen:
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z = X[rows], Z[rows]

@@ -5,12 +5,8 @@
 REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py;
 the HFB-320 is ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights
 and predicts those of others: NRMSE, mean over the coefficients, over that of least squares from the
-same regressors. Members are those of the same fit, each alone; "one search": the mean error of the
-average of each search alone. "product": members weighted by precision at each point, what a
-committee of experts would say. NLPD and coverage are of measured coefficients at one row in ten.
-
-The last table is of the one number that was chosen on these pairs, the rows of prior opinion of the
-weights: what is best without an aircraft, scored on it.
+same regressors. Members are those of the same fit, each alone. NLPD and coverage are of measured
+coefficients at one row in ten.
 
 Each run is kept as OUT/pairs/PAIR-LATENTS-SEED.json, and not run again unless ``--redo`` says so.
 """
@@ -29,14 +25,11 @@ from scipy.io import loadmat
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._regressor._structure import weights_of
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import flight_regressors
-from skdgp.inference import _average
 from skdgp.io import read_flight
 from skdgp.metrics import interval_coverage, negative_log_predictive_density, normalized_rmse
 
-OPINIONS = (1.0, 3.0, 10.0, 30.0, 100.0)
 HFB_320 = Aircraft(
     name="HFB-320",
     mass=7472.0,
@@ -149,17 +142,12 @@ def task_of_pair(name, repository, data):
 
 
 def result(task, seed, latents):
-    """Return what the average, each member and other ways to mix them are worth."""
-    seen, stacked = [], _average.stacked
-    _average.stacked = lambda *evidence: seen.append(evidence) or stacked(*evidence)
+    """Return what the average and each member are worth."""
     pipeline = make_identification_pipeline(
         task.aircraft, regressor=DependentGPRegressor(n_latent=latents, random_state=seed)
     )
     start = time.process_time()
-    try:
-        pipeline.fit(task.train, task.targets)
-    finally:
-        _average.stacked = stacked
+    pipeline.fit(task.train, task.targets)
     seconds = time.process_time() - start
     last = pipeline[-1]
     X, ratio = flight_regressors(pipeline, task.test)
@@ -175,54 +163,10 @@ def result(task, seed, latents):
     least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
     found["least squares"] = float(normalized_rmse(task.measured, least_squares.predict(X)))
     found["average"] = scored(task, mean, std**2)
-    for name, k in searches_of(members).items():
-        found[name] = scored(
-            task, *mixed(np.full(means[k].shape, 1 / len(k)), means[k], function[k] + noise)
-        )
-    of_searches = errors_of_searches(task, last.posterior_, means, function + noise)
-    found["one search"] = {"error": float(np.mean(list(of_searches)))}
-    precision = 1.0 / (function + 0.3 * last.noise_variance_)
-    found["product"] = scored(
-        task, *mixed(precision / precision.sum(axis=0), means, function + noise)
-    )
-    found["equal"] = scored(
-        task, *mixed(np.full(means.shape, 1 / len(means)), means, function + noise)
-    )
+    for k, name in enumerate(last.weights_):
+        found[name] = scored(task, means[k], function[k] + noise)
     found["weights"] = {name: weights.tolist() for name, weights in last.weights_.items()}
-    if seen:
-        found["opinions"] = {}
-        for rows in OPINIONS:
-            weights = np.array(
-                [stacked(*evidence, rows) for evidence in seen]
-            )  # of outputs, search by search
-            weights = weights.reshape(-1, means.shape[2], weights.shape[1]).swapaxes(1, 2)
-            weights = weights.reshape(len(means), 1, -1) / len(weights)
-            mix = mixed(weights * np.ones(means.shape), means, function + noise)
-            found["opinions"][str(rows)] = scored(task, *mix)["error"]
     return found
-
-
-def searches_of(members):
-    """Return for each kind of member its places among the members, one of each search."""
-    names = [next(iter(weights_of(member))) for member in members]
-    return {name: [k for k, other in enumerate(names) if other == name] for name in names}
-
-
-def errors_of_searches(task, posterior, means, variances):
-    """Return the error of the average of each search alone."""
-    of_search = np.cumsum([part == posterior.parts[0] for part in posterior.parts]) - 1
-    for s in range(of_search.max() + 1):
-        k = np.flatnonzero(of_search == s)
-        weights = posterior.mixture[k] / posterior.mixture[k].sum(axis=0)
-        yield scored(
-            task, *mixed(weights[:, None] * np.ones(means[k].shape), means[k], variances[k])
-        )["error"]
-
-
-def mixed(weights, means, variances):
-    """Return the moments of a mixture with weights (K, n, P)."""
-    mean = (weights * means).sum(axis=0)
-    return mean, (weights * (variances + (means - mean) ** 2)).sum(axis=0)
 
 
 def scored(task, mean, variance):
@@ -248,7 +192,7 @@ def of_pairs(runs):
     for pair in dict.fromkeys(run["pair"] for run in runs):
         some = [run for run in runs if run["pair"] == pair]
         row = {"pair": pair, "least squares": some[0]["least squares"]}
-        for name in ("average", "one search", "joint", "additive", "trend", "equal", "product"):
+        for name in ("average", "joint", "additive", "trend"):
             row[name] = _median(
                 run[name]["error"] / run["least squares"] for run in some if name in run
             )
@@ -280,7 +224,7 @@ def geometric_means(rows):
     }.items():
         some = [row for row in rows if row["pair"] in names]
         if some:
-            kinds = ("average", "one search", "joint", "trend", "equal", "product")
+            kinds = ("average", "joint", "trend")
             means = {
                 kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds
             }
@@ -291,32 +235,6 @@ def geometric_means(rows):
                     "worst": max(row["average"] for row in some),
                 }
             )
-    return found
-
-
-def left_out(runs):
-    """Return, for each aircraft, which opinion is best without it, and the ratio of that on it."""
-    ratios: dict = {}
-    for run in runs:
-        if "opinions" in run and run["pair"] in LISTED:
-            for rows, error in run["opinions"].items():
-                of_craft = ratios.setdefault(run["pair"].split("_")[0], {}).setdefault(rows, [])
-                of_craft.append(np.log(error / run["least squares"]))
-    found = []
-    for craft, own in ratios.items():
-        others = {
-            rows: np.mean([np.mean(r[rows]) for name, r in ratios.items() if name != craft])
-            for rows in own
-        }
-        best = min(own, key=others.__getitem__) if len(ratios) > 1 else next(iter(own))
-        found.append(
-            {
-                "aircraft": craft,
-                "best of the others": best,
-                "its ratio": float(np.exp(np.mean(own[best]))),
-            }
-            | {f"{rows} rows": float(np.exp(np.mean(own[rows]))) for rows in own}
-        )
     return found
 
 
@@ -353,7 +271,6 @@ def main(words=None):
         "pairs",
         of_pairs=rows,
         geometric_means=geometric_means(rows),
-        left_out=left_out(runs),
     )
 
 

@@ -354,6 +354,18 @@ class TestMemory:
             model = quick(inference="sparse", n_inducing=31).fit(X, Y)
         assert np.isfinite(model.predict(X, return_std=True)).all()
 
+    def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
+        """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
+        rng = np.random.default_rng(0)
+        x = rng.uniform(size=(120, 1))
+        y = np.sin(20 * x[:, 0]) + rng.normal(0, 0.05, 120)
+        options = {"structure": "joint", "max_iter": 100, "inference": "sparse"}
+        with pytest.warns(UserWarning, match="4 inducing inputs leave .* Raise n_inducing"):
+            few = quick(n_inducing=4, **options).fit(x, y)
+        many = quick(n_inducing=40, **options).fit(x, y)
+        errors = [np.std(model.predict(x) - np.sin(20 * x[:, 0])) for model in (few, many)]
+        assert errors[1] < 0.05 < errors[0]
+
     def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
         assert quick().fit(X, Y).inference_ == "exact"
         monkeypatch.setattr("skdgp._regressor._estimator.EXACT_LIMIT", 59)

@@ -186,6 +186,7 @@ class TestStructure:
         X = rng.uniform(-2, 2, (60, 4))
         return X, np.sin(3 * X).sum(axis=1) + rng.normal(0, 0.05, 60)
 
+    @pytest.mark.filterwarnings("ignore:40 inducing inputs leave")
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_learns_a_sum_from_few_samples(self, sample, inference):
         X, y = sample

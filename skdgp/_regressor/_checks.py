@@ -180,18 +180,22 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
         )
 
 
-def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int, chosen: bool) -> None:
-    """Warn that inducing inputs leave a variance unexplained, ``neglected`` over that of the noise."""
-    found = f"{n_inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained"
-    if chosen:
-        _warn(
-            f"{found}, so the model is learned from {n_exact} of the values by exact inference. "
-            "Raise n_inducing to learn from all."
-        )
-    else:
-        _warn(
-            f"{found}: predictions are less accurate than those of exact inference. Raise n_inducing."
-        )
+def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None) -> None:
+    """Warn that inducing inputs leave a variance unexplained, ``neglected`` over that of the noise.
+
+    ``n_exact``: the number of values that the model is learned from instead, if any.
+    """
+    remedy = (
+        "predictions are less accurate than those of exact inference. Raise n_inducing."
+        if n_exact is None
+        else f"the model is learned from {n_exact} of the values instead. Raise n_inducing to learn "
+        "from all."
+    )
+    _warn(
+        f"{n_inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained: "
+        f"{remedy}",
+        stacklevel=7,
+    )
 
 
 def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
@@ -321,10 +325,10 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
         )
 
 
-def _warn(message, category=UserWarning):
+def _warn(message, category=UserWarning, stacklevel=6):
     # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
     # fit.
-    warnings.warn(message, category, stacklevel=6)
+    warnings.warn(message, category, stacklevel=stacklevel)
 
 
 def warn_of_bounds(given: Any, kernel: Any) -> None:

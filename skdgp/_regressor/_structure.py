@@ -63,10 +63,10 @@ def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool, inference: str) -
     else:
         fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
         neglected = 0.0 if log or fit.interrupted else _neglect(fit)
-        chosen = model.inference == "auto"
+        n_exact = EXACT_LIMIT if model.inference == "auto" else None
         if neglected > MOST_NEGLECTED:
-            _checks.warn_of_approximation(neglected, model.n_inducing, EXACT_LIMIT, chosen)
-        if neglected > MOST_NEGLECTED and chosen:
+            _checks.warn_of_approximation(neglected, model.n_inducing, n_exact)
+        if neglected > MOST_NEGLECTED and n_exact is not None:
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z = X[rows], Z[rows]

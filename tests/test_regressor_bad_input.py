@@ -337,6 +337,7 @@ class TestMemory:
             ):
                 call()
 
+    @pytest.mark.filterwarnings("ignore:3 inducing inputs leave")
     def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
         monkeypatch.setattr(linalg, "_physical_memory", lambda: 6e4)
         with pytest.raises(ValueError, match="Exact inference on 60 values"):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from sklearn.base import OneToOneFeatureMixin
+from sklearn.base import BaseEstimator, OneToOneFeatureMixin
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
@@ -92,7 +92,7 @@ class Effects:
         return (mean, variance) if return_std else mean
 
 
-def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
+def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects:
     r"""Return the effect of each regressor on each output, and what is joint, with standard deviations.
 
     The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a
@@ -178,7 +178,7 @@ def effects(model: Any, X: Any = None, *, n_grid: int = 30) -> Effects:
 
 
 def interactions(
-    model: Any, X: Any = None, *, most: int = 2, n_grid: int = 15
+    model: BaseEstimator, X: Any = None, *, most: int = 2, n_grid: int = 15
 ) -> dict[str, list[Interaction]]:
     r"""Return the ``most`` strongest interactions of two regressors on each output, the strongest first.
 

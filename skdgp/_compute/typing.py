@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.random import RandomState
@@ -21,4 +21,12 @@ Indices: TypeAlias = NDArray[np.intp]
 Seed: TypeAlias = "int | RandomState | None"
 """As scikit-learn's ``random_state``."""
 
-__all__ = ["Array", "ArrayLike", "Indices", "Mask", "Matrix", "Seed", "Vector"]
+
+class Predictor(Protocol):
+    """A fitted estimator or a posterior."""
+
+    def predict(self, X: Matrix, /) -> Any:
+        """Return the mean at X (n, d)."""
+
+
+__all__ = ["Array", "ArrayLike", "Indices", "Mask", "Matrix", "Predictor", "Seed", "Vector"]

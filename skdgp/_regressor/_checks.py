@@ -15,6 +15,7 @@ from sklearn.utils import check_array
 from skdgp._compute.files import column_names
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
 from skdgp._compute.statistics import autocorrelation_time
+from skdgp.kernels import MultiOutputKernel
 
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
 Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
@@ -331,7 +332,7 @@ def _warn(message, category=UserWarning, stacklevel=6):
     warnings.warn(message, category, stacklevel=stacklevel)
 
 
-def warn_of_bounds(given: Any, kernel: Any) -> None:
+def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:
     """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
     if given is None:
         return

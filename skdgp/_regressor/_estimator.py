@@ -192,7 +192,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def __init__(
         self,
-        kernel: Any = None,
+        kernel: MultiOutputKernel | None = None,
         *,
         n_latent: int | None = None,
         covariance_type: str = "diag",

@@ -5,13 +5,28 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from sklearn.base import clone
+from sklearn.base import BaseEstimator, clone
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
-from skdgp.inference import Fit, as_exact, average, fit_exact, fit_sparse, n_searched, stratified
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend, Trend
+from skdgp.inference import (
+    Fit,
+    Posterior,
+    as_exact,
+    average,
+    fit_exact,
+    fit_sparse,
+    n_searched,
+    stratified,
+)
+from skdgp.kernels import (
+    BasisTrend,
+    ConvolvedGaussian,
+    LinearTrend,
+    MultiOutputKernel,
+    Trend,
+)
 
 N_LATENT = 2, 4
 """Fewest and most shared latents where their number is not given; more take more time.
@@ -43,7 +58,7 @@ ADDITIVE_SAMPLES = (
 )
 
 
-def fit_structure(model: Any, X: Matrix, Z: Matrix, log: bool, inference: str) -> Fit:
+def fit_structure(model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inference: str) -> Fit:
     """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
     Parameters of the model, a DependentGPRegressor, are read; it is not changed.
@@ -94,7 +109,7 @@ def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
     return int(ITERATIONS * min(ITERATED_VALUES / n_searched(Y), 1.0) ** 3)
 
 
-def weights_of(posterior: Any) -> dict[str, Vector]:
+def weights_of(posterior: Posterior) -> dict[str, Vector]:
     """Return the weight (P,) of each kind of member of a posterior, by its name."""
     weights: dict = {}
     for member, weight in zip(posterior.members, posterior.mixture, strict=True):
@@ -102,7 +117,7 @@ def weights_of(posterior: Any) -> dict[str, Vector]:
     return weights
 
 
-def likeliest_mean(posterior: Any, X: Matrix) -> Matrix:
+def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
     """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
 
     Its errors are noise, where those of an average still hold a part of what the other members
@@ -140,7 +155,7 @@ def _make_kernel(model, X, Z, log):
     if model.structure == "trend":
         return trend
     bounds = "spacing" if log else None
-    kernel: Any = model.kernel and clone(model.kernel)
+    kernel: MultiOutputKernel | None = model.kernel and clone(model.kernel)
     if kernel is None:
         n_latent = model.n_latent
         if n_latent is None:  # more where they can fill what is missing, see docs/choosing.md

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
@@ -130,7 +131,7 @@ class Envelope:
                 found[GROWTH + name] = max(least, grown[0]), min(most, grown[1])
         return found
 
-    def altitudes(self, model: Any) -> tuple[float, float]:
+    def altitudes(self, model: Aerodynamics | BaseEstimator) -> tuple[float, float]:
         """Return the lowest and the highest altitude that a model was learned from [m], 0 and 100 if unknown."""
         return flown_quantities(as_aerodynamics(model)).get("altitude", (0.0, 100.0))
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Matrix
@@ -18,7 +19,7 @@ from skdgp._display.page import number, percent, table, text
 from skdgp._excitation import Signal, Wavetrain
 from skdgp.design._envelope import GROWTH, QUANTITIES, quantities
 from skdgp.design._rehearsal import REACTION, RESPONSE
-from skdgp.dynamics import Aircraft, Trim, stability_derivatives
+from skdgp.dynamics import Aerodynamics, Aircraft, Trim, stability_derivatives
 
 TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
 
@@ -134,7 +135,7 @@ class Plan:
 
 
 def std_at(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     trims: Sequence[Mapping[str, Any]],
     thrust: Any,
@@ -169,7 +170,12 @@ class PlanCheck:
 
     @classmethod
     def from_file(
-        cls, path: str | os.PathLike[str], model: Any, aircraft: Aircraft, *, thrust: Any = "auto"
+        cls,
+        path: str | os.PathLike[str],
+        model: Aerodynamics | BaseEstimator,
+        aircraft: Aircraft,
+        *,
+        thrust: Any = "auto",
     ) -> PlanCheck:
         """Compare a model with the plan.json of ``skdgp plan``.
 

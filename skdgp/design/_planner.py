@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 from sklearn.utils import check_random_state
 
 from skdgp._compute.parallel import one_blas_thread
@@ -28,7 +29,14 @@ from skdgp.design._information import (
 from skdgp.design._library import Inputs, duration_of, input_bands, library, scaled
 from skdgp.design._plan import Plan, std_at
 from skdgp.design._rehearsal import LEAST, RESPONSE, ROW_STEP, Checked, Rehearsal
-from skdgp.dynamics import Aircraft, SimulationWarning, Trim, as_aerodynamics, linearize
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    SimulationWarning,
+    Trim,
+    as_aerodynamics,
+    linearize,
+)
 
 SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: responses are not linear
 TRIES = 6  # largest number of checks of a manoeuvre
@@ -42,7 +50,7 @@ VAGUE = 1e-8  # information assumed of everything, relative to the largest of a 
 
 
 def plan(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     trims: Trim | Sequence[Trim],
     *,

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._excitation import ROUNDING, Limits, Steps, Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, RATE, Inputs
-from skdgp.dynamics import Air, Aircraft, Trim, as_aerodynamics, simulate
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Trim, as_aerodynamics, simulate
 
 ROW_STEP = 0.04  # time between rows of a simulation [s]
 ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of angles of entry from trim [rad]
@@ -65,7 +66,7 @@ class Checked(NamedTuple):
 class Rehearsal:
     """Flights of manoeuvres from a trim."""
 
-    model: Any
+    model: Aerodynamics | BaseEstimator
     aircraft: Aircraft
     point: Trim
     limits: Mapping[str, Limits]

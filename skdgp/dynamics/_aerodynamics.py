@@ -285,7 +285,7 @@ class Aerodynamics:
         return np.stack(slopes, axis=-1)
 
 
-def as_aerodynamics(model: Any) -> Aerodynamics:
+def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
@@ -510,13 +510,13 @@ def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
     return shift, scale, steps[len(scalers) :]
 
 
-def turbulence_of(model: Any) -> Any:
+def turbulence_of(model: BaseEstimator) -> Any:
     """Return the turbulence that a pipeline was learned in, in a search or calibrated too; None if it is not known."""
     inner = getattr(model, "best_estimator_", getattr(model, "estimator_", None))
     return getattr(model, "turbulence_", None) if inner is None else turbulence_of(inner)
 
 
-def _steps_of(model: Any) -> list:
+def _steps_of(model: BaseEstimator) -> list:
     """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
     inner = (
         model.estimator
@@ -551,7 +551,7 @@ def _without_names(step: Any) -> Any:
     return twin
 
 
-def _with(model: Any, **attributes: Any) -> Any:
+def _with(model: BaseEstimator, **attributes: Any) -> Any:
     """Return a copy of the model with other attributes."""
     twin = copy.copy(model)
     twin.__dict__.update(attributes)

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
+from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._estimate import errors_of_sizes
 from skdgp.dynamics._jacobian import LAGS, check_settled, lag_of
@@ -29,7 +31,7 @@ NORMAL_95 = 1.959963984540054
 
 
 def stability_derivatives(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     point: Trim | Sequence[Trim] | ArrayLike,
     controls: Mapping[str, ArrayLike] | None = None,

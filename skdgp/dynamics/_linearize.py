@@ -12,12 +12,14 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler
+from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._jacobian import (
     OUTPUTS,
@@ -175,7 +177,7 @@ class LinearModel:
 
 
 def linearize(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     point: Any,
     controls: Mapping[str, float] | None = None,

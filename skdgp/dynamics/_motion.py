@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
@@ -103,7 +104,7 @@ class Motion:
 
     def __init__(
         self,
-        model: Any,
+        model: Aerodynamics | BaseEstimator,
         aircraft: Aircraft,
         *,
         thrust: Thrust = "auto",

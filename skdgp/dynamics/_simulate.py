@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.statistics import path_quantiles
@@ -26,7 +27,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._aerodynamics import Drift
+from skdgp.dynamics._aerodynamics import Aerodynamics, Drift
 from skdgp.dynamics._air import LocalAir, Turbulence, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._error_covariance import STATES, checked_std, state_deviations
@@ -70,7 +71,7 @@ TINY = 1e-12
 
 
 def simulate(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     x0: Any,
     controls: Any,
@@ -340,7 +341,7 @@ class Simulator:
 
     def __init__(
         self,
-        model: Any,
+        model: Aerodynamics | BaseEstimator,
         aircraft: Aircraft,
         dt: float = 0.02,
         *,

@@ -10,12 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
+from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._jacobian import check_settled
 from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
@@ -101,7 +103,7 @@ class Trim:
 
 
 def trim(
-    model: Any,
+    model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     airspeed: ArrayLike,
     *,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import lapack, rq
@@ -18,7 +18,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.identification import regressor_and_scale
-from skdgp.inference import ExactPosterior, SinglePosterior, training_inputs
+from skdgp.inference import ExactPosterior, SinglePosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
@@ -152,7 +152,7 @@ def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
     found = (
         _exact(posterior, terms, center, tau)
         if isinstance(posterior, ExactPosterior)
-        else _sparse(posterior, tau)
+        else _sparse(cast(SparsePosterior, posterior), tau)
     )
     return [
         Part(tuple(of_part), readout, trend_weights, tau[i], trend_root, float(prior[i]))
@@ -187,7 +187,7 @@ def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> I
         yield terms, readout, posterior.alpha[a:b] @ columns, root
 
 
-def _sparse(posterior: Any, tau: Matrix) -> Iterator[tuple]:
+def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
     """Yield the same of a sparse posterior: the inducing inputs are the centres, each output has a readout."""
     for i in range(len(tau)):
         of_trend = np.zeros(0, int)

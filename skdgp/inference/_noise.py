@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Matrix, Predictor, Vector
 
 LONGEST_HORIZON = 10.0  # longest time over which residuals are integrated [s]
 N_HORIZONS = 12
@@ -190,7 +190,7 @@ def _mean_squared_integrals(residual, time, records, horizons):
 # -----------------------------------------------------------------------------------
 
 
-def misfit_variance(posterior: Any, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
+def misfit_variance(posterior: Predictor, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
     r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
 
     Residuals e of two samples with near regressors share the error of the function, but no noise if

@@ -33,7 +33,7 @@ class FreeParameter:
     name: str
     index: Indices
     log: bool
-    bounds: object
+    bounds: Any
 
     @property
     def fixed(self) -> bool:

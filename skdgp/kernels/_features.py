@@ -230,7 +230,7 @@ class LatentFeatures(Features):
         u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
         return Waves.combine(latents, range(P)), u
 
-    def rebuild(self, kernel: Any) -> Features:
+    def rebuild(self, kernel: MultiOutputKernel) -> Features:
         return LatentFeatures(kernel, self.latents, self.Z, self.width)
 
 

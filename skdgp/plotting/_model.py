@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import (
@@ -137,7 +138,13 @@ class EffectsDisplay(Display):
 
     @classmethod
     def from_model(
-        cls, model: Any, X: Any = None, *, n_grid: int = 30, ax: Any = None, keys: Any = None
+        cls,
+        model: BaseEstimator,
+        X: Any = None,
+        *,
+        n_grid: int = 30,
+        ax: Any = None,
+        keys: Any = None,
     ) -> Self:
         """Draw the :func:`skdgp.effects` and the interactions of a model."""
         check_matplotlib(cls.__name__)
@@ -145,7 +152,7 @@ class EffectsDisplay(Display):
             return cls.compute(model, X, n_grid=n_grid).plot(ax, keys=keys)
 
     @classmethod
-    def compute(cls, model: Any, X: Any = None, *, n_grid: int = 30) -> Self:
+    def compute(cls, model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Self:
         """Return what :meth:`from_model` draws."""
         found = effects(model, X, n_grid=n_grid)
         return cls(

@@ -225,60 +225,6 @@ def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, target
     assert hasattr(model, "feature_names_in_")  # the user's model is left as it was
 
 
-class TestBadInput:
-    def test_a_missing_coefficient_is_named(self, flight, targets):
-        model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(
-            flight, targets[["CZ", "Cm"]]
-        )
-        with pytest.raises(ValueError, match=r"lacks \['CX', 'CY', 'Cl', 'Cn'\]"):
-            as_aerodynamics(model)
-
-    def test_nameless_outputs_must_be_six(self, flight, targets):
-        model = pipeline(LinearRegression()).fit(flight, targets[["CZ", "Cm"]].to_numpy())
-        with pytest.raises(ValueError, match="expected all six coefficients"):
-            as_aerodynamics(model)
-
-    def test_regressors_without_names(self, targets):
-        model = LinearRegression().fit(np.zeros((120, 2)), targets.to_numpy())
-        with pytest.raises(ValueError, match="have no names"):
-            as_aerodynamics(model)
-
-    def test_channels_that_were_scaled_before_they_were_chosen(self, flight, targets):
-        first = StandardScaler().set_output(transform="pandas")
-        model = make_pipeline(first, RegressorSelector(["alpha", "beta"]), LinearRegression()).fit(
-            flight, targets
-        )
-        with pytest.raises(
-            ValueError, match=r"Got \['StandardScaler'\] before the choice of regressors"
-        ):
-            as_aerodynamics(model)
-
-    def test_what_cannot_predict(self):
-        with pytest.raises(TypeError, match="Got dict as the model"):
-            as_aerodynamics({})
-
-    def test_no_uncertainty_to_draw_from(self, flight, targets):
-        model = as_aerodynamics(pipeline(LinearRegression()).fit(flight, targets))
-        with pytest.raises(ValueError, match="without posterior samples"):
-            model.sample(3)
-        with pytest.raises(ValueError, match="without a posterior covariance"):
-            model.covariance(np.zeros((1, 4)))
-
-    @pytest.mark.parametrize(("options", "match"), [
-        ({"regressors": ["alpha", "alpha"]}, "each once"),
-        ({"regressors": "alpha"}, "expected a list of names"),
-        ({"regressors": ["alpha"], "limits": [0.0, 1.0]}, r"expected \(2, 1\)"),
-    ])  # fmt: skip
-    def test_of_the_constructor(self, options, match):
-        with pytest.raises(ValueError, match=match):
-            Aerodynamics(lambda X: X, **options)
-
-    def test_paths_are_asked_at_their_own_points(self, fitted, X):
-        drawn = as_aerodynamics(fitted).sample(3)
-        with pytest.raises(ValueError, match="3 paths as their first axis"):
-            drawn(np.zeros((2, 5, 4)))
-
-
 def test_paths_and_covariance_have_errors_by_correlated_noise_if_asked():
     """Of a model learned from a log: their variances are those of its posterior and of its polynomials, added."""
     rng = np.random.default_rng(0)
@@ -299,3 +245,39 @@ def test_paths_and_covariance_have_errors_by_correlated_noise_if_asked():
         6,
         2,
     )
+
+
+def learned_without_names(flight, targets):
+    return LinearRegression().fit(np.zeros((120, 2)), targets.to_numpy())
+
+
+def scaled_before_chosen(flight, targets):
+    first = StandardScaler().set_output(transform="pandas")
+    chosen = make_pipeline(first, RegressorSelector(["alpha", "beta"]), LinearRegression())
+    return chosen.fit(flight, targets)
+
+
+@pytest.mark.parametrize(("learned", "match"), [
+    (lambda X, Y: pipeline(LinearRegression()).fit(X, Y[["CZ", "Cm"]].to_numpy()), "expected all six coefficients"),
+    (lambda X, Y: pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(X, Y[["CZ", "Cm"]]),
+     r"lacks \['CX', 'CY', 'Cl', 'Cn'\]"),
+    (learned_without_names, "have no names"),
+    (scaled_before_chosen, r"Got \['StandardScaler'\] before the choice of regressors"),
+    (lambda X, Y: {}, "Got dict as the model"),
+])  # fmt: skip
+def test_what_is_no_aerodynamic_model(flight, targets, learned, match):
+    with pytest.raises((ValueError, TypeError), match=match):
+        as_aerodynamics(learned(flight, targets))
+
+
+@pytest.mark.parametrize(("ask", "match"), [
+    (lambda model: Aerodynamics(model, ["alpha", "alpha"]), "each once"),
+    (lambda model: Aerodynamics(model, "alpha"), "expected a list of names"),
+    (lambda model: Aerodynamics(model, ["alpha"], limits=[0.0, 1.0]), r"expected \(2, 1\)"),
+    (lambda model: Aerodynamics(model, ["alpha"]).sample(3), "without posterior samples"),
+    (lambda model: Aerodynamics(model, ["alpha"]).covariance(np.zeros((1, 1))), "without a posterior covariance"),
+    (lambda model: model.sample(3)(np.zeros((2, 5, 4))), "3 paths as their first axis"),
+])  # fmt: skip
+def test_what_an_aerodynamic_model_cannot(fitted, ask, match):
+    with pytest.raises(ValueError, match=match):
+        ask(as_aerodynamics(fitted))

@@ -190,32 +190,16 @@ class TestSweep:
             assert sweep.loc[k, "airspeed"].iloc[0] == pytest.approx(one.airspeed)
             assert sweep.loc[k, "alpha"].iloc[0] == pytest.approx(one.alpha)
 
-    def test_of_states(self, state):
-        alphas = np.array([0.0, 0.1])
-        states = np.tile(state, (2, 1))
-        states[:, 3:6] = air_velocity(36.0, alphas, 0.0)
-        sweep = stability_derivatives(MODEL, BRUMBY, states, CONTROLS | {"elevator": [-0.02, 0.02]})
-        alone = stability_derivatives(MODEL, BRUMBY, states[1], CONTROLS | {"elevator": 0.02})
-        assert sweep.loc[1, "value"].to_numpy() == pytest.approx(
-            alone["value"].to_numpy(), rel=1e-6
-        )
+
+NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
 
 
-class TestBadInput:
-    def test_axes(self, state):
-        with pytest.raises(ValueError, match="axes='wind', but expected 'body' or 'stability'"):
-            stability_derivatives(MODEL, BRUMBY, state, CONTROLS, axes="wind")
-
-    def test_airspeed_zero(self, state):
-        at_rest = np.where(np.isin(np.arange(13), [3, 4, 5]), 0.0, state)
-        with pytest.raises(ValueError, match="at rest"):
-            stability_derivatives(MODEL, BRUMBY, at_rest, CONTROLS)
-
-    def test_no_controls(self, state):
-        with pytest.raises(ValueError, match="without controls"):
-            stability_derivatives(MODEL, BRUMBY, [state, state])
-
-    def test_a_model_that_is_not_defined_there(self, state):
-        nowhere = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
-        with pytest.raises(ValueError, match="not defined there"):
-            stability_derivatives(nowhere, BRUMBY, state, CONTROLS)
+@pytest.mark.parametrize(("model", "change", "controls", "match"), [
+    (MODEL, {"axes": "wind"}, CONTROLS, "axes='wind', but expected 'body' or 'stability'"),
+    (MODEL, {"point": np.eye(13)[6]}, CONTROLS, "at rest"),
+    (MODEL, {}, None, "without controls"),
+    (NOWHERE, {}, CONTROLS, "not defined there"),
+])  # fmt: skip
+def test_what_has_no_derivatives(state, model, change, controls, match):
+    with pytest.raises(ValueError, match=match):
+        stability_derivatives(model, BRUMBY, **{"point": state, "controls": controls} | change)

@@ -177,20 +177,6 @@ def test_noise_free_columns_give_back_the_true_coefficients(shared_data, name, k
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "kind"), FLIGHTS)
-def test_the_default_smoothing_serves_every_coefficient_of_noisy_flights(shared_data, name, kind):
-    flight = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
-    aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
-    truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
-    raw, auto = (
-        relative(aerodynamic_coefficients(flight, aircraft, cutoff=c), truth)
-        for c in (None, "auto")
-    )
-    assert (auto <= 1.01 * raw).all(), (auto, raw)
-    assert auto.mean() < 0.7 * raw.mean()
-
-
-@pytest.mark.shared
 def test_tethered_flight_needs_to_be_told_of_its_rope(shared_data):
     flight = pd.read_parquet(shared_data / "ampyx_ap2" / "ampyx_ap2.parquet")
     aircraft = Aircraft.from_json(shared_data / "ampyx_ap2" / "ampyx_ap2.json")

@@ -16,6 +16,8 @@ from skdgp.dynamics import (
     rk4_step,
     trim,
 )
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._jacobian import jacobian
 from skdgp.dynamics._linearize import ALL_STATES
 from skdgp.dynamics._motion import Motion
 
@@ -162,6 +164,24 @@ def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
         )
 
 
+def test_in_moving_air_the_jacobian_is_the_derivative_of_the_motion(aircraft):
+    """Implicit regressors, wind that changes; by position, velocity and rates."""
+    attitude = euler_to_quaternion(0.5, 0.15, 2.0)
+    state = np.r_[30.0, -20.0, -400.0, 24.0, -1.0, 2.0, attitude, 0.3, 0.1, -0.2]
+    controls = {"elevator": -0.05, "aileron": 0.01, "rudder": 0.02, "thrust": 22.0}
+    air = LocalAir(np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3]))
+    motion, h = Motion(BRUMBYS, aircraft), 1e-5
+    found = jacobian(motion, state, controls, inputs=[], air=air).state
+    for error, k in zip((*range(6), 9, 10, 11), (*range(6), 10, 11, 12), strict=True):
+        ahead, behind = (
+            motion.at(state + sign * h * np.eye(13)[k], controls, air).derivative
+            for sign in (1, -1)
+        )
+        expected = ((ahead - behind) / (2 * h))[[*range(6), 10, 11, 12]]
+        column = found[[*range(6), 9, 10, 11], error]
+        assert column == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
 def test_small_doublets_are_flown_alike_to_second_order():
     """Half the doublet leaves a quarter of the difference between the linear and the whole aircraft."""
     at = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
@@ -219,19 +239,6 @@ class TestSpread:
             for path, table in zip(many.paths, (one.A, one.B, one.C, one.D), strict=True):
                 assert path[k] == pytest.approx(table.to_numpy(), rel=1e-6, abs=1e-6)
 
-    def test_a_part_keeps_the_paths_of_its_own(self, level, glider):
-        many = linearize(MODEL, glider, level, n_paths=4, air=AIR)
-        part = many.lateral()
-        assert part.std.A.loc["p", "v"] == pytest.approx(many.std.A.loc["p", "v"])
-        assert part.std.B.shape == (4, 2)
-
-    def test_is_not_made_up(self, linear, glider, level):
-        with pytest.raises(ValueError, match=r"without paths: linearize\(\.\.\., n_paths"):
-            _ = linear.std
-        sure = Aerodynamics(MODEL.function, NAMES)
-        with pytest.raises(ValueError, match="without posterior samples"):
-            linearize(sure, glider, level, n_paths=5, air=AIR)
-
 
 class TestParts:
     def test_split(self, linear):
@@ -272,45 +279,34 @@ class TestParts:
         assert high.A.loc["down", "theta"] == pytest.approx(-20.0)
 
 
-class TestBadInput:
-    def test_a_single_path(self, glider, level):
-        with pytest.raises(ValueError, match="n_paths=1, but expected 0 or at least 2"):
-            linearize(MODEL, glider, level, n_paths=1, air=AIR)
+AT_REST = np.where(np.arange(13) == 6, 1.0, 0.0)
+LOOP = Aerodynamics(  # pulled up where it is pushed down, and down where up: no az fits
+    lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2], [*NAMES, "az"]
+)
 
-    def test_names(self, glider, level):
-        with pytest.raises(ValueError, match="states lack 'tetha'"):
-            linearize(MODEL, glider, level, states=["u", "tetha"], air=AIR)
-        with pytest.raises(ValueError, match="'flap'"):
-            linearize(MODEL, glider, level, inputs=["flap"], air=AIR)
-        with pytest.raises(ValueError, match="'mach'"):
-            linearize(MODEL, glider, level, outputs=["mach"], air=AIR)
 
-    def test_points(self, glider, level):
-        with pytest.raises(ValueError, match="expected a Trim or a state of 13"):
-            linearize(MODEL, glider, level.state[:12], level.controls, air=AIR)
-        with pytest.raises(TypeError, match="Got 2 trims, but expected one"):
-            linearize(MODEL, glider, [level, level], air=AIR)
-        with pytest.raises(ValueError, match="state without controls"):
-            linearize(MODEL, glider, level.state, air=AIR)
-        with pytest.raises(ValueError, match="at rest"):
-            linearize(
-                MODEL, glider, np.where(np.arange(13) == 6, 1.0, 0.0), level.controls, air=AIR
-            )
-        with pytest.raises(ValueError, match="'aileron'"):
-            linearize(
-                MODEL, glider, level.state, {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}, air=AIR
-            )
-
-    def test_a_model_that_is_not_defined_there(self, glider, level):
-        nowhere = Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES)
-        with pytest.raises(ValueError, match="not finite"):
-            linearize(nowhere, glider, level, air=AIR)
-
-    def test_a_motion_that_is_not_determined(self, glider, level):
-        """Pulled up where it is pushed down, and down where up: no az fits."""
-        loop = Aerodynamics(
-            lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2],
-            [*NAMES, "az"],
+@pytest.mark.parametrize(("model", "change", "match"), [
+    (MODEL, lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
+    (MODEL, lambda at: {"states": ["u", "tetha"]}, "states lack 'tetha'"),
+    (MODEL, lambda at: {"inputs": ["flap"]}, "'flap'"),
+    (MODEL, lambda at: {"outputs": ["mach"]}, "'mach'"),
+    (MODEL, lambda at: {"point": at.state[:12], "controls": at.controls}, "expected a Trim or a state of 13"),
+    (MODEL, lambda at: {"point": [at, at]}, "Got 2 trims, but expected one"),
+    (MODEL, lambda at: {"point": at.state}, "state without controls"),
+    (MODEL, lambda at: {"point": AT_REST, "controls": at.controls}, "at rest"),
+    (MODEL, lambda at: {"point": at.state, "controls": {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}}, "'aileron'"),
+    (Aerodynamics(MODEL.function, NAMES), lambda at: {"n_paths": 5}, "without posterior samples"),
+    (Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES), lambda at: {}, "not finite"),
+    (LOOP, lambda at: {}, "not determined"),
+])  # fmt: skip
+def test_what_cannot_be_linearized(glider, level, model, change, match):
+    options = {"point": level} | change(level)
+    with pytest.raises((ValueError, TypeError), match=match):
+        linearize(
+            model, glider, options.pop("point"), options.pop("controls", None), air=AIR, **options
         )
-        with pytest.raises(ValueError, match="not determined"):
-            linearize(loop, glider, level, air=AIR)
+
+
+def test_deviations_without_paths_are_not_made_up(linear):
+    with pytest.raises(ValueError, match=r"without paths: linearize\(\.\.\., n_paths"):
+        _ = linear.std

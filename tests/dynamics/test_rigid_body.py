@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from skdgp.dynamics import (
-    STATE_NAMES,
     euler_to_quaternion,
     quaternion_rate,
     quaternion_to_matrix,
     rigid_body_derivative,
-    rk4,
 )
 
 RNG = np.random.default_rng(5)
@@ -38,33 +36,6 @@ def test_derivative_is_newton_and_euler(aircraft):
         )
         euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
         np.testing.assert_allclose(derivative[10:], euler, atol=1e-12)
-
-
-def test_leading_axes_broadcast(aircraft):
-    states = random_states(6).reshape(2, 3, 13)
-    one = rigid_body_derivative(states[1, 2], np.ones(3), np.ones(3), aircraft)
-    assert one.shape == (len(STATE_NAMES),)
-    many = rigid_body_derivative(states, np.ones(3), np.ones((3, 3)), aircraft)
-    np.testing.assert_allclose(many[1, 2], one, atol=1e-12)
-
-
-def test_power_of_the_loads_is_the_change_of_energy(aircraft):
-    start = np.concatenate(
-        [np.zeros(3), [15.0, 1.0, 2.0], euler_to_quaternion(0.4, 0.3, 2.0), [0.5, 0.4, -0.2]]
-    )
-    force, moment = np.array([9.0, -4.0, -60.0]), np.array([0.3, -0.2, 0.1])
-
-    def rate(t, state):  # the fourteenth state is the work done
-        derivative = rigid_body_derivative(state[:13], force, moment, aircraft)
-        return np.append(derivative, force @ state[3:6] + moment @ state[10:13])
-
-    states = rk4(rate, np.append(start, 0.0), np.linspace(0, 2, 801))
-    kinetic = 0.5 * aircraft.mass * (states[:, 3:6] ** 2).sum(axis=1)
-    turning = 0.5 * np.einsum("ni,ij,nj->n", states[:, 10:13], aircraft.inertia, states[:, 10:13])
-    potential = -aircraft.mass * 9.80665 * states[:, 2]
-    np.testing.assert_allclose(
-        kinetic + turning + potential - states[:, 13], kinetic[0] + turning[0], rtol=1e-8
-    )
 
 
 @pytest.mark.parametrize("theta", [0.0, np.pi / 2, 2.0])

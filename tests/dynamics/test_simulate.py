@@ -549,6 +549,7 @@ class TestEnsembles:
             pd.DataFrame([START, START | {"phi": -0.2, "airspeed": 25.0}]),
         )
         options = {"dt": 0.02, "duration": 2.0, "initial_std": {"phi": 2e-3, "v": 0.02, "q": 1e-3}}
+        options["air"] = [3.0, -2.0, 0.7]
         mean = simulate(model, aircraft, starts, commands, return_std=True, **options)
         paths = simulate(model, aircraft, starts, commands, n_paths=500, **options)
         for start, part in mean.groupby("start"):

@@ -214,52 +214,6 @@ class TestShape:
         assert now.regressors[8] == pytest.approx(-GRAVITY * np.cos(found.theta))
 
 
-class TestNoSuchFlight:
-    def test_too_slow(self):
-        with pytest.raises(
-            ValueError,
-            match=r"no trim of brumby at airspeed 12 m/s.*w_dot = .*m/s\^2.*another airspeed",
-        ):
-            trim(BRUMBYS, BRUMBY, 12.0)
-
-    @pytest.mark.parametrize("airspeed", [0.0, -5.0, np.nan, [20.0, 0.0]])
-    def test_no_airspeed(self, glider, airspeed):
-        with pytest.raises(ValueError, match="expected one or more numbers > 0"):
-            trim(TEXTBOOK, glider, airspeed)
-
-    @pytest.mark.parametrize(("asked", "match"), [
-        ({"bank": 30.0}, "Got bank=30, but expected radians"),
-        ({"climb": 3.0}, "Got climb=3, but expected radians"),
-        ({"bank": np.nan}, "Got bank=nan, but expected a finite number"),
-        ({"altitude": [100.0, 200.0]}, "Got altitude=.*expected a finite number"),
-        ({"fixed": {"rudder": np.nan}}, "Got rudder=nan"),
-        ({"limits": {"rudder": 0.3}}, "limits of rudder 0.3, but expected two numbers"),
-    ])  # fmt: skip
-    def test_what_is_no_angle_or_no_number(self, glider, asked, match):
-        with pytest.raises(ValueError, match=match):
-            trim(TEXTBOOK, glider, 20.0, **asked)
-
-    def test_a_model_that_is_not_defined_there(self, glider):
-        with pytest.raises(ValueError, match="not defined there"):
-            trim(Aerodynamics(lambda X: linear(X) * np.nan, NAMES), glider, 20.0)
-
-    def test_more_controls_than_equations(self, glider):
-        model = Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "flap"])
-        with pytest.raises(ValueError, match=r"8 unknowns.*flap.*7 equations.*fixed="):
-            trim(model, glider, 20.0)
-        assert trim(model, glider, 20.0, fixed={"flap": 0.1}, **AIR).controls["flap"] == 0.1
-
-    def test_names_that_nobody_knows(self, glider):
-        with pytest.raises(ValueError, match="'elevatr'"):
-            trim(TEXTBOOK, glider, 20.0, controls=["elevatr"])
-        with pytest.raises(ValueError, match=r"'ruder' \(nearest: 'rudder'\)"):
-            trim(TEXTBOOK, glider, 20.0, fixed={"ruder": 0.0})
-        with pytest.raises(ValueError, match="'gear'"):
-            trim(TEXTBOOK, glider, 20.0, limits={"gear": (0, 1)})
-        with pytest.raises(ValueError, match="smallest < largest"):
-            trim(TEXTBOOK, glider, 20.0, limits={"elevator": (0.1, 0.1)})
-
-
 def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
     def engine(controls, airspeed, density):
         return (5.0 + 80.0 * controls["throttle"] - 1.5 * airspeed) * density / 1.2
@@ -281,3 +235,27 @@ def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
     flown = simulate(model, aircraft, steady, steady.controls, duration=0.5, thrust=engine)
     np.testing.assert_allclose(flown["airspeed"], 20.0, atol=1e-5)
     assert 0 < steady.controls["throttle"] < 1
+
+
+@pytest.mark.parametrize(("arguments", "asked", "match"), [
+    ((BRUMBYS, BRUMBY, 12.0), {}, r"no trim of brumby at airspeed 12 m/s.*w_dot = .*m/s\^2.*another airspeed"),
+    *(((TEXTBOOK, BRUMBY, V), {}, "expected one or more numbers > 0") for V in (0.0, -5.0, np.nan, [20.0, 0.0])),
+    *(((TEXTBOOK, BRUMBY, 20.0), asked, match) for asked, match in (
+        ({"bank": 30.0}, "Got bank=30, but expected radians"),
+        ({"climb": 3.0}, "Got climb=3, but expected radians"),
+        ({"bank": np.nan}, "Got bank=nan, but expected a finite number"),
+        ({"altitude": [100.0, 200.0]}, "Got altitude=.*expected a finite number"),
+        ({"fixed": {"rudder": np.nan}}, "Got rudder=nan"),
+        ({"limits": {"rudder": 0.3}}, "limits of rudder 0.3, but expected two numbers"),
+        ({"controls": ["elevatr"]}, "'elevatr'"),
+        ({"fixed": {"ruder": 0.0}}, r"'ruder' \(nearest: 'rudder'\)"),
+        ({"limits": {"gear": (0, 1)}}, "'gear'"),
+        ({"limits": {"elevator": (0.1, 0.1)}}, "smallest < largest"),
+    )),
+    ((Aerodynamics(lambda X: linear(X) * np.nan, NAMES), BRUMBY, 20.0), {}, "not defined there"),
+    ((Aerodynamics(lambda X: linear(X[:, :8]), [*NAMES, "flap"]), BRUMBY, 20.0), {},
+     r"8 unknowns.*flap.*7 equations.*fixed="),
+])  # fmt: skip
+def test_no_such_flight(arguments, asked, match):
+    with pytest.raises(ValueError, match=match):
+        trim(*arguments, **asked)

@@ -1,12 +1,9 @@
 """The usual propeller of a size: what it is, and what its deviation makes of a model."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli._identify import ENGINE, SIZES, _aircraft
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
@@ -94,20 +91,6 @@ def test_an_aircraft_file_has_diameter_and_pitch():
                 "propeller": {"diameter": 1, "pich": 1},
             }
         )
-
-
-def test_the_command_line_has_inches_rpm_and_volts():
-    words = {
-        "mass": (2.0, 0.0),
-        "span": (1.5, 0.0),
-        "propeller": (10.0, 5.0),
-        "motor": (900.0, 11.1),
-        "train": ["sortie.ulg"],
-    }
-    options = SimpleNamespace(**dict.fromkeys([*SIZES, *ENGINE, "kind", "aircraft"]) | words)
-    propeller = _aircraft(SimpleNamespace(options=options)).propeller
-    assert propeller.diameter == pytest.approx(0.254)
-    assert propeller.speed_at(1.0) == pytest.approx(0.75 * 900 * 11.1 * 2 * np.pi / 60)
 
 
 @pytest.fixture(scope="module")

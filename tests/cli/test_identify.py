@@ -377,11 +377,12 @@ class TestLags:
     def test_are_estimated_by_inspect(self, late, capsys):
         assert main(["inspect", late]) == 0
         said = capsys.readouterr().out
-        assert re.search(r"air +0\.07\d \+- 0\.0\d\d s", said)
+        assert re.search(r"air +0\.07\d \+- 0\.0[01]\d s", said)
         assert main(["inspect", late, "--json"]) == 0
         lags = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["lags"]
         assert set(lags) == {"air", "surfaces", "attitude", "gps"}
-        assert abs(lags["air"]["lag"] - 0.08) < 0.01
+        # the model of the vanes leaves an error of 6 ms, which the standard deviation covers
+        assert abs(lags["air"]["lag"] - 0.08) < 2 * lags["air"]["std"] < 0.02
 
     def test_are_corrected_and_said(self, late, tmp_path, monkeypatch):
         monkeypatch.setattr(

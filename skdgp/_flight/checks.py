@@ -256,17 +256,22 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     return segments
 
 
-def _airspeed(flight: pd.DataFrame) -> None:
+def check_airspeed(flight: pd.DataFrame) -> None:
+    """Raise ValueError if an airspeed is not positive."""
     airspeed = _values(flight, "airspeed")
     bad = np.flatnonzero(airspeed <= 0)
     if bad.size:
         raise ValueError(
             f"Got airspeed {airspeed[bad[0]]:g} m/s at row {bad[0]} and {bad.size} rows with "
-            f"airspeed <= 0, but "
-            "coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut the part on the "
-            "ground, e.g. "
-            "flight[flight.airspeed > 5], or set the airspeed of those rows to NaN."
+            f"airspeed <= 0, but coefficients are loads over rho V^2 / 2 and need airspeed > 0: cut "
+            f"the part on the ground, e.g. flight[flight.airspeed > 5], or set the airspeed of those "
+            f"rows to NaN."
         )
+
+
+def _airspeed(flight: pd.DataFrame) -> None:
+    check_airspeed(flight)
+    airspeed = _values(flight, "airspeed")
     if not _any_finite(airspeed):
         return
     middle = np.nanmedian(airspeed)

@@ -67,6 +67,13 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
         "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),
+        "paths_not_converged": [
+            str(name)
+            for name, converged in getattr(
+                pipeline["flightpathreconstruction"], "converged_", {}
+            ).items()
+            if not converged
+        ],
         "reconstruction": reconstruction_of(pipeline),
     }
     facts["lags"] = lags_of(pipeline)

@@ -343,7 +343,7 @@ def air_of(pipeline: Pipeline) -> str:
     if not getattr(step, "tells_gusts_", False):
         return ""
     parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
-    winds = step.calibration_.pivot(index="flight", columns="constant", values="estimate")
+    winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
     for name, row in winds.iterrows() if {"wind_north", "wind_east"} <= {*winds} else ():
         north, east = row[["wind_north", "wind_east"]]
         way = np.rad2deg(np.arctan2(-east, -north)) % 360

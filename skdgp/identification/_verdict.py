@@ -36,7 +36,6 @@ SIGNS = {
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
 """Signs of derivatives of a conventional stable aircraft (docs/notation.md)."""
-UNCONVERGED = "did not converge: its sensors"  # of the warning of FlightPathReconstruction
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
 # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
@@ -73,9 +72,7 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table, known = scores(evaluations)["measured"], list(train)
-    unconverged = [one for one in messages if UNCONVERGED in one]
-    other = [one for one in messages if one not in unconverged]
-    faults = _faults(mechanics.derivatives, unconverged)
+    faults = _faults(mechanics.derivatives, fit.get("paths_not_converged", ()))
     means = [
         {"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()}
         for one in evaluations
@@ -103,7 +100,7 @@ def judge(
             _simulation(mechanics, fit["regressors"]),
             _control(mechanics, faults),
         ),
-        warnings=(*faults.values(), *_warnings(table, flights, fit, other)),
+        warnings=(*faults.values(), *_warnings(table, flights, fit, messages)),
         flights=flights,
     )
 
@@ -165,7 +162,10 @@ def _faults(derivatives: pd.DataFrame, unconverged: Sequence[str]) -> dict[str, 
     """Return by a short name the warnings that forbid the design of a controller."""
     found = {}
     if unconverged:
-        found["a reconstruction did not converge"] = " ".join(grouped(unconverged))
+        found["a reconstruction did not converge"] = (
+            f"The paths of {len(unconverged)} flights of the fit did not converge: "
+            f"{_some([*map(str, unconverged)])}. Their sensors contradict one another."
+        )
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
     wrong = values[values * pd.Series(SIGNS) < 0]
     if len(wrong):

@@ -12,7 +12,14 @@ import pandas as pd
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.checks import WRAPPED, check_columns, check_table, numeric, unwrapped
+from skdgp._flight.checks import (
+    WRAPPED,
+    check_airspeed,
+    check_columns,
+    check_table,
+    numeric,
+    unwrapped,
+)
 from skdgp._flight.clock import check_clock, flight_segments, part_restarts
 from skdgp._flight.faults import (
     Finding,
@@ -84,7 +91,8 @@ class FlightCheck(TableTransformer):
     ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones
     stay NaN, which :class:`RegressorSelector` refuses. A flight whose clock restarted becomes
     several, ``name``, ``name#2``. Raises ValueError if ``time`` is missing; if it goes back and
-    rows are not in order, or there is no column ``flight`` to name the parts in.
+    rows are not in order, or there is no column ``flight`` to name the parts in; in ``transform``
+    if an airspeed is not positive.
 
     Parameters
     ----------
@@ -140,6 +148,7 @@ class FlightCheck(TableTransformer):
                 stacklevel=4,
             )
         table = without_faults(table, findings)
+        check_airspeed(table)
         names = [
             name for name in BRIDGED if self.bridge and name in table and name not in self.ignore
         ]

@@ -24,7 +24,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     rate_factor,
 )
-from skdgp._flight.checks import check_columns, numeric
+from skdgp._flight.checks import check_airspeed, check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._table import TableTransformer, with_columns
 
@@ -226,14 +226,7 @@ class RateNondimensionalizer(TableTransformer):
     def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])
         airspeed = numeric(table, ["airspeed"])[:, 0]
-        still = np.flatnonzero(airspeed <= 0)
-        if still.size:
-            raise ValueError(
-                f"Got airspeed {airspeed[still[0]]:g} m/s at row {still[0]} ({still.size} rows at "
-                f"or below zero), but "
-                "expected positive airspeed: keep the rows in flight, such as "
-                "flight[flight.airspeed > 10]."
-            )
+        check_airspeed(table)
         return {
             name + HAT: rate_factor(name, getattr(self, LENGTHS[name]), airspeed) * rate
             for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)

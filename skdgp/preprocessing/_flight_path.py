@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from numbers import Real
+from itertools import pairwise
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,7 @@ MAX_INERTIAL_NOISE = (
 DIFFERENCES = (
     3  # order of the differences that show noise; the sum of squares of their coefficients is 20
 )
+OVERLAP = 32  # of the rows of a part of a long flight, one in so many is added on either side
 PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
 UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
 FOLLOWS = {
@@ -115,6 +117,9 @@ class FlightPathReconstruction(TableTransformer):
         ``fit`` decide. With "pass" all tables pass (``used_`` is False), unchanged but for the column
         ``gust``, if the expected errors of airspeed, alpha and beta are larger than those of
         `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
+    max_rows : int, default=65536
+        Rows of a flight that are estimated at a time, of 15 kB each: a longer flight is estimated
+        in parts of equal length that overlap, each with its own biases, wind and gusts.
     vanes : {"measured", "forces"}, default="measured"
         For flights without alpha or beta. "measured": from attitude, velocity and steady wind, so
         without the gusts. "forces": az and ay show the angle, gusts included, by slopes that
@@ -135,6 +140,9 @@ class FlightPathReconstruction(TableTransformer):
         ``smoothing``, and their ``deviation``.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
+    converged_ : dict of str to bool
+        Whether the search for the path converged, for each flight of ``fit``: where it did not, its
+        sensors contradict one another.
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
@@ -149,7 +157,7 @@ class FlightPathReconstruction(TableTransformer):
     sensors_ : dict of str to float
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
-        :meth:`calibration` of the flights of ``fit``.
+        :meth:`calibration` of the flights of ``fit``, of each part of a long one.
 
     Warns
     -----
@@ -176,6 +184,7 @@ class FlightPathReconstruction(TableTransformer):
         "gust_time": [Interval(Real, 0, None, closed="neither")],
         "incomplete": [StrOptions({"raise", "pass"})],
         "inconsistent": [StrOptions({"use", "pass"})],
+        "max_rows": [Interval(Integral, 1, None, closed="left")],
         "vanes": [StrOptions({"measured", "forces"})],
     }
 
@@ -186,12 +195,14 @@ class FlightPathReconstruction(TableTransformer):
         gust_time: float = 10.0,
         incomplete: str = "raise",
         inconsistent: str = "use",
+        max_rows: int = 65536,
         vanes: str = "measured",
     ) -> None:
         self.calibrate = calibrate
         self.gust_time = gust_time
         self.incomplete = incomplete
         self.inconsistent = inconsistent
+        self.max_rows = max_rows
         self.vanes = vanes
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
@@ -221,6 +232,7 @@ class FlightPathReconstruction(TableTransformer):
         )
         self.tells_gusts_ = self.used_
         self.vanes_ = {}
+        self.converged_: dict[Any, bool] = {}
         if self.missing_:
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
@@ -234,6 +246,8 @@ class FlightPathReconstruction(TableTransformer):
         if self.vanes_:
             complete = with_force_vanes(table, self.vanes_)
             estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors={})
+        for name, _, _, each in estimates:
+            self.converged_[name] = self.converged_.get(name, True) and each.converged
         samples = [len(log.time) for _, _, log, _ in estimates]
         variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
         self.noise_std_ = {
@@ -341,23 +355,42 @@ class FlightPathReconstruction(TableTransformer):
         learn: Mapping[str, float],
         sensors: Mapping[str, float],
     ) -> Flights:
-        """Return (name, rows, log, estimate) of every flight."""
+        """Return (name, rows, log, estimate) of every flight, of each part of a long one."""
         estimates = []
         constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
-        for name, rows, log in flight_logs(table):
-            start, noise = first_guess(log, constants), self.noise_std_ | GUSTS
-            each = estimate(
-                log, start, noise, learn=learn, free=[*free, *MEAN_WIND], gust_time=self.gust_time
-            )
-            if not each.converged:
-                warnings.warn(
-                    f"The reconstruction of flight {name!r} did not converge: its sensors "
-                    f"contradict one another. Look "
-                    "at calibration(flight), and for wrong signs, units or clocks.",
-                    stacklevel=4,
+        noise = self.noise_std_ | GUSTS
+        names = [*free, *MEAN_WIND]
+        contradictory: dict[Any, None] = {}
+        for name, rows, whole in flight_logs(table):
+            for part, inner in _parts(len(rows), self.max_rows):
+                log = whole.part(part.start, part.stop)
+                start = first_guess(log, constants)
+                each = estimate(
+                    log, start, noise, learn=learn, free=names, gust_time=self.gust_time
                 )
-            estimates.append((name, rows, log, each))
+                path = each.path.part(inner.start, inner.stop)
+                kept = rows[part][inner], log.part(inner.start, inner.stop)
+                estimates.append((name, *kept, each._replace(path=path)))
+                contradictory |= {} if each.converged else {name: None}
+        for name in contradictory:
+            warnings.warn(
+                f"The reconstruction of flight {name!r} did not converge: its sensors "
+                f"contradict one another. Look "
+                "at calibration(flight), and for wrong signs, units or clocks.",
+                stacklevel=4,
+            )
         return estimates
+
+
+def _parts(n: int, most: int) -> list[tuple[slice, slice]]:
+    """Return parts of n rows, of at most so many and the overlap, and of each the rows between the overlaps."""
+    margin = most // OVERLAP
+    edges = np.linspace(0, n, -(-n // most) + 1).round().astype(int).tolist()
+    parts = []
+    for first, last in pairwise(edges):
+        start = max(first - margin, 0)
+        parts.append((slice(start, min(last + margin, n)), slice(first - start, last - start)))
+    return parts
 
 
 def kinematic_lags(table: pd.DataFrame) -> dict[str, tuple[float, float]]:

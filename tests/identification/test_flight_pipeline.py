@@ -1,6 +1,7 @@
 """Bands of the flight's own air, by scikit-learn's own calls; least squares beside the model."""
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -125,6 +126,17 @@ class TestPredict:
             found = predict_flight(model, test_flight, include_noise=include_noise)
             expected = model.predict(test_flight, return_std=True, include_noise=include_noise)
             np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
+
+    def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
+        noise = np.random.default_rng(0).normal(0.0, 0.3, 400)
+        slow = test_flight.assign(airspeed=np.where(np.arange(400) < 200, noise, 30.0 + noise))
+        for use in (
+            model.predict,
+            partial(model.predict, return_std=True),
+            partial(aerodynamic_coefficients, aircraft=flights.aircraft),
+        ):
+            with pytest.raises(ValueError, match="need airspeed > 0"):
+                use(slow)
 
     def test_clones_pickles_and_other_regressors(self, model, flights, test_flight):
         assert isinstance(clone(model), FlightPipeline)

@@ -250,9 +250,9 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
 
 
 def test_a_reconstruction_that_did_not_converge_forbids_a_controller():
-    message = "The reconstruction of flight 'a' did not converge: its sensors contradict."
-    found = verdict(messages=["A gap.", message])
-    assert found.warnings == (message, "A gap.")
+    found = verdict(messages=["A gap."], paths_not_converged=["a"])
+    assert "1 flights of the fit did not converge: a." in found.warnings[0]
+    assert found.warnings[1:] == ("A gap.",)
     assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
 
 

@@ -57,12 +57,10 @@ def test_geometrically_similar_aircraft_share_the_numbers():
 @pytest.mark.parametrize("speed", [0.0, -1.0])
 def test_standing_still(speed):
     flight = FLIGHT.assign(airspeed=[40.0, speed])
-    with pytest.raises(
-        ValueError, match=r"at row 1 \(1 rows at or below zero\), but expected positive airspeed"
-    ):
+    with pytest.raises(ValueError, match="at row 1 and 1 rows with airspeed <= 0"):
         RateNondimensionalizer(span=B, chord=C).fit(flight)
     fitted = RateNondimensionalizer(span=B, chord=C).fit(FLIGHT)
-    with pytest.raises(ValueError, match="positive airspeed"):
+    with pytest.raises(ValueError, match="need airspeed > 0"):
         fitted.transform(flight)
 
 

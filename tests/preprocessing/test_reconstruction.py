@@ -1,5 +1,7 @@
 """Flight-path reconstruction: its equations, what it recovers, and what it says when it cannot."""
 
+import pickle
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -355,6 +357,31 @@ class TestHonesty:
         assert parts.sensors_["vane_lag"] == pytest.approx(whole.sensors_["vane_lag"], rel=1e-6)
         assert parts.error_std_ == pytest.approx(whole.error_std_, rel=1e-6)
         pd.testing.assert_frame_equal(parts.transform(table), whole.transform(table), rtol=1e-6)
+
+    def test_parts_of_a_long_flight_bound_the_memory_and_leave_no_seam(self):
+        """Paths differ by little of their error where parts of 1,000 rows meet."""
+        table = flown(160.0, gusts=0.5)
+        assert len(table) == 4000
+        reconstruction = FlightPathReconstruction().fit(table[:1000])
+        found, peaks = [], []
+        for max_rows in (4000, 1000):
+            reconstruction.set_params(max_rows=max_rows)
+            tracemalloc.start()
+            found.append(reconstruction.transform(table))
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+        assert peaks[1] < peaks[0] / 2
+        whole, parts = found
+        for name in ("airspeed", "alpha", "beta"):
+            assert (parts[name] - whole[name]).std() < 0.1 * error(table, whole, name)
+
+    def test_whether_paths_converged_travels_with_the_model(self):
+        table = flown(20.0)
+        noise = np.random.default_rng(0).uniform(-3, 3, len(table))
+        both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
+        with pytest.warns(UserWarning, match="flight 'b' did not converge"):
+            reconstruction = FlightPathReconstruction().fit(both.reset_index(drop=True))
+        assert pickle.loads(pickle.dumps(reconstruction)).converged_ == {"a": True, "b": False}
 
     def test_flights_are_not_mixed(self):
         one, reconstruction, alone = reconstructed(seconds=30.0)

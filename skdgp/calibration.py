@@ -7,7 +7,6 @@ correct model, only that the next flight is of the same kind as the flights of t
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from numbers import Integral, Real
 from typing import Any, Self
@@ -22,6 +21,7 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import column_names
+from skdgp._compute.messages import warn
 from skdgp._compute.predicting import accepts, predict_observed, predict_with_noise, unwrap
 from skdgp._compute.sklearn_compat import (
     HasMethods,
@@ -206,7 +206,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             few = ~self.guaranteed_
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
             n, top = self.n_units_[few].min(), self.max_level_[few].min()
-            warnings.warn(
+            warn(
                 f"Got level={self.level:g}, but {n} {self.unit_}s guarantee no more than "
                 f"{top:.3g}: the intervals of "
                 f"{names} held as often on these {self.unit_}s, without a guarantee for the next. "
@@ -313,7 +313,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         level = check_level(self.level if level is None else level)
         widths = self._half_widths(level)
         if np.isinf(widths).any():
-            warnings.warn(
+            warn(
                 f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more "
                 f"than "
                 f"{self.max_level_.min():.3g}, so intervals are infinite: calibrate on "
@@ -410,9 +410,14 @@ def _splits_of(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
         cv = GroupKFold(min(N_SPLITS, groups.nunique()) if cv is None else cv)
     if not hasattr(cv, "split"):
         return list(cv)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="The groups parameter is ignored")
-        return list(cv.split(flights, groups=groups))
+    return list(cv.split(flights, groups=groups if _uses_groups(cv) else None))
+
+
+def _uses_groups(cv: Any) -> bool:
+    """Return whether a splitter uses groups: those of scikit-learn say so, and warn of unused ones."""
+    if not type(cv).__module__.startswith("sklearn."):
+        return True
+    return bool(cv.get_metadata_routing().split.requests.get("groups"))
 
 
 def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
@@ -424,7 +429,7 @@ def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices,
             "or several flights (column flight, or groups)."
         )
     n_blocks = cv if isinstance(cv, Integral) else min(N_SPLITS, n // 3)
-    warnings.warn(
+    warn(
         f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for "
         f"further blocks of this "
         "flight, not for other flights. Give several (column flight, or groups).",

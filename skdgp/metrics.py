@@ -10,7 +10,6 @@ scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -20,6 +19,7 @@ import pandas as pd
 from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
+from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.statistics import LEVELS, check_levels, half_width, shares_inside, standardized
@@ -268,7 +268,7 @@ def _aggregate(values: Vector, multioutput: Average) -> Score:
 
 
 def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
-    warnings.warn(
+    warn(
         f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, so {consequence}: NaN, and "
         f"left out of the "
         "mean.",
@@ -412,8 +412,7 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
         full[rows] = part.reshape(len(rows), -1)
     tables = {}
     for name, rows in flight_rows(table["flight"]).items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UndefinedMetricWarning)  # the NaN shows it
+        with without_warnings(UndefinedMetricWarning):  # the NaN shows it
             scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))
         scores.insert(0, "n_observed", Y.iloc[rows].notna().sum())
         tables[name] = scores

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from textwrap import wrap
 from typing import Any
 
@@ -13,6 +12,7 @@ from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, picture_writers
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, csv_writer
+from skdgp._compute.messages import warn
 from skdgp.dynamics import Trim, linearize, stability_derivatives, trim
 from skdgp.plotting import DerivativeDisplay
 
@@ -66,7 +66,7 @@ def _warn_beyond(trims: list[Trim]) -> None:
         for name, (value, low, high) in point.beyond.items()
     ]
     if beyond:
-        warnings.warn(
+        warn(
             f"Trims are beyond what the model was learned from: {', '.join(beyond)}.", stacklevel=3
         )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import pandas as pd
@@ -10,6 +9,7 @@ import pandas as pd
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run
 from skdgp._compute.files import text_writer, write_atomically
+from skdgp._compute.messages import without_warnings
 from skdgp.io import inspect_log, read_flight, servo_template
 from skdgp.preprocessing import LagCorrector
 
@@ -55,8 +55,7 @@ def inspect(run: Run) -> None:
 
 def _lags(options) -> tuple[pd.DataFrame | None, str]:
     """Return the lags of a log, or None and why they cannot be estimated."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the summary shows them
+    with without_warnings():  # the summary shows them
         try:
             table = read_flight(options.log, servos=options.servos, rename=dict(options.rename))
             return LagCorrector().fit(table).lags_, ""

@@ -23,6 +23,7 @@ from typing import Any
 import pandas as pd
 
 from skdgp._compute.files import Writer, csv_writer, json_text, text_writer, write_together
+from skdgp._compute.messages import warn
 
 CLEAR = "\r\x1b[K"
 PERIOD = 0.2  # seconds between two states of the progress line
@@ -253,7 +254,7 @@ def check_writable(suffix: str) -> None:
 def picture_writers(name: str, draw: Callable, *data, **more) -> dict[str, Writer]:
     """Return the writer of a figure of a display; none, and a warning, without matplotlib."""
     if find_spec("matplotlib") is None:
-        warnings.warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
+        warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
         return {}
     from matplotlib.figure import Figure
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import warnings
 from functools import partial
 from typing import Any
 
@@ -13,6 +12,7 @@ from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, text_writer
+from skdgp._compute.messages import warn
 from skdgp._compute.progress import listening
 from skdgp._excitation import AXES
 from skdgp.design import (
@@ -121,7 +121,7 @@ def _writers(options: argparse.Namespace, planned: Plan) -> dict[str, Writer]:
             try:
                 files[f"{name}.lua"] = text_writer(ardupilot_script(train, RATE, full))
             except ValueError as error:  # the plan is kept
-                warnings.warn(f"No script for ArduPilot: {error}", stacklevel=2)
+                warn(f"No script for ArduPilot: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": table_writer(planned.flight, ".csv"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from sklearn.utils import Bunch
 from skdgp._cli import _options as opt
 from skdgp._cli._identify import finish
 from skdgp._cli._output import Run, check_writable, table_writer
+from skdgp._compute.messages import warn
 from skdgp._compute.progress import listening
 from skdgp.design import PlanCheck
 from skdgp.dynamics import Aircraft
@@ -39,7 +39,7 @@ def read_model(options) -> Bunch:
     model = load_model(options.model)
     check_identified(model.pipeline)
     if getattr(model.pipeline, "control_units_", {}):
-        warnings.warn(
+        warn(
             "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
             "are expected of them: "
             "in controls, limits, plans and exports.",
@@ -55,7 +55,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     model = read_model(options)
     learned, pipeline = model.get("options", {}), model.pipeline
     if learned.get("external_forces"):
-        warnings.warn(
+        warn(
             f"The simulation flies without the external forces {learned['external_forces']} of "
             f"the flights that the "
             "model was learned from.",
@@ -64,7 +64,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     turbulence = getattr(pipeline, "turbulence_", None)
     gusts = 0.0 if turbulence is None else max(turbulence.intensity)
     if gusts > NOTABLE_GUSTS:
-        warnings.warn(
+        warn(
             f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are "
             f"too small: learn from "
             "flights in calmer air to simulate or to linearise.",

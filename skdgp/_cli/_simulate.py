@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, picture_writers
 from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import csv_writer
+from skdgp._compute.messages import without_warnings
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
 from skdgp._flight.checks import check_columns, check_names
@@ -88,8 +88,7 @@ def simulate(run: Run) -> None:
     files = {"trajectory.csv": csv_writer(trajectory)}
     if options.paths:
         run.console.stage(f"simulating {options.paths} functions of the posterior")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SimulationWarning)  # the summary counts them
+        with without_warnings(SimulationWarning):  # the summary counts them
             conditions["air"] = Air(start.wind, gusts=opt.none_of(options.gusts))
             sampled = simulate_flight(
                 *initial, **conditions, n_paths=options.paths, random_state=options.seed

@@ -12,6 +12,7 @@ from scipy.linalg.blas import dtrsm, dtrsv
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
@@ -75,7 +76,7 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
                 "length scales."
             )
     if jitter:
-        warnings.warn(
+        warn(
             f"The covariance matrix of {len(L)} values was not positive definite in double "
             f"precision; {jitter:g} of "
             "its diagonal was added. The results are those of a slightly noisier model: remove "
@@ -207,7 +208,7 @@ def cluster_centres(
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", ConvergenceWarning
-        )  # of rows that are alike but for rounding
+        )  # of rows that are alike but for rounding; KMeans has no other way to be silent
         means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
     return means.cluster_centers_ * scale
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
@@ -404,7 +404,7 @@ def _any_finite(values: np.ndarray) -> bool:
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, stacklevel=5)
+    warn(text, stacklevel=5)
 
 
 def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:

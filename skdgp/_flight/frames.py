@@ -7,13 +7,13 @@ attitude. A quaternion need not have unit length: all functions divide by its le
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, WIND
 
 
@@ -151,7 +151,7 @@ def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
             euler_to_quaternion(phi, theta, psi), table[list(WIND)].to_numpy(float)
         )
     else:
-        warnings.warn(
+        warn(
             "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are "
             "those of still air. "
             "Add wind_north, wind_east, wind_down if there was wind.",

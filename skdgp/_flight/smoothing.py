@@ -10,7 +10,6 @@ Beyond the last frequency at which signal is as strong as noise, both are made n
 
 from __future__ import annotations
 
-import warnings
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal
 
+from skdgp._compute.messages import warn
 from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
 
 ORDER = 2
@@ -72,7 +72,7 @@ def smooth(
             part, times[rows], codes[rows], cutoff, joint, derivative, remarks
         )
     for remark in sorted(remarks):
-        warnings.warn(remark, stacklevel=2)
+        warn(remark, stacklevel=2)
     return out.reshape(np.shape(values))
 
 

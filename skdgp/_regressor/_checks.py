@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +13,7 @@ from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
 from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
+from skdgp._compute.messages import warn
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.kernels import MultiOutputKernel
 
@@ -329,7 +329,7 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
 def _warn(message, category=UserWarning, stacklevel=6):
     # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
     # fit.
-    warnings.warn(message, category, stacklevel=stacklevel)
+    warn(message, category, stacklevel=stacklevel)
 
 
 def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +11,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 from sklearn.utils import check_random_state
 
+from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Matrix, Seed
@@ -136,8 +136,7 @@ def plan(
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
-    with one_blas_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", SimulationWarning)  # what leaves the envelope is a risk
+    with one_blas_thread(), without_warnings(SimulationWarning):  # leaving the envelope is a risk
         trims = [trims] if isinstance(trims, Trim) else list(trims)
         envelope = envelope or Envelope()
         _check_options(seconds, axes, limits or {}, envelope)
@@ -249,14 +248,14 @@ class _Planner:
     def _check_uncertain(self) -> None:
         """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
         if self.envelope.gusts == "auto" and self.aerodynamics.turbulence is None:
-            warnings.warn(
+            warn(
                 "The model does not know the turbulence of its flights, so risks are those "
                 "without gusts. Give Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
                 stacklevel=4,
             )
         if free := self.envelope.unlimited(self.aerodynamics):
             options = ", ".join(OPTIONS[name] for name in free)
-            warnings.warn(
+            warn(
                 f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
                 f"them: a manoeuvre may turn the aircraft over or dive. Limit them by the "
                 f"envelope ({options}), or fit the model again.",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import parse_json, read_json, read_toml
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
 from skdgp.dynamics._estimate import (
@@ -265,7 +265,7 @@ def _inertia(value: ArrayLike) -> Array:
             f"= -Ixz)."
         )
     if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
-        warnings.warn(
+        warn(
             f"Principal moments of inertia {moments.round(6).tolist()} kg m^2: the largest "
             f"exceeds the "
             "sum of the others, which no distribution of mass can do. Check the measurement and "

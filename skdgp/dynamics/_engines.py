@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
 from skdgp._flight.checks import check_columns, check_table
@@ -232,7 +232,7 @@ class Propeller:
             )
         static = not (airspeed > 0).any()
         if static and pitch is None:
-            warnings.warn(
+            warn(
                 "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add "
                 "rows measured in a wind "
                 "tunnel, or give pitch=... [m]: the thrust then falls to zero at the advance "
@@ -325,7 +325,7 @@ class Propeller:
         }
         for what, (value, (low, high)) in measured.items():
             if not low <= value <= high:
-                warnings.warn(
+                warn(
                     f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from "
                     f"others with {low:g} to "
                     f"{high:g}: it may be further off than its deviation says.",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NamedTuple
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import check_random_state
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -135,7 +135,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     if (states[:, 2] > -LOWEST_LAND).any():
-        warnings.warn(
+        warn(
             f"Got a start at an altitude of {-states[:, 2].max():g} m, below any land: down is "
             f"positive downwards, "
             "altitude = -down.",
@@ -159,7 +159,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     off = np.abs(airspeed - given_speed)
     if (off > AIRSPEED_TOLERANCE * np.abs(given_speed)).any():
         worst = int(np.nanargmax(off))
-        warnings.warn(
+        warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} "
             f"m/s, but x0 says "
             f"{given_speed[worst]:.1f} m/s: give the wind of that flight (air=wind).",
@@ -342,7 +342,7 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: f
             other.append((f"the wind begins at time {first:g} s", spans[0][0]))
     if other:
         what, first = other[0]
-        warnings.warn(
+        warn(
             f"Got controls that begin at time {first:g} s, but {what}: the first row of each "
             f"table counts as the "
             "start. Cut them alike, table[table['time'] >= start].",

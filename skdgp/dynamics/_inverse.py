@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import COEFFICIENTS, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_columns, check_flight, check_table
 from skdgp._flight.faults import (
@@ -115,7 +115,7 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
     found = [each for each in found if each.kind in NOT_MEASURED]
     if found:
-        warnings.warn(
+        warn(
             faults_message(found, "The coefficients are not known there (NaN)."),
             FlightDataWarning,
             stacklevel=3,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeAlias
 
@@ -10,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
@@ -141,7 +141,7 @@ def propulsive_loads(
     if largest is not None:
         beyond = propeller.advance_ratio(speed, airspeed)[running] > 1.05 * largest
         if beyond.any():
-            warnings.warn(
+            warn(
                 f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio "
                 f"exceeds the largest one "
                 f"on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure at "

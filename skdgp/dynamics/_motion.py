@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
@@ -128,7 +128,7 @@ class Motion:
             and chord is not None
             and not np.isclose([span, chord], own, rtol=0.01).any()
         ):
-            warnings.warn(
+            warn(
                 f"The model's rates were made non-dimensional by span {span:g} m and chord "
                 f"{chord:g} m, but "
                 f"{aircraft!r} has others: is this the aircraft that the model was learned from?",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.linalg import semidefinite_root
+from skdgp._compute.messages import warn
 from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import (
@@ -531,7 +531,7 @@ def warn_of(record: Any, motion: Motion) -> None:
         why = ", ".join(
             f"{REASONS[reason]}: {ended.count(reason)}" for reason in REASONS if reason in ended
         )
-        warnings.warn(
+        warn(
             f"{len(ended)} of {n} trajectories ended early, the first {record.end.min() * dt:.2f} "
             f"s after its start "
             f"({why}). Their rows are NaN from there on, and the column ended says why. Look at "
@@ -548,7 +548,7 @@ def warn_of(record: Any, motion: Motion) -> None:
         first = int(np.flatnonzero(outside.any(axis=1))[0])
         k = int(outside[first].max()) - 1
         (low, high), values = limits[:, k], record.regressors[..., k]
-        warnings.warn(
+        warn(
             f"{np.count_nonzero(outside.any(axis=0))} of {n} trajectories left what the model was "
             f"learned from, the "
             f"first {first * dt:.2f} s after its start in {motion.aerodynamics.regressors[k]} "

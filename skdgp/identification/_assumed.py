@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES, VANES
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
@@ -72,7 +72,7 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     if not names:
         return servos, *parts
     servos = f"{FULL_THROW}, reversed {' '.join(names)}"
-    warnings.warn(
+    warn(
         f"The flights show that {' and '.join(names)} move the other way than the autopilot's "
         f"parameters say, so their "
         f'signs are turned: servos = "{servos}".',

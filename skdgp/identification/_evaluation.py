@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +11,7 @@ import pandas as pd
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
+from skdgp._compute.messages import warn
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Indices, Matrix
 from skdgp._flight.channels import (
@@ -28,7 +28,6 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
-from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._flight.smoothing import noise_level
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay, replay_errors
@@ -304,7 +303,7 @@ def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame |
     velocity = BODY_VELOCITY if set(BODY_VELOCITY) <= set(table.columns) else EARTH_VELOCITY
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
-        warnings.warn(
+        warn(
             f"Flight {name!r} is not replayed: it lacks {lacking}, from which the integration "
             f"would start.",
             stacklevel=4,
@@ -322,7 +321,7 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
     longest = max(time[run][-1] - time[run][0] for run in flight_segments(time))
     long = [horizon for horizon in horizons if horizon > longest]
     if long:
-        warnings.warn(
+        warn(
             f"Flight {name!r} lasts {longest:.3g} s without a gap, so the replay never reaches "
             f"horizons of "
             f"{' '.join(f'{horizon:g}' for horizon in long)} s: it runs to the end of each "
@@ -360,9 +359,7 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
     columns = regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
-    flights = usable_flights(flights, regressors, columns)
-    warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
-    return flights
+    return usable_flights(flights, regressors, columns)
 
 
 def check_identified(pipeline: Pipeline) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import (
     CHANNELS,
     EARTH_VELOCITY,
@@ -145,7 +145,7 @@ def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
         (found[["airspeed_std"]] ** 2).mean().iloc[0] ** 0.5,
         found[["wind_north", "wind_east"]].mean(),
     )
-    warnings.warn(
+    warn(
         f"Flight {flight['flight'].iloc[0]!r} has no airspeed: that of its turns is used, ± "
         f"{error:.2g} m/s, in a wind "
         f"of {np.hypot(*wind):.2g} m/s.",
@@ -269,7 +269,7 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
     for each in (
         find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ()
     ):
-        warnings.warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
+        warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
 
@@ -313,7 +313,7 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
 
 
 def _warn(message, stacklevel=5):
-    warnings.warn(message, stacklevel=stacklevel)
+    warn(message, stacklevel=stacklevel)
 
 
 def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
@@ -349,7 +349,7 @@ def warn_of_short_flights(flights: Flights, regressors) -> None:
         crossings += np.sum(blocks[1:] * blocks[:-1] < 0, axis=0)
     if np.median(crossings) < len(columns):
         seconds = sum(np.ptp(table["time"]) for table in flights.values())
-        warnings.warn(
+        warn(
             f"The training flights last {seconds:.3g} s, in which {columns} pass their means "
             f"{np.median(crossings):g} "
             f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -18,9 +17,11 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
+from skdgp._compute.messages import recorded_warnings, warn
 from skdgp._compute.progress import notify
 from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file
 from skdgp.identification._evaluation import Evaluation, group_means, reconstruction_of, scores
@@ -191,8 +192,9 @@ class Identification:
 
     def evaluate(self, flight: Any) -> Evaluation:
         """Predict and replay another flight, a table or a path."""
-        with warnings.catch_warnings():
+        with recorded_warnings() as messages:
             flights = _evaluation.usable_flights_of_model(self.pipeline, named_flights(flight))
+            messages.ignore(FlightDataWarning, WARNING_START)  # the steps meet them again
             if len(flights) != 1:
                 raise ValueError(
                     f"Got {len(flights)} flights, but expected one: evaluate each by itself."
@@ -218,9 +220,7 @@ class Identification:
         """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
         notify("report")
         if find_spec("matplotlib") is None:
-            warnings.warn(
-                'No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2
-            )
+            warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
         found = {
             "report.html": text_writer(render_report(self._report_content())),
             "metrics.json": text_writer(json_text(self.metrics)),

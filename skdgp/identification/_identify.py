@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 from sklearn.utils import Bunch
 
+from skdgp._compute.messages import recorded_warnings, warn
 from skdgp._compute.progress import notify
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
@@ -150,9 +149,9 @@ def identify(
             _flights.warn_of_engine(train, regressors)
         if reversed_of(servos) is not None:
             _warn(_assumed.FULL_THROWS)
-            warnings.filterwarnings("ignore", "Got surfaces up to", UserWarning)
+            messages.ignore(UserWarning, "Got surfaces up to")
         # The steps of the pipeline meet the same faults again.
-        warnings.filterwarnings("ignore", WARNING_START, FlightDataWarning)
+        messages.ignore(FlightDataWarning, WARNING_START)
 
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         table = pd.concat(train.values(), ignore_index=True)
@@ -212,7 +211,7 @@ def identify(
         fit=fit,
         train=train,
         evaluations=evaluations,
-        messages=messages,
+        messages=messages.texts,
         held_out=held_out,
         assumed=_assumed.assumptions(aircraft, servos=servos, thrust_unknown=thrust_unknown),
     )
@@ -256,6 +255,7 @@ def validate(
         notify("reading")
         named = _flights.named_flights(flights, **reading | {"servos": servos})
         flights = _evaluation.usable_flights_of_model(model.pipeline, named)
+        messages.ignore(FlightDataWarning, WARNING_START)  # the steps meet them again
         for name in flights.keys() & set(model.get("flights", [])):
             _warn(
                 f"The model learned from a flight {name!r}: if it is this one, its errors say "
@@ -272,25 +272,8 @@ def validate(
         fit=fit,
         train={},
         evaluations=evaluations,
-        messages=messages,
+        messages=messages.texts,
     )
-
-
-@contextmanager
-def recorded_warnings() -> Iterator[list[str]]:
-    """Show warnings as usual, and yield the list of their messages, each once."""
-    messages: list[str] = []
-    with warnings.catch_warnings():
-        show = warnings.showwarning
-
-        def record(message, category, filename, lineno, file=None, line=None):
-            text = " ".join(str(message).split())
-            if text not in messages:
-                messages.append(text)
-            show(message, category, filename, lineno, file, line)
-
-        warnings.showwarning = record
-        yield messages
 
 
 def _aircraft(aircraft: Any) -> Aircraft:
@@ -303,4 +286,4 @@ def _aircraft(aircraft: Any) -> Aircraft:
 
 
 def _warn(message):
-    warnings.warn(message, stacklevel=3)
+    warn(message, stacklevel=3)

@@ -6,7 +6,6 @@ import copyreg
 import json
 import os
 import pickle
-import warnings
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,6 +20,7 @@ from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, software_versions, write_atomically
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft
 
@@ -181,7 +181,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
         made_by = _closing(file, path)["versions"]
         installed = software_versions()
         if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-            warnings.warn(
+            warn(
                 f"Got {path}, written with {_differences(made_by, installed)}: its predictions may "
                 f"differ. Compare a few, fit it again, or install those versions.",
                 stacklevel=2,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
+from skdgp._compute.messages import without_warnings
 from skdgp._flight.channels import COEFFICIENTS, RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
@@ -323,8 +323,7 @@ def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
     if not getattr(steps.get("flightpathreconstruction"), "used_", False):
         return table
     last = list(steps).index("flightpathreconstruction")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the evaluation has shown them
+    with without_warnings():  # the evaluation has shown them
         return table.assign(**pipeline[: last + 1].transform(table))
 
 
@@ -392,8 +391,7 @@ def simulation_errors(
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     starts, parts = _windows(tables, max(settings["horizons"]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SimulationWarning)  # an end is an error without bound
+    with without_warnings(SimulationWarning):  # an end is an error without bound
         flown = simulate(
             pipeline,
             aircraft,
@@ -450,8 +448,7 @@ def simulated_flight(
     options["air"] = air if air.wind is None else replace(air, wind=air.wind[0])
     controls = part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
     n_paths = SHOWN_PATHS if as_aerodynamics(pipeline).is_uncertain else None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SimulationWarning)
+    with without_warnings(SimulationWarning):
         mean = simulate(pipeline, aircraft, start, controls, **options)
         paths = mean
         if n_paths is not None:

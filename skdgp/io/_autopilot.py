@@ -6,7 +6,6 @@ Single time stamps may be wrong; the median of neighbouring messages in the file
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,6 +19,7 @@ import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfiltfilt
 
+from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
 from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
@@ -207,8 +207,7 @@ def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataF
 
 
 def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> Matrix:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # rows that stand alone have no rate of change
+    with without_warnings():  # rows that stand alone have no rate of change
         return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
 
 

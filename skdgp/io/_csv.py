@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
 from collections import deque
 from collections.abc import Mapping
 from itertools import islice
@@ -14,6 +13,7 @@ from types import MappingProxyType
 import pandas as pd
 
 from skdgp._compute.files import unguarded
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import FlightReadError, base_name, check_names, check_width, to_si
@@ -83,7 +83,7 @@ def _table(file, file_name, rename):
             f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number."
         )
     if cut:
-        warnings.warn(
+        warn(
             f"{file_name}: {cut}, so it was cut off and is left out.",
             FlightDataWarning,
             stacklevel=4,

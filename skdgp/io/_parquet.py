@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._tables import (
@@ -64,7 +64,7 @@ def _table(path: Path, pyarrow: Any) -> pd.DataFrame:
             )
     if left_out:
         words = f"{path.name}: columns that hold neither numbers, texts nor times are left out: {left_out}."
-        warnings.warn(words, FlightDataWarning, stacklevel=4)
+        warn(words, FlightDataWarning, stacklevel=4)
     kinds = {name: kind for name, kind in kinds.items() if kind is not None}
     packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
     check_room(max(8 * size.num_rows * len(kinds), packed), room_for(path.stat().st_size))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import suggestions, unknown_columns, unknown_columns_message
 from skdgp._flight.clock import check_clock, flight_codes, part_restarts
@@ -198,9 +198,7 @@ def read_flights(
         if (names := [name for name in every if name not in table])
     }
     if lacking:
-        warnings.warn(
-            f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2
-        )
+        warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2)
     unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
     for table in tables:
         table.attrs = {}  # pandas compares them
@@ -219,7 +217,7 @@ def _from_autopilot(path, flight, options):
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
     if flown.remarks:
-        warnings.warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning, stacklevel=3)
+        warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning, stacklevel=3)
     return table
 
 
@@ -291,7 +289,7 @@ def _as_numbers(table):
             column = column.dt.total_seconds()
         numbers[name] = to_floats(column)
     if infinite := [name for name, values in numbers.items() if np.isinf(values).any()]:
-        warnings.warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
+        warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
     return numbers | {
         name: np.where(np.isinf(numbers[name]), np.nan, numbers[name]) for name in infinite
     }
@@ -314,7 +312,7 @@ def _without_repeats(table):
     repeated = repeated & table.duplicated() if repeated.any() else repeated
     if not repeated.any():
         return table
-    warnings.warn(
+    warn(
         f"{int(repeated.sum())} rows repeat the row before them exactly (first: row "
         f"{int(np.argmax(repeated))}) and "
         "are dropped.",
@@ -335,7 +333,7 @@ def _split_at_restarts(table):
         f"{names[row]!r}"
         for row in restarts[:8]
     ]
-    warnings.warn(
+    warn(
         f"Time goes back where a clock was restarted, and from there on flights are named apart "
         f"({'; '.join(steps)}).",
         FlightDataWarning,
@@ -349,4 +347,4 @@ def _hint_at_names(table):
     unknown = unknown_columns(table)
     if suggestions(unknown, table.columns):
         words = unknown_columns_message(unknown, table.columns)
-        warnings.warn(f"Unknown columns are kept as they are: {words}.", stacklevel=4)
+        warn(f"Unknown columns are kept as they are: {words}.", stacklevel=4)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from numbers import Real
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import CHANNELS
@@ -142,7 +142,7 @@ class FlightCheck(TableTransformer):
         faults = [finding for finding in findings if finding.kind not in NO_ERRORS]
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
-            warnings.warn(
+            warn(
                 faults_message(faults, f"Faulty values are NaN{then}."),
                 FlightDataWarning,
                 stacklevel=4,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from numbers import Real
@@ -11,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
@@ -156,7 +156,7 @@ class ElevonSplitter(TableTransformer):
             for name, d in difference.items()
         }
         if max(largest.values(), default=0.0) > MAX_DIFFERENCE:
-            warnings.warn(
+            warn(
                 f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces "
                 f"are used. Drop the "
                 "logged columns if they are commands, or correct surfaces, controls and mixing.",
@@ -339,7 +339,7 @@ class RegressorSelector(TableTransformer):
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
         if truth:
-            warnings.warn(
+            warn(
                 f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: "
                 f"use them only to "
                 "score, or to measure the effect of sensor noise.",
@@ -413,7 +413,7 @@ def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
             f"fewer columns."
         )
     if constant or len(values) <= len(names):
-        warnings.warn(words, FlightDataWarning, stacklevel=3)
+        warn(words, FlightDataWarning, stacklevel=3)
 
 
 def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from itertools import pairwise
 from numbers import Integral, Real
@@ -13,6 +12,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
@@ -266,7 +266,7 @@ class FlightPathReconstruction(TableTransformer):
             self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
         )
         if not isinstance(self.calibrate, str) and not shown.all():
-            warnings.warn(
+            warn(
                 f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay "
                 f"near the prior, zero "
                 "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out "
@@ -295,7 +295,7 @@ class FlightPathReconstruction(TableTransformer):
         if not self.tells_gusts_ or (missing and not self.used_):
             return table
         if missing:
-            warnings.warn(
+            warn(
                 f"Got flights without {missing}, which those of the fit had: they are smoothed "
                 f"channel by channel "
                 "(FlightSmoother), not reconstructed. Expect larger errors than with those "
@@ -373,7 +373,7 @@ class FlightPathReconstruction(TableTransformer):
                 estimates.append((name, *kept, each._replace(path=path)))
                 contradictory |= {} if each.converged else {name: None}
         for name in contradictory:
-            warnings.warn(
+            warn(
                 f"The reconstruction of flight {name!r} did not converge: its sensors "
                 f"contradict one another. Look "
                 "at calibration(flight), and for wrong signs, units or clocks.",
@@ -401,10 +401,7 @@ def kinematic_lags(table: pd.DataFrame) -> dict[str, tuple[float, float]]:
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     since = table["time"] - table.groupby(codes)["time"].transform("min")
     inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # of unobservable constants; their std shows it
+    with without_warnings():  # of unobservable constants; their std shows it
         path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS])
         path.fit(inertial)
     precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
@@ -579,10 +576,7 @@ def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, 
     """Return smoothed air data (n, 3), and their mean slope by their own samples."""
     probe = np.random.default_rng(0).standard_normal(raw.shape)
     moved = table.assign(**dict(zip(AIR_DATA, (raw + PROBE * noise * probe).T, strict=True)))
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # of flights too short to smooth: the pipeline's smoother says it
+    with without_warnings():  # of flights too short to smooth: the pipeline's smoother says it
         smoother = FlightSmoother(columns=list(AIR_DATA), derivatives=[])
         before, after = (numeric(smoother.fit_transform(one), AIR_DATA) for one in (table, moved))
     response = np.nanmean((after - before) * probe, axis=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from typing import Any, Self
 
@@ -12,6 +11,7 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import (
     check_feature_names_in,
     fit_context,
@@ -41,7 +41,7 @@ class TableTransformer(  # type: ignore[call-arg]
         self._passes = not self._has_known_column(X)
         if self._passes:
             self._check_other_input(X, reset=True)
-            warnings.warn(
+            warn(
                 f"{type(self).__name__} got a table without column names that it knows, so it "
                 f"passes it through "
                 "unchanged. Give a DataFrame with the names of docs/notation.md "

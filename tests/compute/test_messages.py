@@ -1,0 +1,89 @@
+"""Warnings are recorded and silenced for one caller alone: no filter of the process changes."""
+
+import sys
+import threading
+import warnings
+
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp._compute.messages import recorded_warnings, warn, without_warnings
+from skdgp.datasets import load_example_flights
+from skdgp.identification import identify
+
+KMEANS = "skdgp._compute.linalg"  # KMeans of scikit-learn has no other way to be silent
+
+
+class Late(UserWarning):
+    """A category of its own."""
+
+
+def test_recorded_warnings_are_shown_and_kept_once():
+    with recorded_warnings() as outer, recorded_warnings() as inner:
+        for _ in range(2):
+            with pytest.warns(Late, match="^a  gap$"):
+                warn("a  gap", Late)
+    assert inner.texts == outer.texts == ["a gap"]
+
+
+def test_ignored_warnings_are_neither_shown_nor_recorded():
+    with recorded_warnings() as outer, without_warnings(Late):
+        warn("late", Late)
+        with pytest.warns(UserWarning, match="other"):
+            warn("other")
+    assert outer.texts == ["other"]
+    with recorded_warnings() as messages:
+        messages.ignore(UserWarning, "Faults")
+        warn("Faults of a log", Late)
+        with pytest.warns(Late, match="A log"):
+            warn("A log", Late)
+    assert messages.texts == ["A log"]
+
+
+def test_another_thread_is_not_silenced():
+    raised = []
+
+    def warning():
+        try:
+            warn("from another thread", Late)  # an error, as every warning of the test run
+        except Late as error:
+            raised.append(str(error))
+
+    with without_warnings(), recorded_warnings() as messages:
+        thread = threading.Thread(target=warning)
+        thread.start()
+        thread.join()
+    assert raised == ["from another thread"]
+    assert messages.texts == []
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_an_identification_changes_no_filter(monkeypatch):
+    callers = set()
+
+    def watched(name):
+        original = getattr(warnings, name)
+
+        def call(*args, **options):
+            callers.add(sys._getframe(1).f_globals["__name__"])
+            return original(*args, **options)
+
+        return call
+
+    for name in ("catch_warnings", "simplefilter", "filterwarnings", "resetwarnings"):
+        monkeypatch.setattr(warnings, name, watched(name))
+    show = warnings.showwarning
+    example = load_example_flights()
+    result = identify(
+        example.train[example.train["time"] < 20],
+        example.aircraft,
+        test=example.test[example.test["time"] < 10],
+        samples=40,
+        regressor=DependentGPRegressor(structure="trend", max_iter=5, random_state=0),
+        horizons=[2.0],
+    )
+    result.evaluate(example.test[example.test["time"] < 5])
+    assert result.verdict.uses
+    assert callers  # scikit-learn's own
+    assert not {name for name in callers if name.startswith("skdgp")} - {KMEANS}
+    assert warnings.showwarning is show

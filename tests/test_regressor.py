@@ -149,7 +149,6 @@ class TestShapesAndNames:
         model = DependentGPRegressor(max_iter=2).fit(X, Y)
         assert list(model.feature_names_in_) == ["alpha", "q"]
         assert model.output_names_ == ["CZ", "Cm"]
-        assert model.output_correlation().output_names == ["CZ", "Cm"]
         assert DependentGPRegressor(max_iter=2).fit(
             X, Y["Cm"].dropna().reindex(X.index)
         ).output_names_ == ["Cm"]
@@ -296,26 +295,6 @@ class TestInvariance:
         before = np.random.get_state()[1].copy()  # noqa: NPY002
         DependentGPRegressor(max_iter=2, random_state=7).fit(*data)
         np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-
-
-class TestCoupling:
-    def test_is_found(self):
-        """The second output is the first, turned over, and something of its own."""
-        rng = np.random.default_rng(0)
-        x = rng.uniform(-2, 2, (60, 1))
-        wave = np.sin(3 * x)
-        Y = np.hstack([wave, -50 * wave + 10 * np.cos(5 * x)]) + rng.normal(0, [0.05, 2.5], (60, 2))
-        found = DependentGPRegressor(random_state=0).fit(x, Y).output_correlation()
-        assert found.correlation.shape == (2, 2)
-        assert found["shift"].shape == (2, 2, 1)
-        np.testing.assert_allclose(np.diag(found.correlation), 1.0, rtol=1e-9, atol=1e-10)
-        assert found.correlation[0, 1] < -0.8
-
-    def test_trend_does_not_count(self, data):
-        model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=5).fit(*data)
-        np.testing.assert_allclose(
-            model.output_correlation().correlation, np.eye(2), rtol=1e-9, atol=1e-10
-        )
 
 
 def test_sharing_helps_where_an_output_is_rarely_observed():

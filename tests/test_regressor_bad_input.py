@@ -11,7 +11,7 @@ from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
 from skdgp._compute import linalg
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian
 
 
 @pytest.fixture
@@ -296,11 +296,9 @@ class TestParameters:
 
 
 class TestQuestions:
-    @pytest.mark.parametrize(
-        "call", ["predict", "predict_gradient", "sample_y", "score", "output_correlation"]
-    )
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y", "score"])
     def test_before_fit(self, X, Y, call):
-        arguments = {"score": (X, Y), "output_correlation": ()}.get(call, (X,))
+        arguments = (X, Y) if call == "score" else (X,)
         with pytest.raises(NotFittedError, match="not fitted yet"):
             getattr(quick(), call)(*arguments)
 
@@ -313,11 +311,6 @@ class TestQuestions:
     def test_std_and_covariance_at_once(self, X, Y):
         with pytest.raises(ValueError, match=r"return_std=True and return_cov=True.*at most one"):
             quick().fit(X, Y).predict(X, return_std=True, return_cov=True)
-
-    def test_coupling_of_a_trend_alone(self, X, Y):
-        model = quick(kernel=LinearTrend(), trend="constant").fit(X, Y)
-        with pytest.raises(ValueError, match="no stationary part"):
-            model.output_correlation()
 
 
 class TestMemory:

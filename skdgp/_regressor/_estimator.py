@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics import r2_score
-from sklearn.utils import Bunch, check_array, check_consistent_length, check_random_state
+from sklearn.utils import check_array, check_consistent_length, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, eigen_root
-from skdgp._compute.sklearn_compat import HasMethods, Interval, StrOptions, fit_context
+from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp._regressor._structure import (
@@ -28,7 +28,6 @@ from skdgp.inference import (
     SlopeErrors,
     function_errors,
     misfit_variance,
-    output_correlation,
     residual_drift,
     slope_errors,
 )
@@ -82,11 +81,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
         held out in turn (docs/theory.md). A model without a linear trend, or whose hyperparameters are
         not learned, has one member.
-    trend : {"linear", "constant"}, transformer or None
+    trend : {"linear", "constant"} or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
         function of the regressors with weights that are integrated out; it extrapolates linearly,
-        with the uncertainty of the slopes. A transformer, such as ``PolynomialFeatures(2)``, adds a
-        function that is linear in its columns (``BasisTrend``). None: no trend and no centring.
+        with the uncertainty of the slopes. None: no trend and no centring.
+
     inference : {"auto", "exact", "sparse"}
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
@@ -175,7 +174,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "n_latent": [Interval(Integral, 0, None, closed="left"), None],
         "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
         "structure": [StrOptions({"average", "joint", "additive", "trend"})],
-        "trend": [StrOptions({"linear", "constant"}), HasMethods(["fit", "transform"]), None],
+        "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [
@@ -197,7 +196,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         n_latent: int | None = None,
         covariance_type: str = "diag",
         structure: str = "average",
-        trend: Any = "linear",
+        trend: str | None = "linear",
         inference: str = "auto",
         n_inducing: int = 100,
         input_noise: Any = "auto",
@@ -343,26 +342,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.n_evaluations_ = learned.n_evaluations
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
-
-    def output_correlation(self) -> Bunch:
-        """Return the correlation between outputs and the shift at which it is largest.
-
-        Returns
-        -------
-        Bunch
-            ``correlation`` (P, P): the correlation of largest magnitude, over all shifts, between
-            output i at s + shift and output j at s; ``shift`` (P, P, d): that shift, in the units
-            of the regressors; ``output_names``. This is the prior correlation of the dependent
-            processes, without trend and noise. With ``trend="constant"``, very wide latents that
-            replace a trend dominate it.
-        """
-        check_is_fitted(self)
-        kernel = self.kernel_.stationary_part()
-        if kernel is None:
-            raise ValueError("The kernel has no stationary part: a trend alone couples no outputs.")
-        coupling = output_correlation(kernel)
-        coupling["output_names"] = list(self.output_names_)
-        return coupling
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils import check_random_state
@@ -21,11 +19,9 @@ from skdgp.inference import (
     stratified,
 )
 from skdgp.kernels import (
-    BasisTrend,
     ConvolvedGaussian,
     LinearTrend,
     MultiOutputKernel,
-    Trend,
 )
 
 N_LATENT = 2, 4
@@ -128,20 +124,18 @@ def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
 
 
 def _name(kernel):
-    terms = [term for term in kernel.summands() if not isinstance(term, Trend)]
+    terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
     several = any(len(term.term_regressors()[0]) > 1 or kernel.n_features == 1 for term in terms)
     return "joint" if several else "additive" if terms else "trend"
 
 
 def _make_kernel(model, X, Z, log):
     """Return the kernel of all terms; raise ValueError if the structure needs another kernel or trend."""
-    if model.structure == "trend" and (
-        model.kernel is not None or model.trend in ("constant", None)
-    ):
+    if model.structure == "trend" and (model.kernel is not None or model.trend != "linear"):
         raise ValueError(
             f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but "
             f"expected "
-            "kernel=None and a trend such as 'linear'."
+            "kernel=None and trend='linear'."
         )
     if model.structure == "additive" and model.kernel is not None:
         raise ValueError(
@@ -149,9 +143,7 @@ def _make_kernel(model, X, Z, log):
             "ConvolvedGaussian(0, regressors=[k]) to the kernel."
         )
     n, d = X.shape
-    trend: Any = None
-    if model.trend not in ("constant", None):
-        trend = LinearTrend() if model.trend == "linear" else BasisTrend(model.trend)
+    trend = LinearTrend() if model.trend == "linear" else None
     if model.structure == "trend":
         return trend
     bounds = "spacing" if log else None

@@ -26,7 +26,6 @@ from skdgp.inference._slopes import (
     FunctionErrors,
     SlopeErrors,
     function_errors,
-    output_correlation,
     slope_errors,
 )
 from skdgp.inference._sparse import SparsePosterior, shares_of
@@ -56,7 +55,6 @@ __all__ = [
     "maximize",
     "misfit_variance",
     "n_searched",
-    "output_correlation",
     "residual_drift",
     "shares_of",
     "slope_errors",

@@ -100,9 +100,7 @@ def fit_exact(
     random_state = check_random_state(random_state)
     rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(
-        kernel.prepared(X), X, Y, rows, random_state=random_state, exact=True, **options
-    )
+    learned = search(kernel, X, Y, rows, random_state=random_state, exact=True, **options)
     posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
     return Fit(posterior, learned, posterior.log_marginal_likelihood)
 
@@ -152,7 +150,7 @@ def fit_sparse(
     ValueError
         When matrices of the size of all inducing variables do not fit into memory.
     """
-    random_state, kernel = check_random_state(random_state), kernel.prepared(X)
+    random_state = check_random_state(random_state)
     start = kernel.initialize(X, Y, np.random.RandomState(0))
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = inducing_features(start, Z).size

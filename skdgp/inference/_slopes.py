@@ -14,8 +14,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
-from sklearn.utils import Bunch, check_random_state
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
@@ -23,7 +22,6 @@ from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior
-from skdgp.kernels import MultiOutputKernel
 
 BLOCKS = 60  # blocks of the log; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
@@ -326,48 +324,3 @@ def _slopes_of(basis, at):
     """Return d basis / d z at points (..., d), (..., d, p): differences, which are exact up to second order."""
     change = [basis(at + step) - basis(at - step) for step in np.eye(at.shape[-1])]
     return 0.5 * np.stack(change, axis=-2)
-
-
-# -- correlation of outputs
-# -------------------------------------------------------------------------------------------
-
-
-def output_correlation(kernel: MultiOutputKernel) -> Bunch:
-    """Return the largest correlation between outputs over all separations, and the separation of that maximum.
-
-    For a stationary kernel the correlation of output i at s + delta with output j at s is
-    K_ij(delta) / sqrt(K_ii(0) K_jj(0)). Its extremes are found by gradient ascent from the
-    separations at which the terms of the kernel are largest. The result has ``correlation`` (P, P)
-    and ``shift`` (P, P, d), antisymmetric in the outputs.
-    """
-    P, n_features = kernel.n_outputs, kernel.n_features
-    correlation, shift = np.eye(P), np.zeros((P, P, n_features))
-    scale = np.sqrt([kernel.block_diag(i, np.zeros((1, n_features)))[0] for i in range(P)])
-    for i in range(P):
-        for j in range(i):
-            value, separation = _extreme(kernel, i, j, n_features)
-            size = scale[i] * scale[j]
-            correlation[i, j] = correlation[j, i] = (
-                np.clip(value / size, -1, 1) if size > 0 else 0.0
-            )
-            shift[i, j], shift[j, i] = separation, -separation
-    return Bunch(correlation=correlation, shift=shift)
-
-
-def _extreme(kernel, i, j, d):
-    """Return the value of K_ij that is largest in magnitude, and its separation (d,)."""
-    origin = np.zeros((1, d))
-    starts = np.unique(np.concatenate([origin, kernel.peaks(i, j)]), axis=0)
-    candidates = [(kernel.block(i, j, s[None], origin)[0, 0], s) for s in starts]
-    value, start = max(candidates, key=lambda pair: abs(pair[0]))
-    if value == 0.0:
-        return 0.0, np.zeros(d)
-
-    def loss(separation):
-        s = separation[None]
-        ratio = kernel.block(i, j, s, origin)[0, 0] / value
-        slope = kernel.block_derivative(i, j, s, origin)[:, 0, 0] / value
-        return -ratio, -slope
-
-    optimum = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-8})
-    return value * -optimum.fun, optimum.x

@@ -4,11 +4,10 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import COVARIANCE_TYPES, ConvolvedGaussian
 from skdgp.kernels._features import Features, LatentFeatures, inducing_features
 from skdgp.kernels._prior_paths import PathBundle, covariance_paths, prior_paths
-from skdgp.kernels._trend import BasisTrend, LinearTrend, Trend
+from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
     "COVARIANCE_TYPES",
-    "BasisTrend",
     "ConvolvedGaussian",
     "Features",
     "FreeParameter",
@@ -17,7 +16,6 @@ __all__ = [
     "MultiOutputKernel",
     "PathBundle",
     "Sum",
-    "Trend",
     "covariance_paths",
     "inducing_features",
     "prior_paths",

@@ -188,10 +188,6 @@ class MultiOutputKernel(Kernel):
             )
         return self
 
-    def prepared(self, X: Matrix) -> MultiOutputKernel:
-        """Return the kernel with all that depends only on the inputs (n, d), such as a fitted transformer."""
-        return self
-
     def coarse(self) -> MultiOutputKernel:
         """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
         return self
@@ -207,10 +203,6 @@ class MultiOutputKernel(Kernel):
         """Return the part of Y (n, P) from which the other terms of a sum are initialized, by default all of it."""
         return Y
 
-    def stationary_part(self) -> MultiOutputKernel | None:
-        """Return the terms of the covariance that depend only on the separation, or None."""
-        return self if self.is_stationary() else None
-
     def summands(self) -> list[MultiOutputKernel]:
         """Return the kernels that add up to this one, which are not sums themselves."""
         return [self]
@@ -225,10 +217,6 @@ class MultiOutputKernel(Kernel):
         The kernels of all entries of ``term_regressors`` add up to the kernel.
         """
         return self if [regressors] == self.term_regressors() else Zero(self)
-
-    def peaks(self, i: int, j: int) -> Matrix:
-        """Return separations besides zero where a stationary cov(y_i, y_j) may be largest, (k, d)."""
-        return np.zeros((0, self.n_features))
 
     # -- matrices
     # --------------------------------------------------------------------------------------
@@ -507,22 +495,11 @@ class Sum(_SklearnSum, MultiOutputKernel):
             first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2"))
         )
 
-    def prepared(self, X: Matrix) -> MultiOutputKernel:
-        return Sum(self.k1.prepared(X), self.k2.prepared(X))
-
     def coarse(self) -> MultiOutputKernel:
         return Sum(self.k1.coarse(), self.k2.coarse())
 
     def has_values(self) -> bool:
         return self.k1.has_values() and self.k2.has_values()
-
-    def stationary_part(self) -> Any:
-        parts = [
-            part
-            for part in (self.k1.stationary_part(), self.k2.stationary_part())
-            if part is not None
-        ]
-        return Sum(*parts) if len(parts) == 2 else parts[0] if parts else None
 
     def summands(self) -> list[MultiOutputKernel]:
         return [*self.k1.summands(), *self.k2.summands()]
@@ -532,9 +509,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         return Sum(self.k1.term(regressors), self.k2.term(regressors))
-
-    def peaks(self, i: int, j: int) -> Matrix:
-        return np.concatenate([self.k1.peaks(i, j), self.k2.peaks(i, j)])
 
     def single_output(self) -> MultiOutputKernel:
         return Sum(self.k1.single_output(), self.k2.single_output())

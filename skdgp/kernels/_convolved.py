@@ -351,15 +351,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             return self
         return clone(self).set_params(amplitude=np.zeros_like(self.value("amplitude")))
 
-    def peaks(self, i: int, j: int) -> Matrix:
-        # Terms of opposite sign may cancel at their centres: add points one to three widths away
-        # along each axis.
-        pair = self.pair(i, j)
-        widths = 1.0 / (np.einsum("mkk->mk", pair.F) if pair.full else pair.F)
-        steps = np.concatenate([t * np.eye(self.n_features) for t in (-3, -2, -1, 1, 2, 3)])
-        beside = [mu + steps * width for mu in pair.mu for width in widths]
-        return np.concatenate([pair.mu, *beside])
-
     def free_parameters(self) -> list[FreeParameter]:
         return self._cached("free", self._free_parameters)
 

@@ -26,7 +26,7 @@ from skdgp.kernels._prior_paths import (
     draw_latents,
     prior_paths,
 )
-from skdgp.kernels._trend import Trend
+from skdgp.kernels._trend import LinearTrend
 
 # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 JITTER = 1e-6
@@ -254,17 +254,17 @@ class TrendFeatures(Features):
     def rows(self):
         slope = self.kernel.value(
             "slope_scale"
-        )  # (P, K); the columns of an output are [tau_0, tau_k (phi_k - c_k)]
+        )  # (P, d); the columns of an output are [tau_0, tau_k (s_k - c_k)]
         constant = np.column_stack(
             [self.kernel.value("intercept_scale"), -slope * self.kernel.value("center")]
         )
         slopes = np.zeros((slope.shape[1], *constant.shape))
         np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
         slopes, constant = slopes.reshape(len(slopes), -1), constant.ravel()
-        return lambda X: self.kernel.columns(X) @ slopes + constant
+        return lambda X: X @ slopes + constant
 
     def Kfu_derivative(self, i, X):
-        slopes = self.kernel.basis_slopes(i, X)
+        slopes = self.kernel.basis_slopes(i)
         return np.broadcast_to(slopes, (len(slopes), len(X), self.n_weights))
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
@@ -360,7 +360,7 @@ def _(kernel: ConvolvedGaussian, Z):
 
 
 @inducing_features.register
-def _(kernel: Trend, Z):
+def _(kernel: LinearTrend, Z):
     return TrendFeatures(kernel)
 
 

@@ -14,7 +14,7 @@ from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import CovarianceColumns
-from skdgp.kernels._trend import Trend
+from skdgp.kernels._trend import LinearTrend
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 TILE = 512  # values in one block of covariances
@@ -135,7 +135,7 @@ class MixedPaths(PathBundle):
 
 
 class TrendPaths(PathBundle):
-    """Trends with standardised weights u, (S, P, K + 1): tau_i0 u_i0 + sum_k tau_ik u_ik (phi_k(s) - c_k)."""
+    """Trends with standardised weights u, (S, P, d + 1): tau_i0 u_i0 + sum_k tau_ik u_ik (s_k - c_k)."""
 
     def __init__(self, kernel, weights):
         self.kernel, self.weights = kernel, weights
@@ -150,17 +150,14 @@ class TrendPaths(PathBundle):
         return self.weights[:1].size if same_points else self.weights.size
 
     def each(self, X):
-        columns = self.kernel.columns(_flatten_points(X)) - self._center
+        columns = _flatten_points(X) - self._center
         values = _unflatten_points(columns, X) @ self._slope
         values += self._intercept
         return values
 
     def gradient(self, X):
-        slopes = self.kernel.column_slopes(
-            _flatten_points(X)
-        )  # (d, S n, K), or the same everywhere
-        slopes = np.broadcast_to(slopes, (len(slopes), X.shape[0] * X.shape[1], slopes.shape[2]))
-        return np.moveaxis(_unflatten_points(slopes, X) @ self._slope, 0, -1)
+        slopes = np.swapaxes(self._slope, 1, 2)[:, None]  # (S, 1, P, d)
+        return np.array(np.broadcast_to(slopes, (len(slopes), X.shape[1], *slopes.shape[2:])))
 
 
 class FeaturePaths(PathBundle):
@@ -464,7 +461,7 @@ def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
 
 
 @prior_paths.register
-def _(kernel: Trend, n_paths, n_frequencies, random_state):
+def _(kernel: LinearTrend, n_paths, n_frequencies, random_state):
     shape = n_paths, kernel.n_outputs, kernel.n_weights
     return TrendPaths(kernel, random_state.standard_normal(shape))
 
@@ -492,7 +489,7 @@ def _(kernel: ConvolvedGaussian, X, coefficients):
 
 
 @covariance_paths.register
-def _(kernel: Trend, X, coefficients):
+def _(kernel: LinearTrend, X, coefficients):
     pairs = zip(X, coefficients, strict=True)
     weights = [c @ kernel.basis(i, x) for i, (x, c) in enumerate(pairs)]
     return TrendPaths(kernel, np.stack(weights, axis=1))

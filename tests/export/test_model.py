@@ -9,7 +9,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
     MaxAbsScaler,
     MinMaxScaler,
-    PolynomialFeatures,
     RobustScaler,
     StandardScaler,
 )
@@ -96,7 +95,6 @@ def test_the_hash_is_of_names_and_numbers(portable_of):
 
 START = DependentGPRegressor(optimizer=None)
 OF_ALPHA = RegressorSelector(["alpha"])
-OTHER_TREND = DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))
 
 
 @pytest.mark.parametrize(
@@ -108,7 +106,6 @@ OTHER_TREND = DependentGPRegressor(optimizer=None, trend=PolynomialFeatures(2))
             "'MinMaxScaler'. before the choice of regressors",
         ),
         ([OF_ALPHA, MinMaxScaler(clip=True), START], "Scaler behind the choice of regressors"),
-        ([OF_ALPHA, OTHER_TREND], "kernels .'BasisTrend'."),
     ],
 )
 def test_what_has_no_form_is_refused(steps, words, flight, portable_of):

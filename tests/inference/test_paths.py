@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp.inference import Data, ExactPosterior, SparsePosterior, shares_of
-from skdgp.kernels import BasisTrend, inducing_features
+from skdgp.kernels import inducing_features
 
 N_PATHS = 4000
 Z = np.random.default_rng(6).normal(size=(7, 2))
@@ -69,13 +68,6 @@ def test_noise_that_outputs_share(one_problem, make):
     loading = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
     data = Data.from_table(one_problem.X, one_problem.Y, loading)
     assert_moments(make(one_problem, data), points(one_problem))
-
-
-def test_a_trend_in_any_columns(one_problem, make):
-    X, Y = one_problem.X, one_problem.Y
-    basis = BasisTrend(PolynomialFeatures(2), np.ones(3), np.full((3, 6), 0.5)).initialize(X, Y, 0)
-    one_problem.kernel = basis + one_problem.kernel.k2
-    assert_moments(make(one_problem), points(one_problem))
 
 
 def test_an_output_that_was_never_observed(one_problem, make):

@@ -7,13 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
 import skdgp.kernels
 from skdgp._compute.linalg import RowPairs
 from skdgp.kernels import (
-    BasisTrend,
     ConvolvedGaussian,
     LinearTrend,
     MultiOutputKernel,
@@ -57,18 +54,6 @@ def trend(P=3, d=2, seed=1):
     )
 
 
-def basis_trend(transformer, P=3, d=2, seed=1):
-    """A trend in the columns of a transformer that was fitted to fifty samples."""
-    rng = np.random.default_rng(seed)
-    X = rng.normal(0, 1.2, (50, d))
-    K = clone(transformer).fit_transform(X).shape[1]
-    scales = rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, K))
-    bounds = {"intercept_scale_bounds": (1e-3, 1e3), "slope_scale_bounds": (1e-3, 1e3)}
-    return BasisTrend(transformer, *scales, center=rng.normal(size=K), **bounds).initialize(
-        X, np.zeros((50, P)), 0
-    )
-
-
 KERNELS = {
     **{
         f"{kind}, shifted": convolved(covariance_type=kind, shift=True)
@@ -91,14 +76,7 @@ KERNELS = {
         )
     ),
     "trend": trend(),
-    "trend in splines + dependent": basis_trend(
-        make_pipeline(
-            StandardScaler(),
-            SplineTransformer(3, degree=5, extrapolation="continue", include_bias=False),
-        )
-    )
-    + convolved(1, private=False, covariance_type="tied", seed=5),
-    "trend in polynomials": basis_trend(PolynomialFeatures(2, include_bias=False)),
+    "trend + dependent": trend() + convolved(1, private=False, covariance_type="tied", seed=5),
 }
 
 
@@ -110,7 +88,7 @@ FEW = (
         "one output",
         "of one regressor, named twice",
     ),
-    *("additive", "bounds for each entry", "everything fixed", "trend in splines + dependent"),
+    *("additive", "bounds for each entry", "everything fixed", "trend + dependent"),
 )  # every class, kind of width and term once
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.kernels import BasisTrend, ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 KINDS = ("spherical", "diag", "full", "tied")
 OPEN = {
@@ -15,8 +14,6 @@ OPEN = {
     "more shared than outputs": ConvolvedGaussian(5, private_latents=False),
     "private alone": ConvolvedGaussian(0),
     "trend": LinearTrend(),
-    "trend in polynomials": BasisTrend(PolynomialFeatures(2)),
-    "trend in polynomials + dependent": BasisTrend(PolynomialFeatures(2)) + ConvolvedGaussian(1),
     "trend + dependent": LinearTrend() + ConvolvedGaussian(1),
 }
 

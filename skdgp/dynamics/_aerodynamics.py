@@ -5,13 +5,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from inspect import signature
 from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
@@ -63,14 +61,6 @@ class Drift(NamedTuple):
             (misfit, np.full(len(misfit), MISFIT_MEMORY)),
         ]
 
-    def covariance(self, time: Array) -> Array:
-        """Return the covariance (6 n, 6 n) at times (n,), all n of the first coefficient first."""
-        lag = np.abs(np.subtract.outer(time, time))[..., None]
-        blocks = np.sum(
-            [variance * np.exp(-lag / memory) for variance, memory in self._processes()], axis=0
-        )
-        return block_diag(*np.moveaxis(blocks, -1, 0))
-
     def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
         """Return draws (n, *shape, 6) at times (n,) that increase."""
         seed = check_random_state(random_state).randint(
@@ -102,9 +92,6 @@ class Aerodynamics:
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients
         (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior.
         Without it the model has no uncertainty.
-    covariance : callable, optional
-        Regressors (n, d) to the joint posterior covariance (6 n, 6 n), all n of the first
-        coefficient first.
     drift : Drift, optional
         Errors along a flight: what regressors and posterior leave unexplained.
     turbulence : Turbulence, optional
@@ -157,7 +144,6 @@ class Aerodynamics:
         *,
         gradient: Callable | None = None,
         sampler: Callable | None = None,
-        covariance: Callable | None = None,
         drift: Drift | None = None,
         turbulence: Any = None,
         limits: ArrayLike | None = None,
@@ -187,7 +173,7 @@ class Aerodynamics:
         )
         self.flown, self.units = dict(flown or {}), dict(units or {})
         self.n_paths: int | None = None
-        self._gradient, self._sampler, self._covariance = gradient, sampler, covariance
+        self._gradient, self._sampler = gradient, sampler
 
     def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
@@ -238,27 +224,6 @@ class Aerodynamics:
             drawn._gradient = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
         return drawn
 
-    def covariance(self, X: ArrayLike, *, correlated: bool = False) -> Array:
-        """Return the joint covariance (6 n, 6 n) at regressors (n, d); raise ValueError without a posterior.
-
-        ``correlated``: as of `sample`.
-        """
-        if self._covariance is None:
-            raise ValueError(
-                f"Got a model without a posterior covariance ({self!r}), but expected a pipeline "
-                f"that ends in "
-                "DependentGPRegressor, or Aerodynamics(..., covariance=...)."
-            )
-        X = np.asarray(X, dtype=float)
-        covariance = self._covariance(X)
-        errors = self._errors() if correlated else None
-        if errors is None:
-            return covariance
-        root = errors(np.broadcast_to(X, (len(errors.weights), *X.shape))).T.reshape(
-            len(covariance), -1
-        )
-        return covariance + root @ root.T
-
     def _errors(self) -> Any:
         return None if self.function_errors is None else self.function_errors()
 
@@ -307,8 +272,8 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n,
-    d); ``sample_paths``, functions with ``each`` and ``gradient``, and then a ``predict`` with
-    ``return_cov``; and a drift in time, ``drift_variance_`` and ``drift_memory_`` (P,). A
+    d); ``sample_paths``, functions with ``each`` and ``gradient``; and a drift in time,
+    ``drift_variance_`` and ``drift_memory_`` (P,). A
     meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
 
     Examples
@@ -362,7 +327,6 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         list(names),
         gradient=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
-        covariance=chain.covariance if chain.can_sample else None,
         drift=chain.drift(),
         turbulence=turbulence_of(model),
         limits=None if limits[0] is None else np.array(limits),
@@ -436,18 +400,6 @@ class _Chain:
             getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None
         )()
         return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
-
-    def covariance(self, X: Array) -> Array:
-        """Return the joint posterior covariance (6 n, 6 n) at regressors that are exact, as those of the paths."""
-        predict = self.regressor.predict
-        exact = (
-            {"include_input_noise": False}
-            if "include_input_noise" in signature(predict).parameters
-            else {}
-        )
-        covariance = predict((X - self.shift) / self.scale, return_cov=True, **exact)[1]
-        blocks = covariance.reshape(len(covariance) // len(X), len(X), -1, len(X))
-        return blocks[self.order][:, :, self.order].reshape(6 * len(X), -1)
 
     def drift(self) -> Drift | None:
         """Return the drift of the regressor, or None if it has none."""

@@ -10,7 +10,6 @@ and w white,
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import repeat
 
 import numpy as np
 
@@ -111,19 +110,14 @@ def state_deviations(
     std: Mapping[str, float],
     states: Array,
     correlation_time: float = np.inf,
-    further: Iterable[Array] = repeat(np.zeros((0, 12))),
 ) -> Iterator[Array]:
-    """Yield the standard deviations of `STATES` and of ``further`` readouts (n, 12) at every state (n_times, ..., 13).
+    """Yield the standard deviations of `STATES` at every state (n_times, ..., 13).
 
     ``std`` are those of the start by name, the rest as of `error_covariances`.
     """
     covariances = error_covariances(samples, steps, start_errors(std, states[0]), correlation_time)
-    for state, more, covariance in zip(states, further, covariances, strict=False):
-        readouts = state_readouts(state)
-        readouts = np.concatenate(
-            [readouts, np.broadcast_to(more, (*readouts.shape[:-2], *more.shape))], axis=-2
-        )
-        yield standard_deviations(covariance, readouts)
+    for state, covariance in zip(states, covariances, strict=False):
+        yield standard_deviations(covariance, state_readouts(state))
 
 
 def standard_deviations(covariance: Array, readouts: Array) -> Array:

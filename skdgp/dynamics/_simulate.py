@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.linalg import semidefinite_root
 from skdgp._compute.messages import warn
 from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import Array, Seed
@@ -27,10 +26,9 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._aerodynamics import Aerodynamics, Drift
-from skdgp.dynamics._air import LocalAir, Turbulence, as_air
+from skdgp.dynamics._aerodynamics import Aerodynamics
+from skdgp.dynamics._air import Turbulence, as_air
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._error_covariance import STATES, checked_std, state_deviations
 from skdgp.dynamics._inputs import (
     as_starts,
     control_schedule,
@@ -39,14 +37,12 @@ from skdgp.dynamics._inputs import (
     tables_of,
     warn_of_clocks,
 )
-from skdgp.dynamics._jacobian import jacobian
 from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
 from skdgp.dynamics._record import (
     FLYING,
     REASONS,
     Clock,
-    Record,
     channels,
     end_reasons,
     fly_record,
@@ -61,10 +57,6 @@ from skdgp.dynamics._wind import (
     wind_schedule,
 )
 
-MOST_KNOTS = 250
-"""Points of a trajectory at which the model's errors are known, linear between them: a knot a step
-on short flights.
-"""
 BEYOND = 0.02
 """Share of its range by which a regressor may exceed what was flown without a warning."""
 TINY = 1e-12
@@ -81,7 +73,6 @@ def simulate(
     air: Any = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
-    return_std: bool = False,
     initial_std: Mapping[str, float] | None = None,
     thrust: Thrust = "auto",
 ) -> pd.DataFrame:
@@ -119,12 +110,8 @@ def simulate(
         flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
-    return_std : bool, default=False
-        Whether to add standard deviations ``airspeed_std``, ``phi_std``, ... of the mean's
-        trajectory by the joint posterior along it, to first order, with the rates of gusts, but not
-        their velocity: fast, and right for some seconds; ``n_paths`` is right for longer.
     initial_std : mapping of str to float, optional
-        Standard deviations of the start, for paths or ``return_std``, by name ("u", "v", "w",
+        Standard deviations of the start of paths, by name ("u", "v", "w",
         "v_north", ..., "phi",
         ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
@@ -185,102 +172,29 @@ def simulate(
         raise ValueError(
             "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
         )
-    if n_paths is not None and return_std:
-        raise ValueError(
-            "Got n_paths and return_std=True, but expected one of them: paths spread by themselves."
-        )
-    if initial_std is not None and n_paths is None and not return_std:
-        raise ValueError(
-            "Got initial_std without n_paths or return_std=True: nothing would show it."
-        )
-    drift, drifts, said = None, None, ""
-    if n_paths is not None or return_std:
-        met, said = met_turbulence(asked, local, motion, clock, states)
-        if asked.drift:
-            drift = drift_in(
-                met, motion, float(airspeeds(states, local).mean()), drawn=n_paths is not None
-            )
+    if initial_std is not None and n_paths is None:
+        raise ValueError("Got initial_std without n_paths: nothing would show it.")
+    drifts, said = None, ""
     if n_paths is not None:
+        met, said = met_turbulence(asked, local, motion, clock, states)
+        speed = float(airspeeds(states, local).mean())
+        drift = drift_in(met, motion, speed) if asked.drift else None
         if met is not None and np.any(met.intensity):
             local = gusty_air(asked, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        drifts = (
-            None if drift is None else drift.draw(clock.stages, states.shape[:-1], random_state)
-        )
+        if drift is not None:
+            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
         states = states[0]
     record = fly_record(motion, commands, local, clock, states, drifts)
     warn_of(record, motion)
-    std = linear_std(record, motion, initial_std, drift) if return_std else {}
     first = [table["time"].iloc[0] for table in tables_of(controls)] or [0.0]
     table = trajectory_table(
-        record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),)), std
+        record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),))
     )
     table.attrs["air"] = said
     return table
-
-
-def linear_std(
-    record: Record, motion: Motion, initial_std: Mapping[str, float] | None, drift: Drift | None
-) -> dict[str, Array]:
-    """Return the standard deviations along trajectories () or (n_starts,), by name, (n_times, ...), to first order."""
-    start, shape = checked_std(initial_std), record.ended.shape
-    found = {
-        f"{name}_std": np.full((len(record.time), *shape), np.nan) for name in (*STATES, *AIR_DATA)
-    }
-    for place in np.ndindex(shape):
-        n = int(record.end[place])
-        if n > 1:
-            for name, std in zip(
-                found, _std_along(record, motion, start, drift, place, n).T, strict=True
-            ):
-                found[name][(slice(n), *place)] = std
-    return found
-
-
-def _std_along(
-    record: Record,
-    motion: Motion,
-    start: Mapping[str, float],
-    drift: Drift | None,
-    place: Any,
-    n: int,
-) -> Array:
-    """Return the standard deviations (n, 18) of `STATES` and `AIR_DATA` along the first n steps of one trajectory.
-
-    Errors of the model at the points passed are jointly Gaussian, with its posterior covariance,
-    and that of a drift.
-    """
-    states = record.states[(slice(n), *place)]
-    knots = np.unique(np.append(np.arange(0, n, max(1, -(-n // MOST_KNOTS))), n - 1))
-    at: Any = (knots, *place)
-    wind = None if record.wind is None else LocalAir(record.wind[at])
-    controls = {name: values[at] for name, values in record.controls.items()}
-    slopes = jacobian(motion, record.states[at], controls, air=wind)
-    covariance = motion.aerodynamics.covariance(record.regressors[at], correlated=True)
-    if drift is not None:
-        covariance = covariance + drift.covariance(record.time[knots])
-    root = semidefinite_root(covariance)  # (6 k, m), output by output
-    errors = np.moveaxis(root.reshape(6, len(knots), -1), 1, 0)
-    left = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, len(knots) - 2)
-    share = (np.arange(n) - knots[left]) / np.diff(knots)[left]
-
-    def between(values: Array, step: int) -> Array:
-        """Return values at the knots, (k, ...), at a step, linear between them."""
-        k, part = left[step], share[step]
-        return (1.0 - part) * values[k] + part * values[k + 1]
-
-    def samples() -> Iterator[tuple[Array, Array]]:
-        for step in range(n):
-            yield (
-                between(slopes.state, step),
-                between(slopes.coefficients, step) @ between(errors, step),
-            )
-
-    air_data = (between(slopes.outputs_state[:, :3], step) for step in range(n))
-    steps = [record.time[1]] * (n - 1)
-    return np.stack([*state_deviations(samples(), steps, start, states, further=air_data)])
 
 
 def is_control(motion: Motion) -> Callable[[str], bool]:
@@ -455,13 +369,11 @@ class SimulationWarning(UserWarning):
     """A trajectory ended early, or left the range of the training data."""
 
 
-def trajectory_table(
-    record: Any, motion: Motion, first_times: Array, further: dict[str, Array]
-) -> pd.DataFrame:
+def trajectory_table(record: Any, motion: Motion, first_times: Array) -> pd.DataFrame:
     """Return what was flown as one flight table: path by path, start by start, row by row.
 
     The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times``
-    (n_starts,) is the time at each start, ``further`` holds more columns (n_times, ...).
+    (n_starts,) is the time at each start.
     """
     shape = record.ended.shape
     n_times = len(record.time)
@@ -486,7 +398,7 @@ def trajectory_table(
         "time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))
     }
     table |= _identity(shape, n_times)
-    table |= {name: column(values) for name, values in (seen | record.controls | further).items()}
+    table |= {name: column(values) for name, values in (seen | record.controls).items()}
     farthest = np.array(["", *motion.regressors], dtype=object)[
         column(beyond(motion, record.regressors))
     ]

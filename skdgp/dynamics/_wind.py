@@ -179,19 +179,17 @@ def gusty_air(
     return GustyAir(air, Gusts(*parts), motion.is_implicit)
 
 
-def drift_in(
-    met: Turbulence | None, motion: Motion, start_speed: float, *, drawn: bool
-) -> Drift | None:
-    r"""Return the drift in the turbulence that is met; ``drawn``: besides the rates of its gusts.
+def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
+    r"""Return the drift in the turbulence that is met, besides the rates of its gusts, which are drawn.
 
     Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function,
     and the rates of their gusts explain g. The rest are other effects of gusts, and errors of
     regressors that a simulation lacks. It is
 
-    .. math:: m + \min(1, \rho) (\tau^2 - g - m) + \rho g,
+    .. math:: m + \min(1, \rho) (\tau^2 - g - m),
               \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
 
-    without the last term where rates are drawn; :math:`\sigma_0` is what sensors show of calm air.
+    where :math:`\sigma_0` is what sensors show of calm air.
     """
     model = motion.aerodynamics
     drift, flown = model.drift, model.turbulence
@@ -211,9 +209,7 @@ def drift_in(
     )  # none of it in calm air
     largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
     variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
-    return drift._replace(
-        variance=variance if drawn else variance + ratio * (drift.variance - besides)
-    )
+    return drift._replace(variance=variance)
 
 
 def without_rotation(

@@ -214,9 +214,7 @@ class TestDrift:
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
         known = learned_in(TRUE, model, drift)
-        left = [
-            drift_in(TRUE.scaled(k), known, SPEED, drawn=True).variance[0] / 1e-6 for k in factors
-        ]
+        left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
         np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert left == pytest.approx([0.1, 0.33, 1.0, 1.9], abs=0.03)
         calm = learned_in(TRUE.scaled(0.0), model, drift)
@@ -225,23 +223,7 @@ class TestDrift:
             TRUE,
             None,
         ):  # learned in calm air, all of it is errors of the function
-            np.testing.assert_allclose(
-                drift_in(air, calm, SPEED, drawn=True).variance, drift.variance
-            )
-
-    def test_what_is_not_drawn_is_in_the_drift(self, model):
-        """Deviations of the mean's flight contain the rates of gusts, in proportion to their variance."""
-        drift = Drift(np.full(6, 1e-2), np.full(6, 0.4))
-        known = learned_in(TRUE, model, drift)
-        np.testing.assert_allclose(
-            drift_in(TRUE, known, SPEED, drawn=False).variance, drift.variance
-        )
-        explained = drift.variance - drift_in(TRUE, known, SPEED, drawn=True).variance
-        more, drawn = (
-            drift_in(TRUE.scaled(3.0), known, SPEED, drawn=drawn).variance
-            for drawn in (False, True)
-        )
-        np.testing.assert_allclose((more - drawn)[3:] / explained[3:], 9.0, rtol=0.1)
+            np.testing.assert_allclose(drift_in(air, calm, SPEED).variance, drift.variance)
 
     def test_two_processes(self):
         """The misfit lasts longer than the rest; draws have the stated covariance."""
@@ -249,7 +231,9 @@ class TestDrift:
         time = np.array([0.0, 0.05, 1.0])
         drawn = drift.draw(time, (20000,), 0)
         for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
-            expected = drift.covariance(time)[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+            lag = np.abs(np.subtract.outer(time, time))
+            rest = drift.variance[k] - drift.misfit[k]
+            expected = rest * np.exp(-lag / 0.1) + drift.misfit[k] * np.exp(-lag / MISFIT_MEMORY)
             np.testing.assert_allclose(np.cov(found), expected, atol=0.06)
         assert expected[0, 2] == pytest.approx(0.5 * np.exp(-1 / MISFIT_MEMORY), abs=1e-4)
 

@@ -334,8 +334,6 @@ class TestControls:
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
-        (table_of(1.0), {"n_paths": 2, "initial_std": {"phi": -0.1}}, "initial_std of phi "
-                                                                            "-0.1"),
         (table_of(1.0), {"air": {"north": 5.0}}, "lack 'north'"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0).assign(rudder="left"), {}, "controls rudder that is no number"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -114,30 +113,12 @@ def _text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
         lines.append(f"{name:4}" + "".join(f"{value:>z{WIDTH}.4f}" for value in row["value"]))
         if "std" in row:
             lines.append(" " * 4 + "".join(f"{f'+- {std:.2g}':>{WIDTH}}" for std in row["std"]))
-    lines += [
-        *_aircraft_errors(table),
-        "",
-        f"{'':14}{'frequency':>25}{'damping':>15}{'time constant':>15}",
-    ]
+    lines += ["", f"{'':14}{'frequency':>25}{'damping':>15}{'time constant':>15}"]
     for motion, mode in modes.iterrows():
         frequency = f"{mode['frequency']:.3g}{_deviation(mode, 'frequency_std', '.2g')} rad/s"
         damping = f"{mode['damping']:.2f}{_deviation(mode, 'damping_std', '.2f')}"
         lines.append(f"{motion:14}{frequency:>25}{damping:>15}{mode['time_constant']:>13.3g} s")
     return "\n".join(lines)
-
-
-def _aircraft_errors(table: pd.DataFrame) -> list[str]:
-    """Return, of each coefficient, the largest error of its derivatives that stems from the aircraft."""
-    if "std_aircraft" not in table:
-        return []
-    sizes = table["value"].abs()
-    shown = table[(table["regressor"] != "") & (sizes > 2 * table.get("std", 0.0))]
-    parts = (shown["std_aircraft"] / sizes[shown.index]).groupby(shown["coefficient"])
-    largest = [(name, parts.get_group(key)[name]) for key, name in parts.idxmax().items()]
-    items = [f"{name} {100 * part:.2g} % ({table.loc[name, 'aircraft']})" for name, part in largest]
-    text = ", ".join(items) or "none"
-    start = "std_aircraft, errors of the aircraft that derivatives share, the largest of each"
-    return ["", *wrap(f"{start} coefficient: {text}", 110)]
 
 
 def _deviation(row: pd.Series, name: str, form: str) -> str:

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._output import Run, table_writer
@@ -129,36 +130,35 @@ def _writers(options: argparse.Namespace, planned: Plan) -> dict[str, Writer]:
 
 
 def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
-    rows = planned.manoeuvres
-    width = max(map(len, rows["name"])) + 2
-    lines = [f"{'start':>7}  {'manoeuvre':<{width}}{'of limits':>10}{'risk':>8}"]
+    """Return trims, manoeuvres, limits and standard deviations as tables."""
+    lines = []
     for number, point in enumerate(planned.trims):
         controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
-        lines.append(f"{point.airspeed:g} m/s: {controls}")
-        for _, move in rows[rows["train"] == number].iterrows():
-            risk = "-" if np.isnan(move["risk"]) else f"{move['risk']:.1%}"
-            name = f"{move['name']:<{width}}"
-            lines.append(f"{move['start']:>5.1f} s  {name}{move['scale']:>10.0%}{risk:>8}")
+        lines.append(f"train {number}: {point.airspeed:g} m/s, {controls}")
     flown = {point.airspeed for point in planned.trims}
-    if not np.isnan(planned.risk):
-        words = "risk of the flight, of any of these"
-        lines.append(f"{'':<7}  {words:<{width + 10}}{planned.risk:>8.1%}")
     lines += [f"{speed:g} m/s: nothing planned there" for speed in {*options.airspeed} - flown]
-    limits = planned.abort_limits.join(planned.expected(range(len(rows))), rsuffix="_expected")
-    until = f"expected, up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
-    heads = ("low", "high", "lowest", "highest")
-    lines += ["", f"{'limits, SI units':<18}{''.join(f'{name:>10}' for name in heads)} {until}"]
-    for limit, row in limits.iterrows():
-        numbers = "".join(f"{row[end]:>10.3g}" for end in limits.columns.drop("source"))
-        lines.append(f"{limit:<18}{numbers} {row['source']}")
+    columns = ["train", "start", "name", "scale", "risk"]
+    lines += ["", planned.manoeuvres[columns].to_string(index=False, float_format="{:.3g}".format)]
+    if not np.isnan(planned.risk):
+        lines.append(f"risk of the flight, of any of these: {planned.risk:.1%}")
+    limits = planned.abort_limits
     if limits.empty:
-        lines.append("none, not even a floor: set them by --growth, --max-bank, --floor ...")
-    lines += ["", f"{'standard deviation':<20}{'before':>10}{'promised':>10}"]
-    for derivative, row in planned.errors.iterrows():
-        lines.append(f"{derivative:<20}{row['before']:>10.2g}{row['promised']:>10.2g}")
+        lines += ["", "no limits, not even a floor: set them by --growth, --max-bank, --floor ..."]
+    else:
+        expected = planned.expected(range(len(planned.manoeuvres)))
+        until = (
+            f"up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
+        )
+        lines += ["", f"limits, and what is expected {until}, SI units"]
+        lines.append(_table(limits.join(expected, rsuffix=" expected")))
+    lines += ["", "standard deviations", _table(planned.errors)]
     if not options.full:
         lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
     return "\n".join([*lines, "", *map(str, files)])
+
+
+def _table(table: pd.DataFrame) -> str:
+    return table.to_string(float_format="{:.3g}".format)
 
 
 COMMANDS: opt.Commands = {

@@ -20,7 +20,6 @@ from skdgp.design import doublet
 from skdgp.dynamics import REASONS, Air, SimulationWarning, Trim, trajectory_bands, trim
 from skdgp.dynamics import simulate as simulate_flight
 from skdgp.identification import named_flights
-from skdgp.io import read_flight
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
@@ -53,9 +52,7 @@ def simulate(run: Run) -> None:
     The mean of the model is flown, and functions drawn from its posterior, each an aircraft that
     the data allow: the band of 95 % of them is how certain the trajectory is. From a trim,
     --doublet AXIS=X moves a control by X about its trim, +X from 1 to 2 s and -X from 2 to 3 s.
-    --deviations TABLE holds deviations from the trim: columns time [s], the first row the start,
-    elevator, aileron, rudder [rad], throttle. What the table lacks is held. --controls TABLE
-    replaces the controls of the log.
+    Any other inputs: skdgp.dynamics.simulate.
 
     The mean flies in still air, unless --wind says otherwise, or in the wind that is estimated from
     the log. The drawn functions also meet gusts: as strong as those of this wind, else those of the
@@ -111,24 +108,20 @@ def _start(options, model, thrust) -> Start:
             "Got both or none of --flight and --trim, but expected one of them to start from."
         )
     belonging = {
-        "flight": ("at", "servos", "rename", "airborne", "controls"),
-        "trim": ("altitude", "climb", "turn_rate", "bank", "deviations", "doublet"),
+        "flight": ("at", "servos", "rename", "airborne"),
+        "trim": ("altitude", "climb", "bank", "doublet"),
     }
     other = "trim" if options.trim is None else "flight"
     names = [name for name in belonging[other] if getattr(options, name) not in (None, [])]
     if names:
         given = ", ".join(f"--{name.replace('_', '-')}" for name in names)
         raise ValueError(f"Got {given} without --{other}, to which it belongs: leave it out.")
-    if options.deviations and options.doublet:
-        raise ValueError(
-            "Got --deviations and --doublet, but expected one of them: give one table of all."
-        )
     return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
 def _trimmed(options, model, thrust) -> Start:
-    """Start from a trim, with its controls or deviations from them."""
-    path = {name: getattr(options, name) for name in ("climb", "turn_rate", "bank")}
+    """Start from a trim, with its controls, and doublets about them."""
+    path = {name: getattr(options, name) for name in ("climb", "bank")}
     if thrust is not None and options.climb is None:  # without thrust it follows
         path["climb"] = 0.0
     path |= {"altitude": options.altitude or 0.0, "thrust": thrust}
@@ -136,17 +129,13 @@ def _trimmed(options, model, thrust) -> Start:
     state = {name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
     state |= dict(zip(RATES, steady.rates, strict=True))  # by the air, which the wind carries along
     duration = options.duration or DURATION
-    if options.deviations is not None:
-        table = read_flight(options.deviations)
-        duration = _duration(options, table)
-    else:
-        time = np.arange(0.0, duration + options.dt, options.dt)
-        pulse = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
-        table = pd.DataFrame({"time": time} | pulse)
-    axes = [name for name in map(str, table) if name not in ("time", "flight")]
-    check_names(axes, steady.controls, "trim's controls")
-    controls = {name: value + table.get(name, 0.0) for name, value in steady.controls.items()}
-    return Start(state, table.assign(**controls), options.wind, duration, trim=steady)
+    time = np.arange(0.0, duration + options.dt, options.dt)
+    pulses = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
+    check_names(pulses, steady.controls, "trim's controls")
+    controls = {name: value + pulses.get(name, 0.0) for name, value in steady.controls.items()}
+    return Start(
+        state, pd.DataFrame({"time": time} | controls), options.wind, duration, trim=steady
+    )
 
 
 def _logged(options, model) -> Start:
@@ -180,15 +169,8 @@ def _logged(options, model) -> Start:
     if wind is None and set(WIND) <= set(log.columns):
         wind = log[["time", *WIND]]
     state = {name: float(log[name].iloc[0]) for name in (*START, "north", "east") if name in log}
-    if options.controls is None:
-        return Start(state, log, wind, _duration(options, log), log)
-    table = read_flight(options.controls)
-    return Start(state, table, wind, _duration(options, log, table))
-
-
-def _duration(options, *tables) -> float:
-    longest = min(np.ptp(table["time"].to_numpy(float)) for table in tables)
-    return min(DURATION, longest) if options.duration is None else options.duration
+    duration = min(DURATION, np.ptp(log["time"])) if options.duration is None else options.duration
+    return Start(state, log, wind, duration, log)
 
 
 def _numbers(options, start, trajectory, paths) -> dict:
@@ -256,19 +238,15 @@ def _text(numbers, files) -> str:
     if paths is not None:
         counts = f"{paths['ended_early']} ended early, {paths['beyond']} left what was learned from"
         lines += [f"{paths['n']} functions of the posterior: {counts}", paths["air"]]
-    lines += [
-        "",
-        f"{'':<10}{'start':>10}{'end':>10}{'' if paths is None else '95 % of the paths':>24}",
-    ]
-    for name in START:
-        factor, unit = display_unit(name)
-        row = f"{name:<10}{factor * numbers['start'][name]:>z10.2f}{factor * numbers['end'][name]:>z10.2f}"
-        if paths is not None:
-            low, high = (factor * edge for edge in paths["end"][name])
-            row += f"{low:>z12.2f} to {high:<z8.2f}"
-        lines.append(f"{row}  {unit}".rstrip())
-    width = max(len(path.name) for path in files) + 2
-    return "\n".join([*lines, "", *(f"{path.name:<{width}}{path}" for path in files)])
+    states = pd.DataFrame({name: numbers[name] for name in ("start", "end")})
+    if paths is not None:
+        edges = pd.DataFrame(paths["end"], index=["2.5 % of paths", "97.5 %"]).T
+        states = states.join(edges)
+    shown_units = [display_unit(name) for name in START]
+    states = states.loc[list(START)].mul([factor for factor, _ in shown_units], axis=0)
+    states["unit"] = [unit for _, unit in shown_units]
+    lines += ["", states.to_string(float_format="{:z.2f}".format), "", *map(str, files)]
+    return "\n".join(lines)
 
 
 COMMANDS: opt.Commands = {
@@ -307,10 +285,6 @@ COMMANDS: opt.Commands = {
             },
         },
         "start where a flight was": {
-            "--controls": {
-                "metavar": "TABLE",
-                "help": "fly with these deflections [rad] in place of those of the log",
-            },
             "--flight": {"metavar": "LOG", "help": "the log of the flight"},
             "--at": {
                 "metavar": "S",
@@ -331,10 +305,6 @@ COMMANDS: opt.Commands = {
                     "deviations [rad]: up from 1 to 2 s, down from 2 to 3 s, such as elevator=0.03"
                 )
             },
-            "--deviations": {
-                "metavar": "TABLE",
-                "help": "deviations of the controls from the trim",
-            },
             "--altitude": {
                 "metavar": "M",
                 "type": opt.number(),
@@ -345,15 +315,10 @@ COMMANDS: opt.Commands = {
                 "type": opt.number(),
                 "help": "flight-path angle [rad] (default: 0; without thrust it follows)",
             },
-            "--turn-rate": {
-                "metavar": "RAD/S",
-                "type": opt.number(),
-                "help": "of the heading [rad/s] (default: 0)",
-            },
             "--bank": {
                 "metavar": "RAD",
                 "type": opt.number(),
-                "help": "bank angle [rad], instead of a turn rate",
+                "help": "bank angle of a level turn [rad] (default: 0)",
             },
         },
     },

@@ -79,14 +79,15 @@ def fit_facts(pipeline: Pipeline) -> dict:
     return facts
 
 
-def settings_of(pipeline, reconstruction, horizons) -> dict:
+def settings_of(pipeline, horizons) -> dict:
     """Return what a pipeline was made with, by the names of the command line's options."""
     regressor = regressor_and_scale(pipeline)[0]
-    settings = {
+    reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
+    return {
         "inference": regressor.inference,
         "structure": regressor.structure,
         "regressors": pipeline["regressorselector"].regressors,
-        "reconstruction": "none" if reconstruction in (None, "passthrough") else reconstruction,
+        "reconstruction": "auto" if reconstructs else "none",
         "input_noise": "none" if regressor.input_noise is None else "learned",
         "trend": "none" if regressor.trend is None else regressor.trend,
         "seed": regressor.random_state,
@@ -94,9 +95,8 @@ def settings_of(pipeline, reconstruction, horizons) -> dict:
         "inducing": regressor.n_inducing,
         "latents": regressor.n_latent,
         "max_iter": regressor.max_iter,
+        "lags": pipeline["lagcorrector"].lags,
     }
-    settings["lags"] = pipeline["lagcorrector"].lags
-    return settings
 
 
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:

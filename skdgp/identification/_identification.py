@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
@@ -31,7 +31,6 @@ from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
     FlightMechanics,
-    ModelSummary,
     ReportContent,
     Verdict,
     render_report,
@@ -52,6 +51,7 @@ THRUSTS = {
     "none": "none subtracted: that of an engine is part of the coefficients",
 }
 N_WARNINGS = 3  # of the summary
+MOST_NAMED = 3  # flights whose durations are given
 MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
@@ -234,39 +234,12 @@ class Identification:
         return {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
 
     def _report_content(self) -> ReportContent:
-        regressor, fit = regressor_and_scale(self.pipeline)[0], self.fit
-        aircraft, coupled = self.aircraft, "joint" in fit["weights"]
         return ReportContent(
             title=self.title,
+            subtitle=self.aircraft.name,
             train=self.train,
             test=self.evaluations,
-            model=ModelSummary(
-                n_samples=fit.get("samples"),
-                n_available=fit.get("samples_available"),
-                regressors=fit["regressors"],
-                n_latent=sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands()),
-                n_private=len(COEFFICIENTS) if coupled else 0,
-                kernel=f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}"
-                if coupled
-                else "none",
-                trend=regressor.trend or "none",
-                inference=regressor.inference_
-                + " (chosen by auto)" * (regressor.inference == "auto"),
-                log_marginal_likelihood=fit["log_marginal_likelihood"],
-                n_iter=fit["iterations"],
-                max_iter=regressor.max_iter_,
-                converged=fit.get("converged", True),
-                fit_seconds=fit.get("seconds"),
-                noise_std=regressor.noise_variance_**0.5,
-                versions=software_versions(),
-                extra=self._remarks(),
-            ),
-            aircraft={
-                "Aircraft": aircraft.name,
-                "Mass": f"{aircraft.mass:g} kg",
-                "Wing area, span, chord": f"{aircraft.wing_area:.4g} m², {aircraft.span:.4g} m, "
-                f"{aircraft.chord:.4g} m",
-            },
+            facts=self._facts(),
             verdict=self.verdict,
             mechanics=self.mechanics,
             envelope=self._envelope(),
@@ -296,8 +269,39 @@ class Identification:
     def _training_regressors(self) -> pd.DataFrame:
         return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
 
+    def _facts(self) -> dict[str, str]:
+        """Return what was done, ready to read."""
+        fit = self.fit
+        aircraft = self.aircraft
+        regressor = regressor_and_scale(self.pipeline)[0]
+        shared = sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands())
+        coupled = "joint" in fit["weights"]
+        end = " (limit reached)" * (fit["iterations"] == regressor.max_iter_)
+        if not fit.get("converged", True):
+            end = " (not converged: raise max_iter)"
+        facts = {
+            "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area "
+            f"{aircraft.wing_area:.4g} m², span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
+            "Learned from": _durations(self.train),
+            "Tested on": _durations({one.name: one.table for one in self.evaluations}),
+            "Regressors": ", ".join(fit["regressors"]),
+            "Latent processes": f"{shared} shared, {len(COEFFICIENTS)} private" if coupled else "",
+            "Kernel": f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "",
+            "Trend": regressor.trend or "none",
+            "Inference": regressor.inference_
+            + " (chosen by auto)" * (regressor.inference == "auto"),
+            "Log likelihood": f"{fit['log_marginal_likelihood']:,.1f}",
+            "Iterations": f"{fit['iterations']}{end}",
+        }
+        if "seconds" in fit:
+            facts["Samples"] = f"{fit['samples']:,} of {fit['samples_available']:,}"
+            facts["Time of the fit"] = f"{fit['seconds']:.1f} s"
+        versions = ", ".join(f"{name} {number}" for name, number in software_versions().items())
+        return facts | self._remarks() | {"Versions": versions}
+
     def _remarks(self) -> dict[str, str]:
-        fit, tables = self.fit, [*self.train.values(), *(one.table for one in self.evaluations)]
+        fit = self.fit
+        tables = [*self.train.values(), *(one.table for one in self.evaluations)]
         sources = _evaluation.thrust_sources(self.settings["thrust"], tables)
         remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
         if paths := reconstruction_of(self.pipeline):
@@ -349,6 +353,18 @@ def air_of(pipeline: Pipeline) -> str:
         way = np.rad2deg(np.arctan2(-east, -north)) % 360
         parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")
     return ", ".join(parts[:4])
+
+
+def _durations(flights: Mapping[str, Any]) -> str:
+    """Return flights with their durations and rates; of many their number."""
+    extents = {name: _extent(table) for name, table in flights.items()}
+    if len(extents) > MOST_NAMED:
+        seconds = sum(each["duration"] for each in extents.values())
+        return f"{len(extents)} flights, {seconds:.4g} s together: {', '.join(extents)}"
+    return ", ".join(
+        f"{name} ({each['duration']:.4g} s at {each['sample_rate']:.3g} Hz)"
+        for name, each in extents.items()
+    )
 
 
 def _extent(table) -> dict[str, float]:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import pandas as pd
+from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import recorded_warnings, warn
@@ -15,10 +15,11 @@ from skdgp._compute.progress import notify
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
+from skdgp.dynamics import Aircraft
 from skdgp.identification import _assumed, _evaluation, _flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline
+from skdgp.identification._prepare import PreparedFlights, as_aircraft, prepare
 from skdgp.io import reversed_of
 from skdgp.model_selection import thin_targets
 
@@ -110,111 +111,113 @@ def identify(
     >>> mean.shape
     (400, 6)
     """
-    if regressor is None:
-        regressor = DependentGPRegressor(random_state=0)
-    if not isinstance(regressor, DependentGPRegressor):
-        raise TypeError(
-            f"Got {type(regressor).__name__} as the regressor, but expected a "
-            f"DependentGPRegressor: fit other "
-            "regressors with make_identification_pipeline."
-        )
-    steps, reading = dict(pipeline or {}), dict(reading or {})
+    regressor = _checked(regressor)
     with recorded_warnings() as messages:
-        notify(
-            "reading"
-        )  # 1: flights to learn from and to test on, and what of the aircraft they leave uncertain
-        aircraft = _aircraft(aircraft)
-        servos = _assumed.servos_for(reading.get("servos"), flights, test)
-        aircraft = _assumed.with_throw_errors(aircraft, servos)
-        reading |= {"servos": servos, "needed": _flights.MEASURED}
-        train = _flights.named_flights(flights, **reading)
-        _flights.check_controls(train, regressors)
-        aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
-        test = (
-            {} if test is None else _flights.named_flights(test, default="test flight", **reading)
+        notify("reading")  # 1: flights to learn from and to test on
+        prepared = prepare(
+            flights,
+            test,
+            aircraft,
+            regressors=regressors,
+            thrust=thrust,
+            external_forces=external_forces,
+            reading=reading or {},
         )
-        train, test, held_out = _flights.train_and_test(train, test)
-        servos, train, test = _assumed.with_signs_of_flights(servos, train, test)
-        columns = _flights.regressor_columns(train.values(), regressors)
-        train, test = (_flights.usable_flights(part, regressors, columns) for part in (train, test))
-        _flights.warn_of_short_flights(train, regressors)
-        thrust_unknown = _assumed.lacks_thrust(thrust, train.values(), aircraft)
-        if thrust_unknown:
-            _warn(_assumed.THRUST_IN_COEFFICIENTS)
-        loads: dict[str, Any] = {
-            "thrust": None if thrust_unknown else thrust,
-            "external_forces": list(external_forces),
-        }
-        if loads["thrust"] is None:
-            _flights.warn_of_engine(train, regressors)
-        if reversed_of(servos) is not None:
-            _warn(_assumed.FULL_THROWS)
+        if reversed_of(prepared.servos) is not None:
             messages.ignore(UserWarning, "Got surfaces up to")
         # The steps of the pipeline meet the same faults again.
         messages.ignore(FlightDataWarning, WARNING_START)
 
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
-        table = pd.concat(train.values(), ignore_index=True)
-        Y = aerodynamic_coefficients(table, aircraft, **loads)
-        _flights.check_known(Y, table)
-        n_samples: Any = (
-            EXACT_SAMPLES if samples is None and regressor.inference == "exact" else samples
-        )
-        targets = thin_targets(Y, len(Y) if n_samples in (None, "all") else n_samples)
+        Y = prepared.coefficients()
+        targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
 
         notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
-        has_controls = {*ELEVONS} & {*table} or {*MIXED} <= {*table}
-        steps = {"mixer": None if has_controls else "passthrough"} | steps
-        model = make_identification_pipeline(
-            aircraft, regressors=regressors, regressor=regressor, **steps
-        )
-        if thrust_unknown and isinstance(
-            regressors, str
-        ):  # a named set, which has the throttle already
-            model.set_params(regressorselector__extra=["airspeed"])
-        model.control_units_ = _assumed.control_units(servos)
+        model = _pipeline_for(prepared, regressors, regressor, pipeline or {})
         began = time.monotonic()
-        X = model.fit_regressors(table, targets)
+        X = model.fit_regressors(prepared.table, targets)
         seconds = time.monotonic() - began
         if lags := _evaluation.lags_message(model):
             _warn(lags)
-        aircraft = _assumed.with_vane_errors(aircraft, model)
-        sources = _evaluation.thrust_sources(loads["thrust"], train.values())
-        if "propeller" in sources:
-            aircraft = _assumed.with_thrust_errors(
-                aircraft, table, _evaluation.named(model, X), loads["thrust"]
-            )
 
-        fit = {  # 4: the record of the fit, and the test flights, by paper eqs 17 and 18
-            "samples": int(targets.notna().any(axis=1).sum()),
-            "samples_available": int(Y.notna().any(axis=1).sum()),
-            "values": int(targets.notna().sum().sum()),
-            "thrust": sources,
-            **_evaluation.fit_facts(model),
-            **_evaluation.fit_least_squares(model, X, targets),
-            "seconds": round(seconds, 3),
-            "flights": {name: len(part) for name, part in train.items()},
-        }
-        reconstruction = steps.get("reconstruction", "auto")
-        settings = {
-            "samples": fit["samples"],
-            **loads,
-            **_evaluation.settings_of(model, reconstruction, horizons),
-        }
-        settings |= {} if reversed_of(servos) is None else {"servos": servos}
-        evaluations = _evaluation.evaluate_flights(test, model, aircraft, settings, fit)
+        # 4: the record of the fit, and the test flights, by paper eqs 17 and 18
+        known = _with_errors_of_fit(prepared, model, X)
+        fit = _record(prepared, model, X, Y, targets) | {"seconds": round(seconds, 3)}
+        settings = {"samples": fit["samples"]} | prepared.loads
+        settings |= _evaluation.settings_of(model, horizons)
+        if reversed_of(prepared.servos) is not None:
+            settings["servos"] = prepared.servos
+        evaluations = _evaluation.evaluate_flights(prepared.test, model, known, settings, fit)
     return Identification(
-        title=f"{aircraft.name}: aerodynamic coefficients",
-        aircraft=aircraft,
+        title=f"{known.name}: aerodynamic coefficients",
+        aircraft=known,
         pipeline=model,
         settings=settings,
         fit=fit,
-        train=train,
+        train=prepared.train,
         evaluations=evaluations,
         messages=messages.texts,
-        held_out=held_out,
-        assumed=_assumed.assumptions(aircraft, servos=servos, thrust_unknown=thrust_unknown),
+        held_out=prepared.held_out,
+        assumed=prepared.assumptions(known),
     )
+
+
+def _checked(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
+    """Return the regressor, by default one of seed 0; raise TypeError if it is of another kind."""
+    if regressor is None:
+        return DependentGPRegressor(random_state=0)
+    if not isinstance(regressor, DependentGPRegressor):
+        raise TypeError(
+            f"Got {type(regressor).__name__} as the regressor, but expected a "
+            f"DependentGPRegressor: fit other regressors with make_identification_pipeline."
+        )
+    return regressor
+
+
+def _n_rows(samples: int | str | None, regressor: DependentGPRegressor, n: int) -> int:
+    """Return how many of n rows to learn from."""
+    if samples is None and regressor.inference == "exact":
+        return EXACT_SAMPLES
+    return n if samples in (None, "all") else samples  # type: ignore[return-value]
+
+
+def _pipeline_for(
+    prepared: PreparedFlights, regressors: Any, regressor: Any, options: Mapping[str, Any]
+) -> Pipeline:
+    """Return the pipeline that learns the coefficients of the flights."""
+    columns = {*prepared.table}
+    mixes = not {*ELEVONS} & columns and not {*MIXED} <= columns
+    steps = {"mixer": "passthrough" if mixes else None} | dict(options)
+    model = make_identification_pipeline(
+        prepared.aircraft, regressors=regressors, regressor=regressor, **steps
+    )
+    if prepared.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
+        model.set_params(regressorselector__extra=["airspeed"])
+    model.control_units_ = _assumed.control_units(prepared.servos)
+    return model
+
+
+def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets: Any) -> dict:
+    """Return samples, likelihood, noise and least squares of a fit."""
+    return {
+        "samples": int(targets.notna().any(axis=1).sum()),
+        "samples_available": int(Y.notna().any(axis=1).sum()),
+        "values": int(targets.notna().sum().sum()),
+        "thrust": _evaluation.thrust_sources(prepared.loads["thrust"], prepared.train.values()),
+        **_evaluation.fit_facts(model),
+        **_evaluation.fit_least_squares(model, X, targets),
+        "flights": {name: len(part) for name, part in prepared.train.items()},
+    }
+
+
+def _with_errors_of_fit(prepared: PreparedFlights, model: Pipeline, X: Any) -> Aircraft:
+    """Return the aircraft with the deviations of vanes and thrust that the fit shows."""
+    aircraft = _assumed.with_vane_errors(prepared.aircraft, model)
+    thrust = prepared.loads["thrust"]
+    if "propeller" not in _evaluation.thrust_sources(thrust, prepared.train.values()):
+        return aircraft
+    regressors = _evaluation.named(model, X)
+    return _assumed.with_thrust_errors(aircraft, prepared.table, regressors, thrust)
 
 
 def validate(
@@ -261,7 +264,7 @@ def validate(
                 f"The model learned from a flight {name!r}: if it is this one, its errors say "
                 f"nothing about others."
             )
-        aircraft = _aircraft(model.aircraft if aircraft is None else aircraft)
+        aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = _evaluation.evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
     return Identification(
@@ -273,15 +276,6 @@ def validate(
         train={},
         evaluations=evaluations,
         messages=messages.texts,
-    )
-
-
-def _aircraft(aircraft: Any) -> Aircraft:
-    """Return the aircraft, read from a file where a path is given."""
-    return (
-        Aircraft.from_file(aircraft)
-        if isinstance(aircraft, str | os.PathLike)
-        else check_aircraft(aircraft)
     )
 
 

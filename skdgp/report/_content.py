@@ -16,7 +16,7 @@ from skdgp._display.flights import LATERAL_STATES, check_time
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
-from skdgp.report._tables import HONEST, SCORES, STATISTICS
+from skdgp.report._tables import HONEST, SCORES
 
 
 class Thresholds(NamedTuple):
@@ -227,7 +227,7 @@ class FlightResult:
             given = {"measured": self._scores(self.measured, self.noisy_std)}
             if self.truth is not None:
                 given["truth"] = self._scores(self.truth, self.std)
-        columns = [*SCORES, *STATISTICS]
+        columns = list(SCORES)
         return {
             against: pd.DataFrame(dict(of), index=list(COEFFICIENTS)).reindex(columns=columns)
             for against, of in {"measured": {}, **given}.items()
@@ -235,52 +235,12 @@ class FlightResult:
 
     def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
         found = {}
-        for name, score in (SCORES | STATISTICS).items():
+        for name, score in SCORES.items():
             mean = self.baseline if score.of_baseline else self.mean
             if mean is not None:
                 moments = (mean, std) if score.of_band else (mean,)
                 found[name] = score.function(values, *moments, multioutput="raw_values")
         return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelSummary:
-    """Summary of the fit. Fields that are None or empty are not shown.
-
-    Parameters
-    ----------
-    n_samples, n_available : int
-        Samples the regressor learned from, and those the flights hold.
-    n_latent, n_private : int
-        Shared latent processes, and private ones.
-    regressors, kernel, trend, inference, log_marginal_likelihood
-        As chosen and attained.
-    n_iter, max_iter, converged : int, int, bool
-        Iterations of the optimiser, the most it was allowed, and whether it came to its end.
-    fit_seconds : float
-        Time of the fit [s].
-    noise_std : (6,)
-        Standard deviation of the measurement noise that was learned.
-    versions, extra : mappings of str to str
-        Software and its version; further lines for the table of what was done.
-    """
-
-    n_samples: int | None = None
-    n_available: int | None = None
-    n_latent: int | None = None
-    n_private: int | None = None
-    regressors: Sequence[str] = ()
-    kernel: str | None = None
-    trend: str | None = None
-    inference: str | None = None
-    log_marginal_likelihood: float | None = None
-    n_iter: int | None = None
-    max_iter: int | None = None
-    converged: bool = True
-    fit_seconds: float | None = None
-    noise_std: Sequence[float] | None = None
-    versions: Mapping[str, str] = field(default_factory=dict)
-    extra: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,10 +255,11 @@ class ReportContent:
         Tables of the flights learned from, SI units: at least ``time``.
     test : sequence of FlightResult
         Flights tested on.
-    model : ModelSummary
-        What was fitted.
-    aircraft : mapping of str to str, or str
-        Name, or facts such as mass, span and chord, ready to read.
+    subtitle : str
+        Beneath the heading, such as the name of the aircraft.
+    facts : mapping of str to str
+        What was done: aircraft, samples, regressors, kernel, likelihood, versions, ready to read.
+        Empty ones are not shown.
     verdict, mechanics : Verdict, FlightMechanics, optional
         What the model is good enough for; trim, derivatives and modes.
     envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
@@ -318,8 +279,8 @@ class ReportContent:
     title: str
     train: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     test: Sequence[FlightResult] = ()
-    model: ModelSummary = field(default_factory=ModelSummary)
-    aircraft: Mapping[str, str] | str = ""
+    subtitle: str = ""
+    facts: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
     mechanics: FlightMechanics | None = None
     envelope: EnvelopeDisplay | None = None

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -34,7 +33,6 @@ from skdgp.report._tables import (
     error_table,
     facts,
     state,
-    statistics_table,
 )
 
 _FIT = {
@@ -97,13 +95,12 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
-    aircraft = content.aircraft
-    name = aircraft if isinstance(aircraft, str) else aircraft.get("Aircraft", "")
     created = datetime.now().astimezone() if content.created is None else content.created
     count = f"flights: {len(content.train)} training, {len(content.test)} test"
-    meta = " · ".join(text(part) for part in (name, count, f"{created:%d %B %Y, %H:%M}") if part)
-    made = text(f"Made by skdgp {content.model.versions.get('skdgp', '')}".rstrip())
-    colophon = f"{made}. SI units; degrees in figures and in the table of states."
+    meta = " · ".join(
+        text(part) for part in (content.subtitle, count, f"{created:%d %B %Y, %H:%M}") if part
+    )
+    colophon = "Made by skdgp. SI units; degrees in figures and in the table of states."
     with units_shown(content.units):
         body = _with_contents(_sections(content))
     return render_page("Aerodynamic identification report", content.title, meta, body, colophon)
@@ -123,7 +120,6 @@ def _sections(content: ReportContent) -> list[str]:
     return [
         *parts,
         _what_was_done(content),
-        _statistics(content),
         _section("How to read", HOW_TO_READ),
     ]
 
@@ -510,69 +506,7 @@ def _flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
 
 def _what_was_done(content: ReportContent) -> str:
     """Return samples, regressors, time and versions, and where to sign."""
-    model, aircraft = content.model, content.aircraft
-    train = [(name, table["time"]) for name, table in content.train.items()]
-    samples = [_count(n) for n in (model.n_samples, model.n_available) if n is not None]
-    pairs = [
-        *([] if isinstance(aircraft, str) else aircraft.items()),
-        ("Learned from", _lengths(train)),
-        ("Tested on", _lengths([(result.name, result.time) for result in content.test])),
-        ("Samples", " of ".join(samples)),
-        ("Regressors", ", ".join(map(str, model.regressors))),
-        ("Time of the fit", _seconds(model.fit_seconds)),
-        *model.extra.items(),
-        ("Versions", ", ".join(f"{name} {version}" for name, version in model.versions.items())),
-        ("Command", content.command),
-    ]
     # Shown in print, too: the page to sign.
     sign = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
+    pairs = [*content.facts.items(), ("Command", content.command)]
     return _section("What was done", facts(pairs), sign)
-
-
-def _statistics(content: ReportContent) -> str:
-    """Return what a statistician asks for: processes, kernel, likelihood, density, noise."""
-    model = content.model
-    latent = {"shared": model.n_latent, "private": model.n_private}
-    bound = ", lower bound" if "sparse" in (model.inference or "") else ""
-    end = ""
-    if not model.converged:
-        end = " (not converged: raise max_iter)"
-    elif model.n_iter is not None and model.n_iter == model.max_iter:
-        end = " (limit reached)"
-    likelihood = model.log_marginal_likelihood
-    pairs = [
-        ("Latent processes", ", ".join(f"{n} {kind}" for kind, n in latent.items() if n)),
-        ("Kernel", model.kernel),
-        ("Trend", model.trend),
-        ("Inference", model.inference),
-        (f"Log likelihood{bound}", "" if likelihood is None else _count(likelihood, ".1f")),
-        ("Iterations", "" if model.n_iter is None else f"{_count(model.n_iter)}{end}"),
-    ]
-    tables = ""
-    if content.test:
-        scores = pd.concat([result.scores["measured"] for result in content.test])
-        means = scores.groupby(level=0, sort=False).mean()
-        tables = statistics_table(means, model.noise_std)
-    return _section("For the statistician", facts(pairs), tables)
-
-
-def _count(value: float, form: str = ".0f") -> str:
-    return number(value, "," + form).replace(",", THIN)
-
-
-def _seconds(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}{THIN}s"
-
-
-def _lengths(flights: Sequence[tuple[str, Any]]) -> str:
-    """Return flights with their durations; of many their number."""
-    seconds = [float(np.ptp(time)) for _, time in flights]
-    if len(flights) > MOST_OPEN:
-        names = ", ".join(name for name, _ in flights)
-        return f"{len(flights)} flights, {number(sum(seconds), '.4g')}{THIN}s together: {names}"
-    parts = []
-    for (name, time), length in zip(flights, seconds, strict=True):
-        steps = np.diff(np.asarray(time, dtype=float))
-        rate = f" at {number(1 / np.median(steps[steps > 0]), '.3g')}{THIN}Hz" if length > 0 else ""
-        parts.append(f"{name} ({number(length, '.4g')}{THIN}s{rate})")
-    return ", ".join(parts)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
 import pandas as pd
 
 from skdgp._display.page import number, percent, symbol, table, text
-from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
-from skdgp.metrics import (
-    interval_coverage,
-    negative_log_predictive_density,
-    normalized_rmse,
-)
+from skdgp._flight.channels import LATERAL, LONGITUDINAL
+from skdgp.metrics import interval_coverage, normalized_rmse
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 HONEST = (0.90, 0.99)
@@ -67,12 +63,6 @@ SCORES = {
     "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
 }
 """Columns of the tables of errors, by the names in metrics.json, those of skdgp.metrics."""
-STATISTICS = {
-    "negative_log_predictive_density": Score(
-        negative_log_predictive_density, "NLPD", number, of_band=True
-    )
-}
-"""Further columns, for the statistician."""
 
 
 def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) -> str:
@@ -90,26 +80,6 @@ def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) 
             rows.append([name, *(score.show(row[key]) for key, score in columns.items())])
     head = ["", *(score.head for score in columns.values())]
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
-
-
-def statistics_table(scores: pd.DataFrame, noise_std: Sequence[float] | None) -> str:
-    """Return by coefficient the scores of `STATISTICS` and the noise that was learned."""
-    noise = dict(zip(COEFFICIENTS, noise_std, strict=True)) if noise_std is not None else {}
-    rows = [
-        [
-            symbol(name),
-            *(score.show(float(scores[key][name])) for key, score in STATISTICS.items()),
-            *([number(1e3 * noise[name], ".3g")] if noise else []),
-        ]
-        for name in COEFFICIENTS
-    ]
-    head = ["", *(score.head for score in STATISTICS.values())]
-    head += ["noise, standard<br>deviation [10<sup>−3</sup>]"] if noise else []
-    caption = (
-        "NLPD: negative log predictive density of the measured values of all test flights, in nats "
-        "per value; smaller is better. The noise is that of the measured coefficients."
-    )
-    return table(head, rows, caption=caption, classes="numbers narrow")
 
 
 def state(name: str) -> str:

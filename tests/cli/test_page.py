@@ -36,8 +36,6 @@ def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
         table = pd.read_csv(folder / f"{ours}.csv")
         table.assign(time=table["time"] + 30.0).to_csv(f"{theirs}.csv", index=False)
     (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
-    (table,) = [text for text in blocks(page, "text") if text.startswith("time,")]
-    (tmp_path / "deviations.csv").write_text(table)
     for line in "".join(blocks(page, "sh")).splitlines():
         words = shlex.split(line)[1:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line

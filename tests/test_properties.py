@@ -211,27 +211,6 @@ def test_the_bound_is_below_the_likelihood(seed):
     assert sparse.log_marginal_likelihood_value_ <= exact + 1e-8 * abs(exact)
 
 
-@EXAMPLES
-@given(SEEDS)
-def test_exact_inference_is_the_textbook(seed):
-    """Rasmussen & Williams (2006), equations 2.25 and 2.26, typed from the page."""
-    X, Y = problem(seed)
-    kernel = given_kernel(seed, X, Y)
-    model = fixed(kernel, inference="exact").fit(X, Y)
-    seen, size = np.isfinite(Y), np.sqrt(np.nanmean(Y**2, axis=0))
-    observed = [X[s] for s in seen.T]
-    noise = np.repeat(model.noise_variance_ / size**2, seen.sum(axis=0))
-    K, k = kernel(observed) + np.diag(noise), kernel([X] * Y.shape[1], observed)
-    mean = k @ np.linalg.solve(
-        K, np.concatenate([y[s] for y, s in zip((Y / size).T, seen.T, strict=True)])
-    )
-    variance = kernel.diag(X) - np.einsum("ab,ba->a", k, np.linalg.solve(K, k.T))
-    got, std = (each.reshape(len(X), -1).T.ravel() for each in model.predict(X, return_std=True))
-    size = np.repeat(size, len(X))
-    close(got, mean * size, size)
-    close(std, np.sqrt(variance) * size, size)
-
-
 @FEW
 @given(SEEDS, INFERENCE)
 def test_draws_are_of_what_is_predicted(seed, inference):

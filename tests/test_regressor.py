@@ -232,13 +232,6 @@ class TestGradient:
                 assert std[0, i, k] == pytest.approx(quotient, rel=0.02)
 
 
-class TestSamples:
-    def test_seed_decides(self, model, new):
-        first, again, other = (model.sample_y(new, 2, random_state=seed) for seed in (0, 0, 1))
-        np.testing.assert_allclose(first, again, rtol=1e-9, atol=1e-10)
-        assert not np.allclose(first, other)
-
-
 class TestLikelihood:
     def test_at_the_fitted_values(self, model):
         assert model.log_marginal_likelihood() == pytest.approx(

@@ -58,32 +58,6 @@ def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
     assert np.sqrt(np.mean((model.predict(new) - np.sin(frequency * new[:, 0])) ** 2)) < 0.2
 
 
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_order_of_rows_does_not_matter_without_time(inference):
-    rng = np.random.default_rng(0)
-    X = np.sort(rng.uniform(-3, 3, (80, 1)), axis=0)
-    y = np.sin(2 * X[:, 0]) + 0.1 * rng.normal(size=80)
-    options = {"inference": inference, "n_inducing": 40}
-    predicted = []
-    for order in (np.arange(80), rng.permutation(80)):
-        model = DependentGPRegressor(**options, random_state=0).fit(X[order], y[order])
-        predicted.append(model.predict(X))
-    error = np.sqrt(np.mean((np.array(predicted) - np.sin(2 * X[:, 0])) ** 2, axis=1))
-    assert error[0] == pytest.approx(error[1], abs=0.01)
-    assert (error < 0.1).all()
-
-
-@pytest.mark.parametrize("time", [None, np.arange(80.0)])
-def test_units_of_regressors_do_not_matter(time):
-    X, Y = waves(80)
-    mean, std = quick().fit(X, Y, time=time).predict(X, return_std=True)
-    for unit in ([0.3048, 1.0], [1.0, 57.29578], [1852.0, 1e-3]):
-        model = quick().fit(X * unit, Y, time=time)
-        other_mean, other_std = model.predict(X * unit, return_std=True)
-        np.testing.assert_allclose(other_mean, mean, atol=2e-3)
-        np.testing.assert_allclose(other_std, std, rtol=1e-2)
-
-
 class TestMasks:
     def test_masked_targets_are_not_observed(self):
         X, Y = waves()

@@ -121,25 +121,6 @@ class TestPosterior:
         np.testing.assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
 
 
-class TestGradient:
-    def test_of_the_mean(self, problem, differences):
-        posterior = posterior_of(problem)
-        expected = np.stack([differences(lambda x: posterior.predict(x[None])[0], x) for x in NEW])
-        np.testing.assert_allclose(posterior.gradient(NEW), expected, rtol=1e-7, atol=1e-9)
-
-    def test_variance_is_that_of_difference_quotients(self, problem):
-        posterior, h = posterior_of(problem), 1e-3
-        gradient, variance = posterior.gradient(NEW, return_variance=True)
-        np.testing.assert_allclose(gradient, posterior.gradient(NEW), rtol=1e-12)
-        for a, x in enumerate(NEW):
-            for k, unit in enumerate(h * np.eye(2)):
-                joint = posterior.covariance(np.array([x + unit, x - unit])).reshape(3, 2, 3, 2)
-                for i in range(3):
-                    pair = joint[i, :, i]
-                    quotient = (pair[0, 0] + pair[1, 1] - 2 * pair[0, 1]) / (4 * h**2)
-                    assert variance[a, i, k] == pytest.approx(quotient, rel=1e-4, abs=1e-6)
-
-
 class TestTrendIntegratedOut:
     """Rasmussen & Williams (2006), equations 2.41 to 2.43 with a prior N(0, B) on the weights."""
 

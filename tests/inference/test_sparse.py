@@ -88,22 +88,6 @@ class TestPosterior:
         np.testing.assert_allclose(variance, np.diag(cov).reshape(3, -1).T, rtol=1e-6)
         np.testing.assert_allclose(posterior.predict(NEW), found)
 
-    def test_gradient_of_the_mean(self, problem, differences):
-        posterior = sparse(problem)
-        expected = np.stack([differences(lambda x: posterior.predict(x[None])[0], x) for x in NEW])
-        np.testing.assert_allclose(posterior.gradient(NEW), expected, rtol=1e-6, atol=1e-7)
-
-    def test_variance_of_slopes_is_that_of_difference_quotients(self, problem):
-        posterior, h = sparse(problem), 1e-3
-        _, variance = posterior.gradient(NEW, return_variance=True)
-        for a, x in enumerate(NEW):
-            for k, unit in enumerate(h * np.eye(2)):
-                joint = posterior.covariance(np.array([x + unit, x - unit])).reshape(3, 2, 3, 2)
-                for i in range(3):
-                    pair = joint[i, :, i]
-                    quotient = (pair[0, 0] + pair[1, 1] - 2 * pair[0, 1]) / (4 * h**2)
-                    assert variance[a, i, k] == pytest.approx(quotient, rel=1e-3, abs=1e-4)
-
 
 class TestNoise:
     def test_another_noise_needs_no_sample(self, problem):

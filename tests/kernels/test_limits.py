@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+from sklearn.gaussian_process.kernels import RBF
 
-from skdgp.inference import Data, ExactPosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
@@ -39,21 +37,6 @@ class TestNothingShared:
                 block = K[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]
                 expected = self.amplitude[i] ** 2 * RBF(self.lengths[i])(X) if i == j else 0.0
                 np.testing.assert_allclose(block, np.broadcast_to(expected, (6, 6)), rtol=1e-12)
-
-    def test_posterior(self, rng):
-        X, Y, Z = rng.normal(size=(25, 2)), rng.normal(size=(25, 3)), rng.normal(size=(7, 2))
-        noise = np.array([0.1, 0.02, 0.3])
-        posterior = ExactPosterior(self.kernel, noise, Data.from_table(X, Y))
-        mean, variance = posterior.predict(Z, return_variance=True)
-        likelihood = 0.0
-        for i in range(3):
-            prior = ConstantKernel(self.amplitude[i] ** 2) * RBF(self.lengths[i])
-            theirs = GaussianProcessRegressor(prior, alpha=noise[i], optimizer=None).fit(X, Y[:, i])
-            expected, std = theirs.predict(Z, return_std=True)
-            np.testing.assert_allclose(mean[:, i], expected, rtol=1e-9)
-            np.testing.assert_allclose(np.sqrt(variance[:, i]), std, rtol=1e-8)
-            likelihood += theirs.log_marginal_likelihood_value_
-        assert posterior.log_marginal_likelihood == pytest.approx(likelihood)
 
 
 def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):

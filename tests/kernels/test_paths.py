@@ -7,7 +7,6 @@ from scipy.stats import kstest
 from skdgp.kernels import (
     ConvolvedGaussian,
     LinearTrend,
-    covariance_paths,
     inducing_features,
     prior_paths,
 )
@@ -70,66 +69,6 @@ def test_inducing_variables_are_drawn_with_the_paths(features):
         assert (
             np.abs(found / n_paths - expected) < 5 * np.sqrt((variance + expected**2) / n_paths)
         ).all()
-
-
-def test_coefficients_make_functions_of_the_features(features):
-    c = np.random.default_rng(5).normal(size=(2, features.size))
-    paths = features.paths(c)
-    expected = (cross_covariance(features) @ c.T).reshape(3, len(X), 2).transpose(2, 1, 0)
-    np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(
-        paths.take(slice(1, 2)).values(X[None]), expected[1:], rtol=1e-10, atol=1e-12
-    )
-    slopes = np.zeros((2, len(X), 3, 2))
-    for i in range(3):
-        slopes[:, :, i] = (features.Kfu_derivative(i, X) @ c[:, features.columns(i)].T).transpose(
-            2, 1, 0
-        )
-    np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-12)
-
-
-def test_coefficients_make_functions_of_a_kernel():
-    kernel, rng = trend() + make_kernel("full"), np.random.default_rng(6)
-    where = [
-        rng.normal(size=(n, 2)) for n in (700, 0, 3)
-    ]  # more than one tile; an output without values
-    c = [rng.normal(size=(2, len(x))) for x in where]
-    paths = covariance_paths(kernel, where, c)
-    expected = (kernel(X, where) @ np.hstack(c).T).reshape(3, len(X), 2).transpose(2, 1, 0)
-    np.testing.assert_allclose(paths.values(X[None]), expected, rtol=1e-10, atol=1e-10)
-    derivative = [
-        [kernel.block_derivative(i, j, X, x) @ c[j].T for j, x in enumerate(where)]
-        for i in range(3)
-    ]
-    slopes = np.stack([sum(blocks) for blocks in derivative]).transpose(3, 2, 0, 1)
-    np.testing.assert_allclose(paths.slopes(X[None]), slopes, rtol=1e-10, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    "kernel", [make_kernel(), trend() + make_kernel("full")], ids=["dependent", "trend + full"]
-)
-class TestBundle:
-    def bundle(self, kernel):
-        where = [X, X[:2], X[:0]]
-        c = [np.random.default_rng(7).normal(size=(5, len(x))) for x in where]
-        features = inducing_features(kernel, Z)
-        prior, u = features.prior_paths(5, 7, np.random.RandomState(8))
-        return prior + features.paths(u) + covariance_paths(kernel, where, c)
-
-    def test_each_at_its_own_points_is_what_all_have_there(self, kernel):
-        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
-        for function in (bundle.each, bundle.gradient):
-            for k in range(5):
-                np.testing.assert_allclose(
-                    function(own)[k], function(own[k][None])[k], rtol=1e-10, atol=1e-11
-                )
-
-    def test_chunks_make_no_difference(self, kernel, monkeypatch):
-        bundle, own = self.bundle(kernel), np.random.default_rng(9).normal(size=(5, 6, 2))
-        values, slopes = bundle.values(own), bundle.slopes(own)
-        monkeypatch.setattr("skdgp.kernels._prior_paths.CHUNK_BYTES", 1)
-        np.testing.assert_allclose(bundle.values(own), values, rtol=1e-10, atol=1e-11)
-        np.testing.assert_allclose(bundle.slopes(own), slopes, rtol=1e-10, atol=1e-11)
 
 
 def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():

@@ -16,7 +16,10 @@ RUN_ELSEWHERE = {
     "logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
     "scaling.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
-UNJUDGED = {"README.md", "ten_minutes.md"}  # what their models learned matters little: short fits do
+UNJUDGED = {
+    "README.md",
+    "ten_minutes.md",
+}  # what their models learned matters little: short fits do
 SHORT = {"README.md", "ten_minutes.md"}  # and short flights
 SECONDS = {
     "preprocessing.md": 40.0,
@@ -66,24 +69,3 @@ def test_code_of_every_page_runs_somewhere():
     assert len(RUN_HERE) >= 7
     for page, runner in RUN_ELSEWHERE.items():
         assert page in (ROOT / "tests" / runner).read_text(encoding="utf-8")
-
-
-def found_on_pages(pattern):
-    """Return (page, match) of every match of a pattern."""
-    return [
-        (page, found)
-        for page in PAGES
-        for found in set(re.findall(pattern, page.read_text(encoding="utf-8")))
-    ]
-
-
-def test_links_between_pages_lead_somewhere():
-    links = found_on_pages(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
-    inside = [
-        (page, target)
-        for page, target in links
-        if "://" not in target and not target.startswith("mailto:")
-    ]
-    assert [
-        (page.name, target) for page, target in inside if not (page.parent / target).exists()
-    ] == []

@@ -1,7 +1,5 @@
 """Regressors that are noisy: what the estimator and the identification pipeline make of them."""
 
-import pickle
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -112,18 +110,6 @@ def test_nonsense_is_refused(wrong):
         fitted(0.1, optimizer=None).predict(
             [[0.0]], return_std=True, include_input_noise=[1.0, 1.0]
         )
-
-
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_survives_pickling(inference):
-    model = fitted(0.1, inference, max_iter=15)
-    X, *_ = waves(seed=2)
-    words = {"return_std": True, "include_input_noise": True}
-    before = model.predict(X, **words)
-    for mine, theirs in zip(
-        pickle.loads(pickle.dumps(model)).predict(X, **words), before, strict=True
-    ):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.usefixtures("short_fits")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.datasets._brumby import REGRESSORS, brumby_coefficients, brumby_derivatives
 
 SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
 
@@ -77,25 +77,3 @@ def test_controls_lose_effect_with_deflection_and_elevator_takes_from_aileron():
 def test_lateral_derivatives_change_with_alpha(of, by):
     low, high = (derivative(at(alpha=alpha), of, by) for alpha in (0.05, 0.18))
     assert abs(high - low) > 0.04 * abs(low)
-
-
-def test_aircraft_can_be_trimmed_at_its_cruise():
-    """At 36 m/s some alpha and elevator in the envelope carry the weight without moment, within the power there is."""
-    pressure = 0.5 * 1.2 * 36.0**2 * BRUMBY.wing_area
-    regressors, thrust = at(alpha=0.085, elevator=-0.04), 80.0
-    for _ in range(20):
-        force, moment = BRUMBY.thrust_line.loads(thrust)
-        alpha = regressors[0]
-        weight = BRUMBY.mass * 9.80665 * np.array([-np.sin(alpha), 0.0, np.cos(alpha)])
-        excess = pressure * brumby_coefficients(regressors)[:3] + force + weight
-        pitching = pressure * BRUMBY.chord * brumby_coefficients(regressors)[4] + moment[1]
-        thrust -= excess[0]
-        regressors[0] -= excess[2] / (pressure * derivative(regressors, "CZ", "alpha"))
-        regressors[7] -= pitching / (
-            pressure * BRUMBY.chord * derivative(regressors, "Cm", "elevator")
-        )
-    assert abs(excess[[0, 2]]).max() < 1e-6
-    assert abs(pitching) < 1e-6
-    assert 0.03 < regressors[0] < 0.15
-    assert -0.12 < regressors[7] < 0.05
-    assert thrust < 0.7 * BRUMBY.propeller.thrust(800.0, 36.0, 1.2)

@@ -50,49 +50,6 @@ def flight(request, flights):
 
 
 class TestEquationsOfFlight:
-    def test_newton(self, flight, data):
-        pressure = (
-            0.5
-            * flight.density.to_numpy()
-            * flight.airspeed_true.to_numpy() ** 2
-            * data.aircraft.wing_area
-        )
-        aerodynamic = pressure[:, None] * true(flight, "CX", "CY", "CZ")
-        thrust = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
-        specific_force = true(flight, "ax", "ay", "az")
-        np.testing.assert_allclose(
-            data.aircraft.mass * specific_force, aerodynamic + thrust, atol=1e-9
-        )
-
-    def test_euler(self, flight, data):
-        inertia = data.aircraft.inertia
-        pressure = (
-            0.5
-            * flight.density.to_numpy()
-            * flight.airspeed_true.to_numpy() ** 2
-            * data.aircraft.wing_area
-        )
-        moment = pressure[:, None] * true(flight, "Cl", "Cm", "Cn") * data.aircraft.moment_lengths
-        moment += flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy()
-        rates = true(flight, "p", "q", "r")
-        turning = true(flight, "p_dot", "q_dot", "r_dot") @ inertia.T + np.cross(
-            rates, rates @ inertia.T
-        )
-        np.testing.assert_allclose(turning, moment, atol=1e-9)
-
-    def test_thrust_acts_on_its_line(self, flight, data):
-        line = data.aircraft.thrust_line
-        force = flight[["thrust_x", "thrust_y", "thrust_z"]].to_numpy()
-        torque = flight[["thrust_l", "thrust_m", "thrust_n"]].to_numpy() - np.cross(
-            line.position, force
-        )
-        assert abs(np.cross(force, line.direction)).max() < 1e-9
-        assert abs(np.cross(torque, line.direction)).max() < 1e-9
-        propeller = data.aircraft.propeller
-        condition = (flight.propeller_speed, flight.airspeed_true, flight.density)
-        np.testing.assert_allclose(force @ line.direction, propeller.thrust(*condition), atol=1e-9)
-        np.testing.assert_allclose(torque @ line.direction, propeller.torque(*condition), atol=1e-9)
-
     def test_wind_triangle(self, flight):
         wind = true(flight, "wind_north", "wind_east", "wind_down")
         relative = inverse_turn(flight, true(flight, "v_north", "v_east", "v_down") - wind)

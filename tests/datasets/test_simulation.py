@@ -1,7 +1,6 @@
 """The motion of the example aircraft: gusts, and the fixed point of alpha_dot and beta_dot."""
 
 import numpy as np
-import pytest
 
 from skdgp.datasets._example_flights import brumby_motion
 from skdgp.dynamics import euler_to_quaternion, ned_to_body
@@ -31,27 +30,6 @@ def settled(state, wind=WIND, gust=GUST):
         now = at(state, wind, gust, slopes)
         slopes = now.implicit[..., :2]
     return now
-
-
-def test_fixed_point_contracts_seventyfold():
-    truth = settled(STATE).implicit[:2]
-    first, second = (at(STATE, slopes=slopes).implicit[:2] for slopes in ((0.0, 0.0), truth + 0.5))
-    assert (abs(first - truth) < abs(truth) / 70).all()
-    assert (abs(second - truth) < 0.5 / 70).all()
-
-
-def test_slopes_are_derivatives_of_air_data_along_the_motion():
-    """A short flight ahead and back, the gust growing at its rate, the wind steady over the earth."""
-    now, dt = settled(STATE), 1e-5
-    ahead, back = (
-        at(
-            STATE + h * now.derivative,
-            gust=GUST._replace(velocity=GUST.velocity + h * GUST.acceleration),
-        )
-        for h in (dt, -dt)
-    )
-    assert (ahead.alpha - back.alpha) / (2 * dt) == pytest.approx(now.implicit[0], abs=1e-7)
-    assert (ahead.beta - back.beta) / (2 * dt) == pytest.approx(now.implicit[1], abs=1e-7)
 
 
 def test_steady_gust_acts_like_wind():

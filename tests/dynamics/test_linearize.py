@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._brumby import REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -13,7 +13,6 @@ from skdgp.dynamics import (
     linearize,
     quaternion_rate,
     quaternion_to_euler,
-    rk4_step,
     trim,
 )
 from skdgp.dynamics._air import LocalAir
@@ -180,43 +179,6 @@ def test_in_moving_air_the_jacobian_is_the_derivative_of_the_motion(aircraft):
         expected = ((ahead - behind) / (2 * h))[[*range(6), 10, 11, 12]]
         column = found[[*range(6), 9, 10, 11], error]
         assert column == pytest.approx(expected, rel=1e-5, abs=1e-7)
-
-
-def test_small_doublets_are_flown_alike_to_second_order():
-    """Half the doublet leaves a quarter of the difference between the linear and the whole aircraft."""
-    at = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
-    linear = linearize(BRUMBYS, BRUMBY, at, inputs=["elevator", "aileron"])
-    density = float(Motion(BRUMBYS, BRUMBY).at(at.state, at.controls).density)
-    system, motion = linear.to_scipy(), Motion(BRUMBYS, BRUMBY, air=Air(density=density))
-    shape = np.repeat([1.0, -1.0, 0.0], 50)
-
-    def whole(size):
-        """The aircraft itself, inputs held over each step."""
-        states = [at.state]
-        for sign in shape:
-            moves = {"elevator": sign * size, "aileron": 0.5 * sign * size}
-            controls = at.controls | {
-                name: at.controls[name] + move for name, move in moves.items()
-            }
-            states.append(
-                rk4_step(lambda t, x, u=controls: motion.at(x, u).derivative, 0.0, states[-1], 0.01)
-            )
-        states = np.array(states)
-        angles = quaternion_to_euler(states[:, 6:10])
-        seen = dict(zip("uvwpqr", [*states[:, 3:6].T, *states[:, 10:].T], strict=True))
-        seen |= {"phi": angles[:, 0], "theta": angles[:, 1]}
-        return np.stack([seen[name] - seen[name][0] for name in linear.states], axis=-1)
-
-    def held(size):
-        """The linear aircraft under the same inputs."""
-        discrete, x = system.to_discrete(0.01), [np.zeros(8)]
-        for sign in shape:
-            x.append(discrete.A @ x[-1] + discrete.B @ [sign * size, 0.5 * sign * size])
-        return np.array(x)
-
-    errors = [np.abs(whole(size) - held(size)).max(axis=0) for size in (0.01, 0.005)]
-    assert errors[0] / errors[1] == pytest.approx(np.full(8, 4.0), rel=0.15)
-    assert (errors[0] < 0.1 * np.abs(whole(0.01)).max(axis=0)).all()
 
 
 class TestSpread:

@@ -77,15 +77,6 @@ def test_loads_where_no_pickle_is_read(path, portable_of, tmp_path):
     np.testing.assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
 
 
-def test_every_member_is_on_the_page(path):
-    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
-    with np.load(path) as file:
-        names = {re.sub(r"_\d+$", "_0", name) for name in file.files} | {
-            *json.loads(file["model.json"])
-        }
-    assert not [name for name in names if f"`{name}`" not in page]
-
-
 def test_changed_content_and_a_missing_end_are_noticed(path, portable_of):
     """A changed bit is either noticed, or in a date of the archive."""
     whole = path.read_bytes()

@@ -1,11 +1,8 @@
 """Maximisation: bounds are kept, the best point is never lost, whatever happens on the way."""
 
-from threading import Event
-
 import numpy as np
 import pytest
 
-from skdgp import listening
 from skdgp.inference import maximize
 
 BOUNDS = np.array([[-5.0, 5.0], [-5.0, 5.0]])
@@ -133,51 +130,3 @@ class TestInterrupt:
         value, theta = max(points, key=lambda point: point[0])
         assert best.value == value
         np.testing.assert_array_equal(best.theta, theta)
-
-    def test_stops_what_runs_beside(self):
-        stop = Event()
-        calls = []
-
-        def counted(theta):
-            calls.append(theta)
-            if len(calls) == 2:
-                stop.set()
-            return hill(theta)
-
-        best = maximize(counted, np.array([4.0, 4.5]), BOUNDS, stop=stop)
-        assert best.interrupted
-        assert len(calls) == 2
-
-    def test_tells_what_runs_beside(self):
-        stop = Event()
-
-        def interrupted(theta):
-            raise KeyboardInterrupt
-
-        assert maximize(interrupted, np.zeros(2), BOUNDS, stop=stop).interrupted
-        assert stop.is_set()
-
-
-def test_progress_is_told_at_every_evaluation():
-    told = []
-    with listening(lambda *news: told.append(news)):
-        best = maximize(hill, np.array([4.0, 4.0]), BOUNDS, stage="climb")
-    assert [news[0] for news in told] == ["climb"] * best.n_evaluations
-    assert [news[1] for news in told] == list(range(1, best.n_evaluations + 1))
-    values = [news[2] for news in told]
-    assert values == sorted(values)  # the best so far
-    assert values[-1] == best.value
-
-
-def test_evaluates_points_of_the_grid():
-    seen = []
-
-    def watched(theta):
-        seen.append(theta.copy())
-        return ridge(theta)
-
-    bounds = np.array([[-5.0, 5.0], [-5.0, 0.3]])  # where the last one is a bound
-    maximize(watched, np.array([-1.2, 0.1]), bounds, grid=2.0**-10)
-    steps = (np.array(seen) - bounds[:, 0]) / (2.0**-10 * np.array([10.0, 5.3]))
-    assert (np.isclose(steps, np.round(steps), atol=1e-9) | np.isin(seen, bounds)).all()
-    assert len(seen) > 5

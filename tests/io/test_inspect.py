@@ -7,12 +7,9 @@ import pandas as pd
 import pytest
 
 from skdgp._cli import main
-from skdgp._flight.channels import REGRESSOR_SETS
-from skdgp.dynamics import _inverse
 from skdgp.identification._flights import named_flights
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.io._inspect import NEEDS
-from skdgp.preprocessing import _path
 
 SERVOS = {
     name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
@@ -34,27 +31,6 @@ def quad(tmp_path, ulog):
     )
     (tmp_path / "quad.ulg").write_bytes(bytes(log))
     return tmp_path / "quad.ulg"
-
-
-class TestNeeds:
-    """What each step needs is what its own code asks for."""
-
-    def alternatives(self, step):
-        return {word for need in NEEDS[step] for word in need.split(" or ")}
-
-    def test_coefficients(self):
-        assert self.alternatives("coefficients") == {
-            *_inverse.NEEDED,
-            "thrust_x",
-            "propeller_speed",
-        }
-
-    def test_reconstruction(self):
-        assert set(NEEDS["reconstruction"]) == set(_path.NEEDED)
-
-    def test_regressors(self):
-        made = {"airspeed", "elevon_left", "elevon_right", "reconstruction"}
-        assert self.alternatives("regressors") - made == set(REGRESSOR_SETS["quasi-steady"])
 
 
 class TestSummary:

@@ -1,7 +1,5 @@
 """MATLAB files: loose vectors or a struct, by the words of the vocabulary."""
 
-import struct
-
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -38,27 +36,6 @@ def test_every_kind_of_number_beside_what_is_no_vector(tmp_path, kind, compresse
     table = read_flight(tmp_path / "a.mat")
     assert set(table) == {"time", "flight", "north"}
     np.testing.assert_array_equal(table["north"], alpha.astype(float))
-
-
-def test_the_other_order_of_bytes(tmp_path):
-    """Big-endian files are those of old workstations; written by hand."""
-
-    def element(kind, content):
-        return struct.pack(">II", kind, len(content)) + content.ljust(
-            -(-len(content) // 8) * 8, b"\0"
-        )
-
-    def variable(name, values):
-        head = element(6, struct.pack(">II", 6, 0)) + element(5, struct.pack(">ii", len(values), 1))
-        return element(
-            14, head + element(1, name) + element(9, struct.pack(f">{len(values)}d", *values))
-        )
-
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
-    (tmp_path / "a.mat").write_bytes(
-        head + variable(b"time", [0.0, 0.5]) + variable(b"alpha", [0.1, 0.2])
-    )
-    assert read_flight(tmp_path / "a.mat").alpha.tolist() == [0.1, 0.2]
 
 
 @pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])

@@ -3,11 +3,6 @@
 import re
 from pathlib import Path
 
-import pytest
-
-from skdgp.io import EQUIVALENT, QUATERNION
-from skdgp.io import _dataflash as dataflash
-from skdgp.io import _ulog as ulog
 from skdgp.io._servos import read_servos
 
 PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
@@ -42,29 +37,3 @@ def test_the_servo_file_is_one(tmp_path):
     servos = read_servos(tmp_path / "servo.toml")
     assert servos["elevator"].angles == (0.35, 0.0, -0.35)
     assert servos["aileron"].channel == "actuator_outputs.output[0]"
-
-
-@pytest.mark.parametrize("rules", [ulog.RULES, dataflash.RULES], ids=["px4", "ardupilot"])
-def test_every_rule_stands_in_the_table(rules):
-    table = PAGE.split("## Where each column is from")[1].split("## ")[0]
-    rows = [line.split("|")[1:4] for line in table.splitlines() if line.startswith("| ")]
-    place = 1 if rules is ulog.RULES else 2
-    sources_of = {name: row[place] for row in rows for name in re.split(r"[ ,]+", row[0].strip())}
-    names = {EQUIVALENT: "airspeed", **dict.fromkeys(QUATERNION, "phi")}
-    for rule in rules:
-        for column in rule.columns:
-            assert f"`{rule.topic}`" in sources_of[names.get(column, column)], (column, rule.topic)
-    for name, cell in sources_of.items():
-        sources = {
-            rule.topic
-            for rule in rules
-            for column in rule.columns
-            if names.get(column, column) == name
-        }
-        if sources:
-            assert set(re.findall(r"`(\w+)`", cell)) == sources or name in (
-                "theta",
-                "psi",
-                "alpha",
-                "beta",
-            ), name

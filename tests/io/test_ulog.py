@@ -3,7 +3,6 @@
 import struct
 import sys
 
-import numpy as np
 import pytest
 
 from skdgp.io import AUTOPILOTS, FlightReadError
@@ -44,23 +43,6 @@ def read(tmp_path):
         return AUTOPILOTS[".ulg"](path)
 
     return of
-
-
-def test_nested_messages_arrays_and_padding(read):
-    log = read(
-        definition("point:uint64_t timestamp;float[2] at;uint8_t flag;uint8_t[3] _padding0;"),
-        definition("pair:uint64_t timestamp;point[2] ends;int16_t n;uint8_t[6] _padding0;"),
-        subscription(7, "pair", 2),
-        *(
-            datum(7, "Q" + 2 * "QffB3x" + "h", t, t, 1.5, t, 1, 0, -2.0, 0.5, 0, -t)
-            for t in (1, 2, 3)
-        ),
-    )
-    topic = log.topics["pair#2"]
-    np.testing.assert_array_equal(topic["ends[0].at[1]"], [1, 2, 3])
-    np.testing.assert_array_equal(topic["n"], [-1, -2, -3])
-    assert "ends[2].at[0]" not in topic
-    assert "ends" not in topic
 
 
 class TestWhatTheLogSaysOfItself:

@@ -117,31 +117,6 @@ def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
         read(path)
 
 
-@pytest.mark.parametrize("dtype", [*DTYPES, "int64", "Int64", "float64"])
-def test_what_holds_the_names_changes_nothing(dtype):
-    names = ["7"] * N + ["11"] * N if dtype in DTYPES else [7] * N + [11] * N
-    flights = table(pd.Series(names).astype(dtype))
-    assert flight_segments(flights["time"], flights["flight"]) == [slice(0, N), slice(N, 2 * N)]
-    assert [rows.tolist() for rows in flight_rows(flights["flight"]).values()] == [
-        list(range(N)),
-        list(range(N, 2 * N)),
-    ]
-    plain = FlightSmoother(cutoff=2.0).fit_transform(table(["a"] * N + ["b"] * N))
-    smooth = FlightSmoother(cutoff=2.0).fit_transform(flights)
-    np.testing.assert_allclose(smooth["alpha_dot"], plain["alpha_dot"], rtol=1e-9, atol=1e-10)
-
-
-def test_the_order_of_flights_changes_nothing():
-    flights = table(["a"] * N + ["b"] * N)
-    turned = pd.concat([flights[N:], flights[:N]])
-    smooth = [FlightSmoother(cutoff=2.0).fit_transform(each) for each in (flights, turned)]
-    np.testing.assert_allclose(
-        *(each.sort_values(["flight", "time"])["alpha_dot"] for each in smooth),
-        rtol=1e-9,
-        atol=1e-10,
-    )
-
-
 def test_rows_of_flights_that_take_turns():
     assert {name: rows.tolist() for name, rows in flight_rows(["b", "a", "b", "a"]).items()} == {
         "b": [0, 2],

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 from scipy import signal
 
-from skdgp._flight.clock import flight_segments
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
 
 RATE = 40.0
@@ -24,43 +23,6 @@ def noisy_sine(n=2400, noise=0.05, frequency=0.4, seed=0):
 
 def rms(error):
     return np.sqrt(np.mean(np.square(error)))
-
-
-class TestSegments:
-    def test_cover_every_row_once_in_order(self):
-        rng = np.random.default_rng(1)
-        step = np.where(rng.random(500) < 0.03, 0.7, 0.02) * rng.uniform(0.9, 1.1, 500)
-        time, flight = np.cumsum(step), np.repeat(["a", "b"], 250)
-        rows = [row for s in flight_segments(time, flight) for row in range(s.start, s.stop)]
-        assert rows == list(range(500))
-
-    def test_gap_and_change_of_flight_split(self):
-        time = [0.0, 0.1, 0.2, 5.0, 5.1, 0.0, 0.1, 0.2]
-        assert flight_segments(time, list("aaaaabbb")) == [slice(0, 3), slice(3, 5), slice(5, 8)]
-
-    def test_one_lost_sample_is_no_gap(self):
-        time = np.delete(clock(100), 40)
-        assert flight_segments(time) == [slice(0, 99)]
-
-    def test_each_flight_has_its_own_rate(self):
-        time = np.r_[clock(50, 10), clock(50, 100)]
-        assert flight_segments(time, np.repeat([1, 2], 50)) == [slice(0, 50), slice(50, 100)]
-
-    @pytest.mark.parametrize("time", [[0.0, 0.1, 0.1, 0.2], [0.0, 0.2, 0.1, 0.3]])
-    def test_time_must_increase(self, time):
-        with pytest.raises(
-            ValueError, match=r"row 2 .*expected time to increase strictly within a flight"
-        ):
-            flight_segments(time)
-
-    def test_no_rate_no_segments(self):
-        time = np.cumsum(np.random.default_rng(0).exponential(0.1, 200))
-        with pytest.raises(ValueError, match="nearly constant rate"):
-            flight_segments(time)
-
-    def test_time_must_be_finite(self):
-        with pytest.raises(ValueError, match="every value finite"):
-            flight_segments([0.0, np.nan, 0.2])
 
 
 class TestSmooth:

@@ -6,7 +6,7 @@ import pytest
 from skdgp._flight.frames import without_sign_changes
 from skdgp.dynamics import euler_to_quaternion, quaternion_to_euler
 from skdgp.io import Topic
-from skdgp.io._autopilot import clock_parts, resample, sampling_rate, uniform_clock
+from skdgp.io._autopilot import clock_parts, resample, uniform_clock
 
 
 def topic(time, order=None):
@@ -64,32 +64,16 @@ class TestStamps:
 
 
 class TestUniformClock:
-    def test_multiples_of_the_step_within_the_samples(self):
-        clock = uniform_clock(np.arange(1.013, 2.0, 0.01), 20.0)
-        np.testing.assert_allclose(clock, np.arange(1.05, 1.99, 0.05))
-
     def test_no_rows_where_the_log_stands_still(self):
         time = np.r_[np.arange(0, 10, 0.02), np.arange(1e6, 1e6 + 10, 0.02)]
         clock = uniform_clock(time, 50.0)
         assert len(clock) == len(time)
         assert np.diff(clock).max() > 9e5
 
-    def test_rows_in_a_short_gap(self):
-        time = np.r_[np.arange(0, 10, 0.02), np.arange(13, 20, 0.02)]
-        np.testing.assert_allclose(np.diff(uniform_clock(time, 50.0)), 0.02)
-
     def test_rows_are_bounded(self):
         steps = np.tile([0.001, 0.001, 4.9], 500)
         with pytest.raises(ValueError, match="a clock without so many gaps"):
             uniform_clock(np.cumsum(steps), 50.0)
-
-    def test_rate(self):
-        assert sampling_rate(np.arange(10) / 40) == pytest.approx(40)
-        assert np.isnan(sampling_rate(np.array([1.0])))
-        paused = np.r_[np.arange(100) / 40, 90 + np.arange(100) / 40]
-        assert sampling_rate(paused) == pytest.approx(40)
-        bursts = np.repeat(np.arange(0, 100, 2.0), 8) + np.tile(0.009 * np.arange(8), 50)
-        assert sampling_rate(bursts) == pytest.approx(4, rel=0.02)  # 8 messages every two seconds
 
 
 class TestResample:

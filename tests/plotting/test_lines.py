@@ -19,14 +19,6 @@ def test_every_slice_keeps_its_extremes():
     assert (np.diff(t) > 0).all()
 
 
-def test_lines_break_at_gaps_and_where_time_goes_back():
-    time = np.array([0.0, 1, 2, 3, 100, 101, 102, 0, 1, 2])
-    np.testing.assert_array_equal(segment_starts(time), [0, 4, 7])
-    t, v = line_points(time, np.ones(10), segment_starts(time))
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(v)), [4, 8])
-    assert len(t) == 12
-
-
 def test_holes_wide_enough_to_be_seen_break_the_line():
     time = np.arange(3000) / 10.0
     values = np.sin(time)

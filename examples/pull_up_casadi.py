@@ -30,7 +30,6 @@ Needs CasADi and matplotlib: pip install "skdgp[export,plot]".
 
 import argparse
 import tempfile
-from functools import partial
 from itertools import pairwise
 from time import process_time
 from typing import NamedTuple
@@ -80,6 +79,20 @@ class Plan(NamedTuple):
     @property
     def altitude(self):
         return self.states[:, 4]
+
+
+def joint_covariance(pipeline, n_paths=2000):
+    """Return the function of regressors (n, d) that gives the covariance (6 n, 6 n) of paths of the model.
+
+    They are those of `simulate`; all n of the first coefficient come first.
+    """
+    drawn = as_aerodynamics(pipeline).sample(n_paths, 0, correlated=True)
+
+    def covariance(X):
+        values = drawn(np.broadcast_to(X, (n_paths, *X.shape)))
+        return np.cov(values.swapaxes(1, 2).reshape(n_paths, -1), rowvar=False)
+
+    return covariance
 
 
 class PullUp:
@@ -358,9 +371,7 @@ def main(arguments=None):
         flown_range["alpha"][1],
         options.load_factor,
     ]  # the largest angle of attack that was flown
-    covariance = partial(
-        as_aerodynamics(pipeline).covariance, correlated=True
-    )  # as of the paths of simulate
+    covariance = joint_covariance(pipeline)
     pull_up = PullUp(model, covariance, aircraft, steady, density, limits, max_kb=options.max_kb)
 
     plans, flights = {}, []

@@ -8,7 +8,7 @@ import pytest
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, effects
 from skdgp.calibration import CalibratedRegressor
@@ -31,7 +31,6 @@ MODELS = {
         "structure": "joint",
     },
     "no trend": {"structure": "additive", "n_latent": 0, "trend": "constant"},
-    "other trend": {"trend": PolynomialFeatures(2), "n_latent": 0},
     "noisy regressors": {"structure": "additive", "n_latent": 0, "input_noise": 0.02},
 }
 

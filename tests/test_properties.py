@@ -15,6 +15,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 pytestmark = pytest.mark.filterwarnings(
     "ignore:The regressors .* are constant",
     "ignore:Got n_inducing",
+    "ignore:.*inducing inputs leave",
     "ignore:.* samples repeat another",
 )
 EXAMPLES = settings(max_examples=15)

@@ -113,9 +113,13 @@ MOST_SERVOS = 16
 MIXES = {
     "elevator": {79: -0.5, 80: -0.5},
     "rudder": {79: -0.5, 80: 0.5},
+    "aileron": {24: 0.5, 25: 0.5},
 }
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
-and right (ArduPlane/servos.cpp)."""
+and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
+LEFT_FLAPERON = (
+    24  # later versions turn its sign: whether it moves with the right one the outputs show
+)
 Outputs: TypeAlias = Topic | Mapping[str, Any]
 Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
@@ -308,14 +312,23 @@ def servos_of(
 
 
 def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
-    """Return elevator and rudder of a V-tail; none where one of its servos is missing."""
+    """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
     by_function = dict(reversed(_numbers(outputs, parameters, name)))
     found: Mixing = {}
     for control, weights in MIXES.items():
         if set(weights) <= set(by_function):
             numbers = [by_function[each] for each in weights]
             channels = [_channel(name.format(n), n, parameters, False) for n in numbers]
-            found[control] = tuple(zip(weights.values(), channels, strict=True))
+            signs = [1.0, 1.0]
+            if LEFT_FLAPERON in weights:
+                moves = [
+                    (-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]])
+                    for each in channels
+                ]
+                signs = [-1.0 if moves[0] @ moves[1] < 0 else 1.0, 1.0]
+            found[control] = tuple(
+                zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True)
+            )
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from skdgp._compute.linalg import column_scale
+from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
 
@@ -164,7 +164,8 @@ class LinearTrend(MultiOutputKernel):
         )
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
-        basis = np.column_stack([np.ones(len(X)), (X - X.mean(axis=0)) / column_scale(X)])
+        slopes = ((X - X.mean(axis=0)) / column_scale(X))[:, ~constant_columns(X)]
+        basis = np.column_stack([np.ones(len(X)), slopes])
         residual = np.array(Y, dtype=float)
         for y in residual.T:
             rows = np.isfinite(y)

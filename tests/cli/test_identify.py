@@ -327,7 +327,7 @@ class TestLags:
 
     def test_are_corrected_and_said(self, late, tmp_path, monkeypatch):
         monkeypatch.setattr(
-            _identification, "render_report", lambda content: content.model.extra["Lags"]
+            _identification, "render_report", lambda content: content.facts["Lags"]
         )
         assert identify("--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())

@@ -1,7 +1,6 @@
 """The plan of the example keeps its limits for the aircraft of the posterior, and the plan of the mean does not."""
 
 import importlib.util
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    as_aerodynamics,
     simulate,
     standard_density,
     trim,
@@ -86,7 +84,7 @@ def steady(aircraft, pipeline):
 
 @pytest.fixture(scope="module")
 def pull_up(example, aircraft, pipeline, steady):
-    covariance = partial(as_aerodynamics(pipeline).covariance, correlated=True)
+    covariance = example.joint_covariance(pipeline)
     model = portable_model(pipeline, aircraft)
     return example.PullUp(
         model, covariance, aircraft, steady, DENSITY, LIMITS, duration=2.0, max_kb=None

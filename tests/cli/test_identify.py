@@ -326,9 +326,7 @@ class TestLags:
         assert abs(lags["air"]["lag"] - 0.08) < 2 * lags["air"]["std"] < 0.02
 
     def test_are_corrected_and_said(self, late, tmp_path, monkeypatch):
-        monkeypatch.setattr(
-            _identification, "render_report", lambda content: content.facts["Lags"]
-        )
+        monkeypatch.setattr(_identification, "render_report", lambda content: content.facts["Lags"])
         assert identify("--test", "test.csv", "--horizons", "1", train=[late], output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         assert metrics["options"]["lags"] == "auto"

@@ -266,7 +266,7 @@ class TestIdentify:
             assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
         assert re.match(
             r"\d+% all terms, \d+% trend and main effects, ",
-            result._report_content().model.extra["Average"],
+            result._report_content().facts["Average"],
         )
 
     def test_says_if_the_fit_has_not_converged(self, result, stopped):
@@ -392,14 +392,11 @@ class TestIdentify:
         )  # two shared ones, of a log
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
-            model = (
-                identify(train, aircraft, test=test, regressor=regressor, **options)
-                ._report_content()
-                .model
-            )
-        assert model.kernel == "convolved Gaussian, one width for each regressor"
-        assert (model.n_latent, model.n_private) == (2, 6)
-        assert "part of the coefficients" in model.extra["Thrust"]
+            result = identify(train, aircraft, test=test, regressor=regressor, **options)
+        facts = result._report_content().facts
+        assert facts["Kernel"] == "convolved Gaussian, one width for each regressor"
+        assert facts["Latent processes"] == "2 shared, 6 private"
+        assert "part of the coefficients" in facts["Thrust"]
 
     def test_coefficients_without_thrust_include_it(self, example):
         aircraft, train, _ = example

@@ -21,6 +21,7 @@ from skdgp._regressor._structure import (
     fit_structure,
     likeliest_mean,
     most_iterations,
+    n_searches,
     weights_of,
 )
 from skdgp.inference import (
@@ -306,7 +307,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if inference == "auto":
             inference = "exact" if n_values <= (LOG_LIMIT if log else EXACT_LIMIT) else "sparse"
         if inference == "exact":  # the covariance, and the factors of the components
-            n_matrices = 1 + (2 if log and self.structure == "average" else 1)
+            searches = n_searches(self, log)
+            n_matrices = 1 + 2 * searches if searches > 1 else 2
             check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))

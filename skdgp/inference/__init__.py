@@ -16,7 +16,15 @@ misfit    the error of the function that residuals show where flights come back 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, residual_drift
+from skdgp.inference._fit import (
+    Fit,
+    as_exact,
+    average,
+    fit_exact,
+    fit_sparse,
+    mean_of,
+    residual_drift,
+)
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
@@ -53,6 +61,7 @@ __all__ = [
     "input_noise_loading",
     "log_likelihood",
     "maximize",
+    "mean_of",
     "misfit_variance",
     "n_searched",
     "residual_drift",

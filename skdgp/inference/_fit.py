@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from skdgp._compute.linalg import (
     check_memory,
     cluster_centres,
     column_scale,
+    covariance_root,
     output_scale,
 )
 from skdgp._compute.statistics import autocorrelation_time
@@ -296,6 +298,32 @@ def average(
     return fit._replace(
         posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
     )
+
+
+def mean_of(fits: Sequence[Fit]) -> Fit:
+    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
+
+    Searches explain the log equally well but predict other flights differently, so their mean
+    predicts better than each (Breiman 1996).
+    """
+    if len(fits) == 1:
+        return fits[0]
+    posteriors = [fit.posterior for fit in fits]
+    learned = [fit.learned for fit in fits]
+    posterior = AveragePosterior(
+        [member for each in posteriors for member in each.members],
+        [part for each in posteriors for part in each.parts],
+        np.concatenate([each.mixture for each in posteriors]) / len(fits),
+    )
+    roots = [each.root for each in learned if each.root is not None]
+    noise_of_regressors = np.mean([root @ root.T for root in roots], axis=0) if roots else None
+    found = learned[0]._replace(
+        noise=np.mean([each.noise for each in learned], axis=0),
+        root=None if noise_of_regressors is None else covariance_root(noise_of_regressors),
+        n_evaluations=sum(each.n_evaluations for each in learned),
+        converged=all(each.converged for each in learned),
+    )
+    return Fit(posterior, found, fits[0].value)
 
 
 def _of_part(whole, X, Y, loading, ordered, part) -> Fit:

@@ -26,7 +26,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_airspeed, check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.preprocessing._table import TableTransformer, with_columns
+from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 OPTIONAL = ("throttle", *SURFACES)
@@ -299,6 +299,7 @@ class RegressorSelector(TableTransformer):
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
+        X = as_pandas(X)
         super().fit(X, y)
         if self._passes:
             return self

@@ -38,6 +38,7 @@ class TableTransformer(  # type: ignore[call-arg]
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the columns of the flight table X, and learn from them; y is ignored."""
+        X = as_pandas(X)
         self._passes = not self._has_known_column(X)
         if self._passes:
             self._check_other_input(X, reset=True)
@@ -57,6 +58,7 @@ class TableTransformer(  # type: ignore[call-arg]
     def transform(self, X: Any) -> Any:
         """Return the transformed flight table X, with its index; an array for an array."""
         check_is_fitted(self)
+        X = as_pandas(X)
         if self._passes:
             return self._as_output(self._check_other_input(X))
         return self._as_output(self._transform_table(self._as_table(X)))
@@ -130,6 +132,13 @@ class TableTransformer(  # type: ignore[call-arg]
         tags = super().__sklearn_tags__()
         tags.input_tags.allow_nan = True
         return tags
+
+
+def as_pandas(X: Any) -> Any:
+    """Return a polars table, as ``set_output`` makes them, as a DataFrame; other input as it is."""
+    if type(X).__module__.partition(".")[0] != "polars":
+        return X
+    return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})
 
 
 def has_values(table: pd.DataFrame, *names: str) -> bool:

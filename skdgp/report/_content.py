@@ -133,8 +133,10 @@ class FlightMechanics:
         """Return it as plain values, SI units and radians."""
         found: dict[str, Any] = {"note": self.note, "simulation_note": self.simulation_note}
         if self.trim is not None:
-            names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
+            names = ("airspeed", "alpha", "beta", "phi", "theta", "controls")
             found["trim"] = {name: getattr(self.trim, name) for name in names}
+            path = "glide_without_thrust" if "climb" in self.trim.solved else "climb"
+            found["trim"][path] = self.trim.climb
             found["trim"]["beyond"] = {
                 name: list(values) for name, values in self.trim.beyond.items()
             }

@@ -313,3 +313,5 @@ class TestMechanics:
             "r",
         }
         assert found["trim"]["beyond"] == {}
+        assert found["trim"]["glide_without_thrust"] < 0
+        assert "climb" not in found["trim"]

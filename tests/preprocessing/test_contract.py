@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from sklearn.base import clone
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import skdgp.preprocessing as preprocessing
@@ -152,6 +153,14 @@ class TestContract:
         assert [str(w.message).split()[0] for w in caught] == [type(transformer).__name__]
         assert list(out.columns) == ["x0", "x1", "x2"]
         np.testing.assert_array_equal(out, X)
+
+    def test_reads_the_polars_tables_that_set_output_makes(self, transformer):
+        pytest.importorskip("polars")
+        table = ready_table()[:200].select_dtypes("number").astype(float)
+        first = StandardScaler(with_mean=False, with_std=False).set_output(transform="polars")
+        made = first.fit_transform(table)
+        expected = clone(transformer).fit_transform(table)
+        pd.testing.assert_frame_equal(clone(transformer).fit_transform(made), expected)
 
     def test_array_after_a_table_is_read_by_position(self, transformer):
         table = ready_table().select_dtypes("number")[:200]

@@ -150,3 +150,9 @@ def test_runs_of_good_rows():
     good = np.array([1, 1, 0, 1, 1, 1, 0, 0, 1], dtype=bool)
     assert true_runs(good) == [slice(0, 2), slice(3, 6), slice(8, 9)]
     assert true_runs(good[:0]) == []
+
+
+def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
+    rows = np.sort(np.random.default_rng(0).permutation(400)[:320])
+    with pytest.raises(ValueError, match="shuffled KFold: hold out whole flights"):
+        flight_segments(0.02 * rows)

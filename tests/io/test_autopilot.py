@@ -9,7 +9,7 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight, read_flights
 from skdgp.io import _dataflash as dataflash
 from skdgp.io import _ulog as ulog
-from skdgp.preprocessing import FlightDataWarning
+from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")
 PX4_SERVOS = {
@@ -428,6 +428,13 @@ class TestSharedLogs:
             "velocity and attitude" in table.attrs["sources"]["ax"]
         )  # the sensor's integers overflowed
         assert table.az.median() == pytest.approx(-9.8, abs=0.1)
+
+    def test_an_airspeed_rounded_to_hundredths_is_not_stuck(self, shared_data):
+        with pytest.warns(FlightDataWarning):
+            table = read_flight(shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg")
+        with pytest.warns(FlightDataWarning, match="v_north is stuck"):  # on the runway
+            checked = FlightCheck().fit_transform(table)
+        assert checked.airspeed.notna().all()
 
     def test_bench_logs_are_no_flights_but_can_be_read(self, shared_data):
         for name in ("pyulog_sample_log_small_vtol_bench.ulg", "pyflightcoach_elevator_bench.BIN"):

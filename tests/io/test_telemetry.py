@@ -1,6 +1,7 @@
 """Telemetry logs: what was sent is read like a log of the autopilot itself."""
 
 import struct
+import sys
 
 import numpy as np
 import pandas as pd
@@ -117,3 +118,10 @@ class TestTelemetry:
             (tmp_path / "a.tlog").write_bytes(content)
             with pytest.raises(FlightReadError, match="without a message ATTITUDE"):
                 read_flight(tmp_path / "a.tlog")
+
+
+def test_without_its_extra(tlog, tmp_path, monkeypatch):
+    (tmp_path / "sortie.tlog").write_bytes(b"".join(tlog))
+    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20", None)
+    with pytest.raises(ImportError, match=r"pip install 'skdgp\[logs\]'"):
+        read_flight(tmp_path / "sortie.tlog")

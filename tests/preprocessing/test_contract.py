@@ -162,6 +162,11 @@ class TestContract:
         expected = clone(transformer).fit_transform(table)
         pd.testing.assert_frame_equal(clone(transformer).fit_transform(made), expected)
 
+    def test_values_of_a_table_with_texts_are_refused(self, transformer):
+        values = ready_table().to_numpy()
+        with pytest.raises(ValueError, match="give the flight table itself, not its values"):
+            clone(transformer).fit(values)
+
     def test_array_after_a_table_is_read_by_position(self, transformer):
         table = ready_table().select_dtypes("number")[:200]
         fitted = clone(transformer).fit(table)

@@ -318,7 +318,7 @@ def load_example_flights(
 
     `skdgp.dynamics` flies them, about 8 s at the first call, kept for later calls in the same
     process. The aircraft, its equations and the manoeuvres are described in
-    docs/example_flights.md.
+    docs/api/skdgp.datasets.md.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from skdgp.report._tables import HONEST, SCORES
 
 
 class Thresholds(NamedTuple):
-    """What counts as good enough (docs/identification.md, with the sources)."""
+    """What counts as good enough (docs/judging.md, with the sources)."""
 
     error: float = 0.5
     """Largest error over the spread of what is predicted: Theil's coefficient is then .27, of which .25 to .3 count as

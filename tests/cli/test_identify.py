@@ -27,7 +27,6 @@ from skdgp.metrics import interval_coverage, median_relative_error
 pytestmark = pytest.mark.usefixtures("no_report")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 
@@ -479,19 +478,7 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
 @pytest.mark.usefixtures("short_flights", "hasty_fits")
 @pytest.mark.parametrize("short_flights", [500], indirect=True)
 @pytest.mark.filterwarnings("ignore:Flight 'two_altitudes' lasts 7.48 s")
-def test_the_page_runs(folder, tmp_path, monkeypatch, capsys):
+def test_the_demo_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    flights = {"monday": ("lateral", 300), "tuesday": ("latlon", 300), "wednesday": ("test", 300)}
-    for name, (ours, rows) in flights.items():
-        pd.read_csv(folder / f"{ours}.csv").head(rows).to_csv(f"{name}.csv", index=False)
-    (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
-    blocks = re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert {"sh", "python", "json"} == {language for language, _ in blocks}
-    space = {}
-    for language, block in blocks:
-        if language == "sh":
-            for line in block.splitlines():
-                assert main([*shlex.split(line)[1:], *QUICK]) == 0, line
-        elif language == "python":
-            exec(compile(block, str(PAGE), "exec"), space)
+    assert main(["demo", *QUICK]) == 0
     assert (tmp_path / "skdgp-demo" / "report.html").is_file()

@@ -1,4 +1,4 @@
-"""The page on the command line: its commands run one after the other, and every command is on it."""
+"""The page identification.md: its commands and code run, and every command is on it."""
 
 import re
 import shlex
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from skdgp._cli import COMMANDS, main
 
-PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
+PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
     "simulate": ["--duration", ".2", "--paths", "2"],
@@ -29,7 +29,8 @@ def blocks(page, language):
 
 
 @pytest.mark.usefixtures("hasty_fits", "few_manoeuvres", "no_report")
-def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
+@pytest.mark.filterwarnings("ignore:Flight 'two_altitudes' lasts 7.48 s")
+def test_its_commands_and_code_run(page, folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).touch())
     for ours, theirs in {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}.items():
@@ -40,9 +41,13 @@ def test_its_commands_run(page, folder, tmp_path, monkeypatch, capsys):
         words = shlex.split(line)[1:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line
     assert (tmp_path / "turn" / "bands.csv").is_file()
+    names = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, PAGE.name, "exec"), names)
 
 
 def test_every_command_is_on_it(page):
-    assert set(re.findall(r"^\| `(\w+)", page, flags=re.MULTILINE)) == {
+    section = page.partition("\n## Use the model\n")[2].partition("\n## ")[0]
+    assert set(re.findall(r"^\| `(\w+)", section, flags=re.MULTILINE)) == {
         run.__name__ for run in COMMANDS
     }

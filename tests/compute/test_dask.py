@@ -13,7 +13,7 @@ from skdgp import DependentGPRegressor
 pytest.importorskip(
     "distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"'
 )
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "scaling.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "inference.md"
 
 
 def test_the_page_runs_and_workers_find_the_same_models():

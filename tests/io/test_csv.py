@@ -10,7 +10,7 @@ import pytest
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
-PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/api/skdgp.io.md").read_text(encoding="utf-8")
 RIGHT = {"time": [0.0, 0.02], "alpha": [0.1, 0.2]}
 DEGREE = np.pi / 180
 
@@ -154,5 +154,5 @@ def test_case(tmp_path, text, expected):
 
 
 def test_the_page_has_these_cases():
-    section = PAGE.partition("\n## Tables\n")[2].partition("\n## ")[0]
+    section = PAGE.partition("\n## CSV files\n")[2].partition("\n## ")[0]
     assert re.findall(r"^\| ([^|]+?) \|", section, flags=re.MULTILINE) == ["in a CSV", *CASES]

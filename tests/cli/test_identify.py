@@ -5,7 +5,6 @@ import json
 import os
 import re
 import runpy
-import shlex
 import signal
 import warnings
 from pathlib import Path

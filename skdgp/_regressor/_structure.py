@@ -168,7 +168,7 @@ def _make_kernel(model, X, Z, log):
     kernel: MultiOutputKernel | None = model.kernel and clone(model.kernel)
     if kernel is None:
         n_latent = model.n_latent
-        if n_latent is None:  # more where they can fill what is missing, see docs/from_gaussian_process_regressor.md
+        if n_latent is None:  # more where they can fill what is missing
             n_latent = (
                 N_LATENT[0]
                 if log or np.isfinite(Z).all()

@@ -12,7 +12,7 @@ from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import STATE_NAMES
 from skdgp.dynamics._inputs import as_starts
-from skdgp.dynamics._replay import _coefficient_array
+from skdgp.dynamics._replay import coefficient_array
 from skdgp.metrics import coverage_curve, score_outputs
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
@@ -86,9 +86,8 @@ def test_coverage(library):
 
 def test_coefficients_and_starts_are_taken_by_name(library):
     names = ["Cn", "Cm", "Cl", "CZ", "CY", "CX"]
-    values = _coefficient_array(
-        library.DataFrame({name: [float(k)] for k, name in enumerate(names)}), X[:1]
-    )
+    table = library.DataFrame({name: [float(k)] for k, name in enumerate(names)})
+    values = coefficient_array(table, 1)
     assert values.tolist() == [[5, 4, 3, 2, 1, 0]]
     starts = as_starts(library.DataFrame({name: [1.0] for name in reversed(STATE_NAMES)}))
     assert isinstance(starts, pd.DataFrame)

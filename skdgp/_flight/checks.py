@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -161,6 +161,39 @@ def check_choice(name: str, value: object, choices: Collection[str]) -> None:
     if value not in choices:
         *first, last = map(repr, choices)
         raise ValueError(f"Got {name}={value!r}, but expected {', '.join(first)} or {last}.")
+
+
+def as_floats(values: object) -> Array:
+    """Return values as floats; a single NaN if one of them is a truth value or no number."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.array(np.nan)
+    is_bool = any(isinstance(value, bool) for value in np.ravel(np.array(values, dtype=object)))
+    return np.array(np.nan) if is_bool else array
+
+
+def check_number(
+    name: str, value: object, least: float = 0.0, *, is_open: bool = True, unit: str = ""
+) -> float:
+    """Return a finite number above ``least``, or from it on if not ``is_open``; raise ValueError at another."""
+    number = as_floats(value)
+    is_inside = number.shape == () and (number > least if is_open else number >= least)
+    if not (is_inside and number < np.inf):
+        raise ValueError(
+            f"Got {name}={value!r}, but expected a number {'>' if is_open else '>='} {least:g}"
+            f"{f' [{unit}]' if unit else ''}."
+        )
+    return float(number)
+
+
+def check_numbers(name: str, values: object, *sizes: int) -> Array:
+    """Return finite numbers (n,), n one of the ``sizes``; raise ValueError at anything else."""
+    array = as_floats(values)
+    if array.ndim != 1 or len(array) not in sizes or not np.isfinite(array).all():
+        count = " to ".join(map(str, sorted({sizes[0], sizes[-1]})))
+        raise ValueError(f"Got {name}={values!r}, but expected {count} finite numbers.")
+    return array
 
 
 def _lacking(needed: Iterable[str], have: list[str]) -> str:

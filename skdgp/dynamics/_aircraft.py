@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import parse_json, read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp.dynamics._engines import Propeller, ThrustLine, as_floats
+from skdgp._flight.checks import as_floats
+from skdgp.dynamics._engines import Propeller, ThrustLine
 from skdgp.dynamics._estimate import (
     INERTIAS,
     KINDS,
@@ -88,13 +89,13 @@ class Aircraft:
             value, std = value_and_std(name, getattr(self, name))
             object.__setattr__(self, name, value)
             if std:
-                factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "told")
+                factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
         pair: Any = self.inertia
         if isinstance(pair, (list, tuple)) and len(pair) == 2 and np.shape(pair[1]) == (3,):
             inertia = _inertia(pair[0])
             relative = (as_floats(pair[1]) / np.diag(inertia)).tolist()
             for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
-                factors[name] = ScaleFactor(std, {moment: 1.0}, "told")
+                factors[name] = ScaleFactor(std, {moment: 1.0}, "given")
         else:
             inertia = _inertia(pair)
         for name, each in factors.items():
@@ -144,7 +145,7 @@ class Aircraft:
         thrust_line: ThrustLine | Mapping | None = None,
         propeller: Propeller | Mapping | None = None,
     ) -> Aircraft:
-        """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the rest may be.
+        """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the other sizes may be.
 
         Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design,
         equations 16.52 to 16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b +
@@ -173,12 +174,14 @@ class Aircraft:
         >>> uav, uav.inertia.diagonal().round(3).tolist()
         (Aircraft('aircraft', 3.2 kg, S 0.352 m^2, b 1.6 m, c 0.22 m), [0.128, 0.175, 0.244])
         >>> [f"{cause} {each.std:.2g}" for cause, each in uav.deviations.items()]
-        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'product of
-        inertia 0.07',
-         'mass 0.016']
+        ['length 0.15', 'roll inertia 0.45', 'pitch inertia 0.25', 'yaw inertia 0.35', 'mass 0.016',
+         'product of inertia 0.07']
         """
-        found = estimated(mass, span, kind, inertia, wing_area, aspect_ratio, chord, length)
-        return cls(**{"name": name, "thrust_line": thrust_line, "propeller": propeller} | found)
+        sizes = estimated(
+            kind, inertia, mass=mass, span=span, wing_area=wing_area, aspect_ratio=aspect_ratio,
+            chord=chord, length=length,
+        )  # fmt: skip
+        return cls(name=name, thrust_line=thrust_line, propeller=propeller, **sizes)
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
-from skdgp._flight.checks import check_columns, check_table
+from skdgp._flight.checks import (
+    check_choice,
+    check_columns,
+    check_number,
+    check_numbers,
+    check_table,
+)
 
 USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
 USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
@@ -22,22 +28,12 @@ of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 20
 points, each propeller with the same weight, in the ranges below."""
 USUAL_STD = 0.23
 """Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
-.4 to .9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
+0.4 to 0.9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
 MEASURED_DIAMETERS, MEASURED_PITCHES = (0.17, 0.49), (0.35, 1.1)
 """Of these propellers: diameter [m], pitch / diameter."""
 LOADED_SPEED, LOADED_THRUST_STD = 0.75, 0.35
 """Speed at full throttle over that of the motor without load, and what its deviation of .1 makes of the thrust, which
 goes with its third power or so in flight; guesses."""
-
-
-def as_floats(values: Any) -> Array:
-    """Return values as floats; a single NaN if one is a truth value or no number."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return np.array(np.nan)
-    is_bool = any(isinstance(value, bool) for value in np.ravel(np.array(values, dtype=object)))
-    return np.array(np.nan) if is_bool else array
 
 
 @dataclass(frozen=True)
@@ -87,43 +83,24 @@ class Propeller:
     load_std: float = 0.0
 
     def __post_init__(self):
-        for name in (
-            "diameter",
-            *(["max_advance_ratio"] if self.max_advance_ratio is not None else []),
-        ):
-            number = as_floats(getattr(self, name))
-            if number.shape != () or not 0 < number < np.inf:
-                raise ValueError(
-                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected a finite "
-                    f"number > 0."
-                )
-            object.__setattr__(self, name, float(number))
-        if self.rotation not in (1, -1):
-            raise ValueError(
-                f"Got rotation={self.rotation!r}, but expected 1 (clockwise seen from behind) or "
-                f"-1."
-            )
-        for name, least in (("thrust_coefficients", 1), ("torque_coefficients", 0)):
-            values = as_floats(getattr(self, name))
-            if values.ndim != 1 or not (least <= len(values) <= 3 and np.isfinite(values).all()):
-                raise ValueError(
-                    f"Got {name}={getattr(self, name)!r} of a propeller, but expected {least} to "
-                    f"3 finite numbers c_0, "
-                    "c_1, c_2 of C(J) = c_0 + c_1 J + c_2 J^2."
-                )
-            object.__setattr__(self, name, tuple(values.tolist()))
+        checked: dict[str, Any] = {
+            "diameter": check_number("diameter", self.diameter, unit="m"),
+            "load_std": check_number("load_std", self.load_std, is_open=False),
+        }
+        check_choice("rotation", self.rotation, (1, -1))
+        if self.max_advance_ratio is not None:
+            checked["max_advance_ratio"] = check_number("max_advance_ratio", self.max_advance_ratio)
+        for name, sizes in (("thrust_coefficients", (1, 2, 3)), ("torque_coefficients", range(4))):
+            checked[name] = tuple(check_numbers(name, getattr(self, name), *sizes).tolist())
         if self.speed_range is not None:
-            speeds = as_floats(self.speed_range)
-            if speeds.shape != (2,) or not 0 <= speeds[0] < speeds[1] < np.inf:
+            idle, full = check_numbers("speed_range", self.speed_range, 2).tolist()
+            if not 0 <= idle < full:
                 raise ValueError(
                     f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s]."
                 )
-            object.__setattr__(self, "speed_range", tuple(speeds.tolist()))
-        std = as_floats(self.load_std)
-        if std.shape != () or not 0 <= std < np.inf:
-            raise ValueError(
-                f"Got load_std={self.load_std!r} of a propeller, but expected a number, 0 or more."
-            )
+            checked["speed_range"] = idle, full
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
@@ -204,66 +181,48 @@ class Propeller:
         >>> [round(c, 3) for c in propeller.thrust_coefficients]
         [0.1, -0.125]
         """
-        check_columns(
-            check_table(table, what="bench table"),
-            ["propeller_speed", "thrust"],
-            what="bench table",
+        loads = ["thrust", *(["torque"] if "torque" in table else [])]
+        check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
+        check_choice("degree", degree, (0, 1, 2))
+        defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
+        table = table.assign(**{name: x for name, x in defaults.items() if name not in table})
+        speed, airspeed, density = (
+            table[name].to_numpy(float) for name in ("propeller_speed", "airspeed", "density")
         )
-        if degree not in (0, 1, 2):
-            raise ValueError(f"Got degree={degree!r}, but expected 0, 1 or 2.")
-        speed = table["propeller_speed"].to_numpy(float)
-        airspeed = (
-            table["airspeed"].to_numpy(float) if "airspeed" in table else np.zeros_like(speed)
-        )
-        density = (
-            table["density"].to_numpy(float)
-            if "density" in table
-            else np.full_like(speed, SEA_LEVEL_DENSITY)
-        )
-        if not np.isfinite(
-            np.stack([speed, airspeed, density, table["thrust"].to_numpy(float)])
-        ).all():
-            raise ValueError("Got NaN or infinite values in the bench table: drop those rows.")
-        if (speed <= 0).any() or (airspeed < 0).any() or (density <= 0).any():
+        is_finite = np.isfinite(speed + airspeed + density + table[loads].sum(axis=1, skipna=False))
+        if not (is_finite & (speed > 0) & (airspeed >= 0) & (density > 0)).all():
             raise ValueError(
-                "Got a bench table with propeller_speed <= 0, airspeed < 0 or density <= 0, but "
-                "expected rad/s > 0, "
-                "m/s >= 0 and kg/m^3 > 0: drop those rows or fix the units."
+                "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density "
+                "<= 0: drop those rows or fix the units [rad/s, m/s, kg/m^3]."
             )
-        static = not (airspeed > 0).any()
-        if static and pitch is None:
+        is_static = not airspeed.any()
+        if is_static and pitch is None:
             warn(
-                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add "
-                "rows measured in a wind "
-                "tunnel, or give pitch=... [m]: the thrust then falls to zero at the advance "
-                "ratio pitch / diameter.",
+                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows "
+                "measured in a wind tunnel, or give pitch=... [m]: the thrust then falls to zero at "
+                "the advance ratio pitch / diameter.",
                 stacklevel=2,
             )
-        n, advance = speed / (2.0 * np.pi), airspeed / diameter
-        powers = range(1 if static else degree + 1)
-        basis = np.stack([density * n ** (2 - k) * advance**k for k in powers], axis=-1)
-
-        def fit(load: str, power: int) -> list[float]:
-            target = table[load].to_numpy(float) / diameter**power
-            coefficients = np.linalg.lstsq(basis, target, rcond=None)[0]
-            if static and pitch is not None and load == "thrust":
-                coefficients = np.append(coefficients, -coefficients * diameter / pitch)
-            return coefficients.tolist()
-
-        if np.linalg.matrix_rank(basis) < basis.shape[1]:
+        n = speed / (2.0 * np.pi)
+        powers = range(1 if is_static else degree + 1)
+        basis = np.stack([density * n ** (2 - k) * (airspeed / diameter) ** k for k in powers], -1)
+        targets = table[loads].to_numpy(float) / [diameter**4, diameter**5][: len(loads)]
+        coefficients, _, rank, _ = np.linalg.lstsq(basis, targets, rcond=None)
+        if rank < len(powers):
             raise ValueError(
-                f"The bench table's {len(table)} rows do not determine a C_T(J) of degree "
-                f"{degree}: measure "
-                f"at {degree + 1} or more advance ratios, or lower degree."
+                f"The bench table's {len(table)} rows do not determine a C_T(J) of degree {degree}: "
+                f"measure at {degree + 1} or more advance ratios, or lower degree."
             )
+        fitted = dict(zip(loads, coefficients.T.tolist(), strict=True))
+        if is_static and pitch is not None:
+            fitted["thrust"].append(-fitted["thrust"][0] * diameter / pitch)
+        largest = None if is_static else float(np.max(airspeed / (n * diameter)))
         return cls(
-            diameter=diameter,
-            thrust_coefficients=fit("thrust", 4),
-            torque_coefficients=fit("torque", 5) if "torque" in table else (),
-            rotation=rotation,
-            max_advance_ratio=None
-            if static
-            else float(np.max(2 * np.pi * airspeed / (speed * diameter))),
+            diameter,
+            fitted["thrust"],
+            fitted.get("torque", ()),
+            rotation,
+            max_advance_ratio=largest,
         )
 
     @classmethod
@@ -305,39 +264,27 @@ class Propeller:
         >>> propeller.thrust(propeller_speed=800.0, airspeed=[0.0, 10.0]).round(1), propeller.load_std
         (array([7.8, 5.1]), 0.23)
         """
-        sizes = {
-            "diameter": diameter,
-            "pitch": pitch,
-            "motor_constant": motor_constant,
-            "voltage": voltage,
-        }
-        known = [as_floats(value) for value in sizes.values() if value is not None]
-        if any(value.shape != () or not 0 < value < np.inf for value in known) or len(known) == 3:
-            raise ValueError(
-                f"Got {sizes} of a propeller, but expected numbers > 0 of diameter and pitch [m], "
-                f"and of both or none "
-                "of motor_constant [rad/s/V] and voltage [V]."
-            )
-        ratio = float(pitch) / float(diameter)
-        measured = {
-            "diameter": (diameter, MEASURED_DIAMETERS),
-            "pitch / diameter": (ratio, MEASURED_PITCHES),
-        }
-        for what, (value, (low, high)) in measured.items():
+        ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
+        for name, value, (low, high) in (
+            ("diameter", diameter, MEASURED_DIAMETERS),
+            ("pitch / diameter", ratio, MEASURED_PITCHES),
+        ):
             if not low <= value <= high:
                 warn(
-                    f"Got a propeller with {what} {value:.2g}, but its thrust is estimated from "
-                    f"others with {low:g} to "
-                    f"{high:g}: it may be further off than its deviation says.",
+                    f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from "
+                    f"others with {low:g} to {high:g}: its error may be larger than stated.",
                     stacklevel=2,
                 )
-        speed_range, std = None, USUAL_STD
-        if motor_constant is not None and voltage is not None:
-            speed_range = (0.0, LOADED_SPEED * motor_constant * voltage)
+        speed_range = None
+        std = USUAL_STD
+        if motor_constant is not None or voltage is not None:
+            constant = check_number("motor_constant", motor_constant, unit="rad/s/V")
+            speed_range = (
+                0.0,
+                LOADED_SPEED * constant * check_number("voltage", voltage, unit="V"),
+            )
             std = round(float(np.hypot(std, LOADED_THRUST_STD)), 2)
-        thrust, torque = (
-            tuple(a + b * ratio for a, b in table) for table in (USUAL_THRUST, USUAL_TORQUE)
-        )
+        thrust, torque = np.array([USUAL_THRUST, USUAL_TORQUE]) @ [1.0, ratio]
         return cls(
             diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std
         )
@@ -385,17 +332,9 @@ class ThrustLine:
     position: Any = (0.0, 0.0, 0.0)
     direction: Any = (1.0, 0.0, 0.0)
 
-    _arm: ClassVar[Any]
-    """Moment of one newton [m]."""
-
     def __post_init__(self):
         for name in ("position", "direction"):
-            vector = as_floats(getattr(self, name))
-            if vector.shape != (3,) or not np.isfinite(vector).all():
-                raise ValueError(
-                    f"Got thrust-line {name} {getattr(self, name)!r}, but expected three finite "
-                    f"numbers (x, y, z)."
-                )
+            vector = check_numbers(f"thrust-line {name}", getattr(self, name), 3)
             object.__setattr__(self, name, vector)
         length = np.linalg.norm(self.direction)
         if length == 0:
@@ -403,7 +342,6 @@ class ThrustLine:
                 "Got a thrust direction of length zero, but expected one such as (1, 0, 0)."
             )
         object.__setattr__(self, "direction", self.direction / length)
-        object.__setattr__(self, "_arm", np.cross(self.position, self.direction))
         for vector in (self.position, self.direction):
             vector.setflags(write=False)
 
@@ -415,4 +353,4 @@ class ThrustLine:
         Q < 0).
         """
         T, Q = (np.asarray(load, dtype=float)[..., None] for load in (thrust, torque))
-        return T * self.direction, T * self._arm + Q * self.direction
+        return T * self.direction, T * np.cross(self.position, self.direction) + Q * self.direction

@@ -1,4 +1,4 @@
-"""What is assumed of an aircraft of which mass and span are known, and how errors of it scale the coefficients."""
+"""Sizes of an aircraft estimated from its mass and span, and the errors of coefficients that errors of sizes cause."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
-from skdgp._flight.checks import check_choice
-from skdgp.dynamics._engines import as_floats
+from skdgp._flight.checks import as_floats, check_choice, check_number
 
 QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 """Sizes of an aircraft and their units."""
@@ -59,17 +58,11 @@ class ScaleFactor:
     added: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
-        std = as_floats(self.std)
-        if std.shape != () or not 0 <= std < np.inf:
-            raise ValueError(
-                f"Got std={self.std!r} of a scale factor, but expected a relative deviation, 0 or "
-                f"more."
-            )
-        object.__setattr__(self, "std", float(std))
+        std = check_number("std of a scale factor", self.std, is_open=False)
+        object.__setattr__(self, "std", std)
         for name in ("powers", "added"):
-            object.__setattr__(
-                self, name, {str(key): float(value) for key, value in getattr(self, name).items()}
-            )
+            numbers = {str(key): float(value) for key, value in getattr(self, name).items()}
+            object.__setattr__(self, name, numbers)
 
 
 class Kind(NamedTuple):
@@ -136,8 +129,9 @@ KINDS = {
     ),
 }
 PRODUCT_STD = 0.07
-"""Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde .100, Ultra Stick 25e .134, Zagi .011,
-Cessna 172 0, Draken .075, F-16 .040, F-4 .037, ADMIRE .054 (tests/dynamics/test_estimate.py)."""
+"""Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
+25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
+(tests/dynamics/test_estimate.py)."""
 REMEDIES = {
     "mass": "weigh it",
     "span": "measure the span",
@@ -152,105 +146,82 @@ REMEDIES = {
 """Measurements of an hour at most, by the scale factor that they narrow."""
 
 
-def estimated(
-    mass: Any,
-    span: Any,
-    kind: str,
-    inertia: Any,
-    wing_area: Any,
-    aspect_ratio: Any,
-    chord: Any,
-    length: Any,
-) -> dict[str, Any]:
-    """Return mass, inertia, wing_area, span, chord and deviations of an aircraft, as of `Aircraft.estimate`."""
+def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
+    """Return mass, inertia, wing_area, span, chord and deviations of an aircraft, as of `Aircraft.estimate`.
+
+    ``sizes`` are mass, span, wing_area, aspect_ratio, chord, length, None where not given. The
+    powers of a factor x are d log(size) / d log(x), by a complex step.
+    """
     check_choice("kind", kind, KINDS)
-    if wing_area is not None and aspect_ratio is not None:
+    rule = KINDS[kind]
+    given = {name.replace("_", " "): x for name, x in sizes.items() if x is not None}
+    if {"wing area", "aspect ratio"} <= given.keys():
         raise ValueError(
             "Got wing_area and aspect_ratio, but expected one of them: wing_area = span^2 / "
             "aspect_ratio."
         )
-    rule, usual = KINDS[kind], f"usual of {kind} aircraft"
-    m, mass_std = value_and_std("mass", mass)
-    b, span_std = value_and_std("span", span)
-    of_mass, of_span, factors = {"mass": 1.0}, {"span": 1.0}, {}
-    c, chord_std = (None, 0.0) if chord is None else value_and_std("chord", chord)
-    if wing_area is not None:
-        area, std = value_and_std("wing_area", wing_area)
-        factors["wing area"] = ScaleFactor(
-            std, {"wing_area": 1.0} | ({"chord": 1.0} if c is None else {}), "told"
-        )
-        of_span |= {"chord": -1.0} if c is None else {}
-    elif aspect_ratio is None and c is not None:
-        area = b * c
-        of_span |= {"wing_area": 1.0}
-    else:
-        ratio, std = (
-            rule.aspect_ratio
-            if aspect_ratio is None
-            else value_and_std("aspect_ratio", aspect_ratio)
-        )
-        area = b**2 / ratio
-        powers = {"wing_area": -1.0} | ({"chord": -1.0} if c is None else {})
-        factors["aspect ratio"] = ScaleFactor(
-            std, powers, f"{ratio:g}, {usual if aspect_ratio is None else 'told'}"
-        )
-        of_span |= {"wing_area": 2.0} | ({"chord": 1.0} if c is None else {})
-    if c is None:
-        share, std = rule.chord
-        factors["mean aerodynamic chord"] = ScaleFactor(
-            std, {"chord": 1.0}, f"{share:g} S / b, {usual}"
-        )
-        c = share * area / b
-    else:
-        by_chord = {"chord": 1.0} | (
-            {"wing_area": 1.0} if wing_area is None and aspect_ratio is None else {}
-        )
-        factors["chord"] = ScaleFactor(chord_std, by_chord, "told")
-    values: dict[str, Any] = {"mass": m, "span": b, "wing_area": area, "chord": c}
-    if inertia is None:
-        l, length_std = (
-            (rule.length[0] * b, rule.length[1])
-            if length is None
-            else value_and_std("length", length)
-        )
-        share = l / (b + l)
-        arms = np.array([b, l, 0.5 * (b + l)])
-        moments = m * (0.5 * np.array(rule.radii) * arms) ** 2  # Raymer, equations 16.52 to 16.54
-        values["inertia"] = np.diag(moments)
-        of_mass |= dict.fromkeys(MOMENTS, 1.0)
-        of_span |= {"Ixx": 2.0, "Izz": 2.0 * (1.0 if length is None else 1 - share)}
-        of_span |= {"Iyy": 2.0} if length is None else {}
-        source = f"{l:.3g} m, {usual}" if length is None else "told"
-        factors["length"] = ScaleFactor(length_std, {"Iyy": 2.0, "Izz": 2 * share}, source)
-        for (name, moment), std, radius in zip(
-            INERTIAS.items(), rule.inertia_std, rule.radii, strict=True
-        ):
-            factors[name] = ScaleFactor(
-                std, {moment: 1.0}, f"radius of gyration {radius:g}, {rule.words}"
-            )
-        factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}")
-    else:
-        values["inertia"] = inertia
-    factors |= {
-        "mass": ScaleFactor(mass_std, of_mass, "told"),
-        "span": ScaleFactor(span_std, of_span, "told"),
+    usual = f"usual of {kind} aircraft"
+    length = value_and_std("span", sizes["span"])[0] * rule.length[0]
+    rules = {
+        "aspect ratio": (*rule.aspect_ratio, f"{rule.aspect_ratio[0]:g}, {usual}"),
+        "mean aerodynamic chord": (*rule.chord, f"{rule.chord[0]:g} S / b, {usual}"),
+        "length": (*rule.length, f"{length:.3g} m, {usual}"),
     }
-    values["deviations"] = {name: factor for name, factor in factors.items() if factor.std > 0}
-    return values
+    for (name, _), std, radius in zip(INERTIAS.items(), rule.inertia_std, rule.radii, strict=True):
+        rules[name] = (radius**2, std, f"radius of gyration {radius:g}, {rule.words}")
+    if {"wing area", "aspect ratio", "chord"} & given.keys():
+        del rules["aspect ratio"]
+    if "chord" in given:
+        del rules["mean aerodynamic chord"]
+    rules |= {name: (*value_and_std(name, x), "given") for name, x in given.items()}
+    values = {name: value for name, (value, _, _) in rules.items()}
+    if inertia is not None:
+        values = {name: x for name, x in values.items() if name not in ("length", *INERTIAS)}
+    found = _sizes(values, "length" in given)
+    factors = {}
+    for name, value in values.items():
+        step = _sizes(values | {name: value * (1.0 + 1e-20j)}, "length" in given)
+        powers = {size: float(np.imag(x) / np.real(x)) / 1e-20 for size, x in step.items()}
+        powers = {size: round(power, 12) for size, power in powers.items() if power}
+        factors[name] = ScaleFactor(rules[name][1], powers, rules[name][2])
+    if inertia is None:
+        inertia = np.diag([found[moment] for moment in MOMENTS])
+        factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}")
+    deviations = {name: factor for name, factor in factors.items() if factor.std > 0}
+    sizes = {name: found[name] for name in QUANTITIES}
+    return sizes | {"inertia": inertia, "deviations": deviations}
+
+
+def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
+    """Return the sizes of an aircraft by values of its factors; moments of inertia if they have radii of gyration."""
+    m = values["mass"]
+    b = values["span"]
+    if "wing area" in values:
+        S = values["wing area"]
+    elif "aspect ratio" in values:
+        S = b**2 / values["aspect ratio"]
+    else:
+        S = b * values["chord"]
+    c = values["chord"] if "chord" in values else values["mean aerodynamic chord"] * S / b
+    found = {"mass": m, "wing_area": S, "span": b, "chord": c}
+    if "length" in values:
+        l = values["length"] * (1.0 if is_length_given else b)
+        arms = (b, l, 0.5 * (b + l))
+        for (name, moment), arm in zip(INERTIAS.items(), arms, strict=True):
+            # Raymer, equations 16.52 to 16.54; the factor is the squared radius of gyration
+            found[moment] = m * (0.5 * arm) ** 2 * values[name]
+    return found
 
 
 def value_and_std(name: str, value: Any) -> tuple[float, float]:
     """Return a positive number and its relative standard deviation, of a number or a pair (value, deviation)."""
     pair = as_floats(value)
-    number, std = (
-        (pair, 0.0) if pair.shape == () else tuple(pair) if pair.shape == (2,) else (np.nan, np.nan)
-    )
-    if not (0 < number < np.inf and 0 <= std < np.inf):
-        unit = QUANTITIES.get(name, "")
+    number, std = pair if pair.shape == (2,) else (pair, 0.0)
+    if not (np.shape(number) == () and 0 < number < np.inf and 0 <= std < np.inf):
+        unit = f" [{QUANTITIES[name]}]" if name in QUANTITIES else ""
         raise ValueError(
-            f"Got {name}={value!r}, but expected a number > 0, "
-            f"finite{f' [{unit}]' if unit else ''}, or a pair of it "
-            "and its standard deviation."
+            f"Got {name}={value!r}, but expected a number > 0, finite{unit}, or a pair of it and "
+            f"its standard deviation."
         )
     return float(number), float(std / number)
 
@@ -267,21 +238,16 @@ def errors_of_sizes(
     in the moment L, and L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl,
     from L = Ixx p_dot - Ixz r_dot + ... One of the thrust is ``added``.
     """
-    relative = relative_errors(deviations, regressors)
-    errors = values * relative.reshape(
-        len(relative), *(1,) * (values.ndim - 2), *relative.shape[1:]
-    )
+    shape = (len(deviations), *(1,) * (values.ndim - 2), len(COEFFICIENTS), 1 + len(regressors))
+    errors = values * relative_errors(deviations, regressors).reshape(shape)
     ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
+    columns = ["", *(f"_{name}" for name in regressors)]
     for error, factor in zip(errors, deviations.values(), strict=True):
         product = factor.std * factor.powers.get(PRODUCT, 0.0)
         error[..., 3, :] -= product * ratio * values[..., 5, :]
         error[..., 5, :] -= product / ratio * values[..., 3, :]
-        names = [
-            [f"{row}_{column}".rstrip("_") for column in ("", *regressors)] for row in COEFFICIENTS
-        ]
-        error += factor.std * np.array(
-            [[factor.added.get(name, 0.0) for name in row] for row in names]
-        )
+        added = [[factor.added.get(row + name, 0.0) for name in columns] for row in COEFFICIENTS]
+        error += factor.std * np.array(added)
     return errors
 
 
@@ -291,16 +257,18 @@ def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str
     Slopes are by the non-dimensional rates, p b / 2V, and by controls in the unit of the log, so
     that a full throw which is wrong by 1 % makes the effect of the control wrong by -1 %.
     """
-    errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
-    for k, factor in enumerate(deviations.values()):
-        of_coefficient = [
-            sum(p * factor.powers.get(name, 0.0) for name, p in POWERS[c].items())
-            for c in COEFFICIENTS
-        ]
-        of_length = [factor.powers.get(LENGTHS.get(name, name), 0.0) for name in regressors]
-        of_speed = [
-            factor.powers.get(PRESSURE, 0.0) * SPEED_POWERS.get(name, 0.0) for name in regressors
-        ]
-        of_regressor = np.array([0.0, *np.subtract(of_speed, of_length)])
-        errors[k] = factor.std * np.add.outer(of_coefficient, of_regressor)
+    rows = [POWERS[name] for name in COEFFICIENTS]
+    columns: list[dict[str, float]] = [{}]
+    for name in regressors:
+        columns.append({PRESSURE: SPEED_POWERS.get(name, 0.0), LENGTHS.get(name, name): -1.0})
+    errors = np.zeros((len(deviations), len(rows), len(columns)))
+    for error, factor in zip(errors, deviations.values(), strict=True):
+        by_row, by_column = (
+            [
+                sum(p * factor.powers.get(name, 0.0) for name, p in powers.items())
+                for powers in table
+            ]
+            for table in (rows, columns)
+        )
+        error[:] = factor.std * np.add.outer(by_row, by_column)
     return errors

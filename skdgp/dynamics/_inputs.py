@@ -31,12 +31,13 @@ from skdgp._flight.frames import (
 )
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._air import LocalAir
-from skdgp.dynamics._error_covariance import checked_std
 from skdgp.dynamics._loads import stacked
 from skdgp.dynamics._record import Clock
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
+DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
+"""States of a start that may have standard deviations."""
 AIRSPEED_TOLERANCE = 0.15
 """By which the airspeed of a start may differ from that of its ground speed and the wind, as a
 share.
@@ -172,7 +173,13 @@ def perturbed(
     states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any
 ) -> Array:
     """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
-    std = checked_std(std)
+    std = std or {}
+    check_names(std, DRAWN, "names of initial_std")
+    for name, size in std.items():
+        if not 0 <= size < np.inf:
+            raise ValueError(
+                f"Got initial_std of {name} {size!r}, but expected a finite number, 0 or more."
+            )
     drawn = np.tile(states, (n_paths, 1, 1))
     draw = check_random_state(random_state).standard_normal
     off = {name: float(size) * draw(drawn.shape[:2]) for name, size in std.items()}

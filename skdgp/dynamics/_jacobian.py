@@ -21,16 +21,18 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import RATE_LENGTHS
+from skdgp._flight.channels import BODY_VELOCITY, POSITION, RATE_LENGTHS
+from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import air_data_slopes, air_velocity, cross, cross_matrix, quaternion_rate
 from skdgp.dynamics._air import LocalAir
-from skdgp.dynamics._error_covariance import ERRORS
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 """Rates of change, and the rates whose slopes theirs are shares of."""
 SHARES = np.array([0.4, 0.2])
+ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATE_NAMES)
+"""Errors of a state: the error of its attitude is a small rotation about body axes."""
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 TURN, SPIN = slice(6, 9), slice(9, 12)
 """Places in `ERRORS`."""

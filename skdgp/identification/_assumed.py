@@ -97,7 +97,7 @@ def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
         if isinstance(each, Throw) and each.std
     }
     factors = {
-        f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "told") for name, std in stds.items()
+        f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "given") for name, std in stds.items()
     }
     return _with_deviations(aircraft, factors)
 
@@ -193,7 +193,7 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
     for name, each in deviations.items():
         by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
     if rules := [
-        f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "told"
+        f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "given"
     ]:
         lines.append(f"Estimated: {'; '.join(rules)}.")
     lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown

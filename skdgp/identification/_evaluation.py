@@ -193,7 +193,7 @@ def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evalu
     )[1]
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
     measured_std = scale * np.sqrt(std**2 + regressor.noise_variance_)
-    replayed = _replay(name, table, aircraft, mean, measured_std, settings["horizons"], loads)
+    replayed = _replay(name, table, aircraft, mean, settings["horizons"], loads)
     states: dict[str, pd.DataFrame] = {}
     if replayed is not None:
         states["measured"] = replay_errors(replayed, table)
@@ -299,7 +299,7 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
     return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 
-def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame | None:
+def _replay(name, table, aircraft, mean, horizons, loads) -> pd.DataFrame | None:
     velocity = BODY_VELOCITY if set(BODY_VELOCITY) <= set(table.columns) else EARTH_VELOCITY
     lacking = [column for column in [*EULER, *velocity] if column not in table]
     if lacking:
@@ -310,9 +310,7 @@ def _replay(name, table, aircraft, mean, std, horizons, loads) -> pd.DataFrame |
         )
         return None
     warn_of_long_horizons(horizons, name, table)
-    return replay(
-        table, aircraft, mean, std=std, horizon=horizons, initial_std=sensor_noise(table), **loads
-    )
+    return replay(table, aircraft, mean, horizon=horizons, **loads)
 
 
 def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFrame) -> None:

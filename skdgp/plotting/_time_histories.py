@@ -221,9 +221,8 @@ class TimeHistoryDisplay(Display):
     ) -> Self:
         """Draw a :func:`skdgp.dynamics.replay` and the flight that it replays (the paper's figure 7).
 
-        ``trajectory`` has ``time``, ``horizon``, ``window``, the states and, for bands,
-        ``<state>_std``, and a row for each row of the flight and horizon. The horizon [s] is by
-        default the longest.
+        ``trajectory`` has ``time``, ``horizon``, ``window`` and the states, and a row for each row
+        of the flight and horizon. The horizon [s] is by default the longest.
         """
         return cls.compute_replay(trajectory, flight, states=states, horizon=horizon).plot(ax)
 
@@ -246,15 +245,11 @@ class TimeHistoryDisplay(Display):
                 f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
                 f"flight that was replayed, with all its rows."
             )
-        mean = rows[states].to_numpy(float)
-        half = _half_width(rows, states)
         return cls(
             time=check_time(rows["time"]),
             names=tuple(states),
             measured=flight[states].to_numpy(float),
-            mean=mean,
-            lower=None if half is None else mean - half,
-            upper=None if half is None else mean + half,
+            mean=rows[states].to_numpy(float),
             window=rows["window"].to_numpy(),
             estimate="replayed",
         )
@@ -271,10 +266,9 @@ class TimeHistoryDisplay(Display):
     ) -> Self:
         """Draw one trajectory of :func:`skdgp.dynamics.simulate`, or the paths of one start.
 
-        The band holds 95 % of the paths at each time, or is that of the trajectory's standard
-        deviations. The line is the trajectory ``mean`` of the model's mean where it is given, else
-        the median of the paths, which no aircraft flies. ``flown`` is the recorded flight,
-        interpolated to the times of the simulation.
+        The band holds 95 % of the paths at each time. The line is the trajectory ``mean`` of the
+        model's mean where it is given, else the median of the paths, which no aircraft flies.
+        ``flown`` is the recorded flight, interpolated to the times of the simulation.
         """
         return cls.compute_trajectories(trajectories, flown, mean=mean, columns=columns).plot(ax)
 
@@ -314,8 +308,6 @@ class TimeHistoryDisplay(Display):
             edges = [path_quantiles(paths[:, :, k], LEVEL) for k in range(len(names))]
             lower, middle, upper = np.stack(edges, axis=-1)
             line = middle if mean is None else line
-        elif (half := _half_width(trajectories, names)) is not None:
-            lower, upper = line - half, line + half
         beyond = None
         if "beyond" in trajectories:
             outside = (trajectories["beyond"] != "").to_numpy()
@@ -350,12 +342,6 @@ class TimeHistoryDisplay(Display):
             names=tuple(names),
             measured=flight[names].to_numpy(float),
         )
-
-
-def _half_width(table: pd.DataFrame, names: list[str]) -> Matrix | None:
-    """Return half the width of the 95 % band of columns whose standard deviations a table has."""
-    bands = [f"{name}_std" for name in names]
-    return BAND * table[bands].to_numpy(float) if set(bands) <= set(table) else None
 
 
 def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

@@ -81,7 +81,6 @@ class TestIdentify:
             assert {"v_east", "p", "r"} <= set(states)
             assert {row["horizon"] for row in states.values()} == {1.0}
             assert 0 < states["p"]["median"] < 1
-            assert 0 <= states["p"]["coverage"] <= 1
 
     def test_the_model_gives_the_numbers_again(self, identified, folder):
         output, _, metrics = identified

@@ -67,7 +67,7 @@ def test_a_motor_gives_the_speed_and_more_deviation():
     ],
 )
 def test_sizes_that_are_none(bad):
-    with pytest.raises(ValueError, match="expected numbers > 0 of diameter and pitch"):
+    with pytest.raises(ValueError, match="expected a number > 0"):
         Propeller.from_size(**SIZE | bad)
 
 

@@ -88,12 +88,9 @@ def replay(flight):
     for horizon in (2.0, 10.0):
         window = (flight["time"] // horizon).astype(int)
         columns = {name: 1.01 * flight[name] for name in ("v_east", "p", "r")}
-        bands = {f"{name}_std": 0.1 for name in columns}
         elapsed = flight["time"] - horizon * window
         tables.append(
-            flight[["time"]].assign(
-                horizon=horizon, window=window, elapsed=elapsed, **columns, **bands
-            )
+            flight[["time"]].assign(horizon=horizon, window=window, elapsed=elapsed, **columns)
         )
     return pd.concat(tables)
 

@@ -180,9 +180,13 @@ def check_number(
     number = as_floats(value)
     is_inside = number.shape == () and (number > least if is_open else number >= least)
     if not (is_inside and number < np.inf):
+        bound = (
+            "a finite number"
+            if least == -np.inf
+            else f"a number {'>' if is_open else '>='} {least:g}"
+        )
         raise ValueError(
-            f"Got {name}={value!r}, but expected a number {'>' if is_open else '>='} {least:g}"
-            f"{f' [{unit}]' if unit else ''}."
+            f"Got {name}={value!r}, but expected {bound}{f' [{unit}]' if unit else ''}."
         )
     return float(number)
 

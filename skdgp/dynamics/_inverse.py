@@ -61,7 +61,7 @@ def aerodynamic_coefficients(
     cutoff : float, "auto" or None, default="auto"
         Zero-phase smoothing of the measured channels, and of the rates before they are
         differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
-    thrust : {"auto", "columns", "propeller", None}, default="auto"
+    thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
         it, and a simulation has ``thrust=None``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,6 @@ from skdgp._flight.frames import cross
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._engines import Propeller, ThrustLine
 
-THRUST_CHOICES = ("auto", "columns", "propeller", None)
 CENTRED = ThrustLine()
 Thrust: TypeAlias = "str | Callable | None"
 """Sources of the thrust in a simulation."""
@@ -94,62 +93,66 @@ def propeller_loads(
 
 
 def propulsive_loads(
-    flight: pd.DataFrame, aircraft: Aircraft, thrust: str | None = "auto"
+    values: Mapping | pd.DataFrame, aircraft: Aircraft, thrust: Thrust = "auto"
 ) -> tuple[Array, Array]:
-    """Return the propulsive force (n, 3) [N] and moment (n, 3) [N m] along a flight, in body axes about the CG.
+    """Return the propulsive force (..., 3) [N] and moment (..., 3) [N m], in body axes about the CG.
 
-    ``thrust`` "columns": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ...
-    ``thrust_n``, or without any of these r_T x F_T at the thrust line's position. "propeller": that
-    of the aircraft at ``propeller_speed``, or where it knows its ``speed_range`` at ``throttle``,
-    ``airspeed`` and ``density``. "auto": columns where there are any, else the propeller. None:
-    zero, for a glider, or for an unknown thrust as part of the coefficients. Raises ValueError if
-    nothing gives the thrust.
+    ``values`` are a flight table, or controls with ``airspeed`` and ``density`` by name, (...).
+    ``thrust`` "auto": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ...
+    ``thrust_n``, or without any of these r_T x F_T at the thrust line's position; else ``thrust``
+    [N] along the thrust line; else the propeller of the aircraft at ``propeller_speed`` or, where
+    its ``speed_range`` is given, at ``throttle``. A function (values, airspeed, density) to newtons
+    along the thrust line. None: zero, for a glider, or for an unknown thrust as part of the
+    coefficients. Raises ValueError if nothing gives the thrust.
     """
-    if thrust not in THRUST_CHOICES:
-        raise ValueError(f"Got thrust={thrust!r}, but expected one of {THRUST_CHOICES}.")
+    airspeed = np.asarray(values["airspeed"], dtype=float)
+    density = np.asarray(values["density"], dtype=float)
+    line = aircraft.thrust_line or CENTRED
     if thrust is None:
-        return np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
-    has_columns, propeller = any(name in flight for name in THRUST_FORCES), aircraft.propeller
-    if thrust == "columns" and not has_columns:
-        raise ValueError(
-            "Got thrust='columns' for a flight without thrust_x, thrust_y or thrust_z [N]: add "
-            "them, or say "
-            "thrust='propeller' or thrust=None."
-        )
-    if has_columns and thrust != "propeller":
-        return _loads_by_axis(flight, aircraft, (len(flight),))
-    speed = propeller_speed_of(propeller, flight)
-    if propeller is None or speed is None:
-        lacking = (
-            "the aircraft has no propeller"
-            if propeller is None
-            else "it has no propeller_speed [rad/s]"
-        )
-        raise ValueError(
-            f"The thrust of this flight is unknown: it has no thrust_x, thrust_y or thrust_z [N], "
-            f"and {lacking}. "
-            "Add the thrust columns; or a propeller to the aircraft (Propeller.from_table of a "
-            "bench table) and "
-            "propeller_speed to the flight; or say thrust=None (--thrust none) if it flew without "
-            "an engine, or to "
-            "leave an unknown thrust in the coefficients (regressors with throttle and airspeed "
-            "explain it)."
-        )
-    check_columns(flight, ["airspeed", "density"])
-    airspeed, density = (flight[c].to_numpy(float) for c in ("airspeed", "density"))
-    largest, running = propeller.max_advance_ratio, speed > 0
-    if largest is not None:
-        beyond = propeller.advance_ratio(speed, airspeed)[running] > 1.05 * largest
-        if beyond.any():
-            warn(
-                f"In {100 * beyond.mean():.0f} % of the samples the propeller's advance ratio "
-                f"exceeds the largest one "
-                f"on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure at "
-                f"higher airspeed, or "
-                "give thrust columns.",
-                stacklevel=3,
+        return np.zeros((*airspeed.shape, 3)), np.zeros((*airspeed.shape, 3))
+    if callable(thrust):
+        newtons = thrust(values, airspeed, density)
+        if np.ndim(newtons) > airspeed.ndim:
+            raise ValueError(
+                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape {airspeed.shape}, "
+                f"but expected a function (controls, airspeed, density) to newtons along the thrust "
+                f"line, one for each airspeed."
             )
+        return line.loads(newtons)
+    if thrust != "auto":
+        raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
+    if any(name in values for name in THRUST_FORCES):
+        force = stacked(values, THRUST_FORCES, airspeed.shape)
+        if any(name in values for name in THRUST_MOMENTS):
+            return force, stacked(values, THRUST_MOMENTS, airspeed.shape)
+        return force, cross(line.position, force)
+    if "thrust" in values:
+        return line.loads(values["thrust"])
+    speed = propeller_speed_of(aircraft.propeller, values)
+    if speed is None:
+        lacking = "no propeller_speed [rad/s]" if aircraft.propeller else "no propeller"
+        raise ValueError(
+            f"The thrust is unknown: there is neither thrust_x, thrust_y, thrust_z nor thrust [N], "
+            f"and {lacking}. Add them, or Propeller.from_table(bench, diameter) to the aircraft and "
+            f"propeller_speed, or throttle with speed_range=(idle, full); or say thrust=None "
+            f"(--thrust none) for a glider, or to leave an unknown thrust in the coefficients."
+        )
+    if isinstance(values, pd.DataFrame):
+        _warn_beyond_bench(aircraft.propeller, speed, airspeed)
     return propeller_loads(aircraft, speed, airspeed, density)
+
+
+def _warn_beyond_bench(propeller: Any, speed: Array, airspeed: Array) -> None:
+    """Warn of samples whose advance ratio exceeds the largest one of the bench table."""
+    largest = propeller.max_advance_ratio
+    is_beyond = propeller.advance_ratio(speed, airspeed)[speed > 0] > 1.05 * (largest or np.inf)
+    if is_beyond.any():
+        warn(
+            f"In {100 * is_beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds "
+            f"the largest one on the bench ({largest:.2f}): the thrust there is an extrapolation. "
+            f"Measure at higher airspeed, or give thrust columns.",
+            stacklevel=4,
+        )
 
 
 def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFrame) -> Array | None:
@@ -160,46 +163,6 @@ def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFra
         return np.asarray(values["propeller_speed"], dtype=float)
     by_throttle = propeller.speed_range is not None and "throttle" in values
     return propeller.speed_at(values["throttle"]) if by_throttle else None
-
-
-def propulsion_loads(
-    aircraft: Aircraft, thrust: Thrust, controls: Mapping, airspeed: Array, density: Array | float
-) -> tuple[Array, Array] | tuple[float, float]:
-    """Return force (..., 3) [N] and moment (..., 3) [N m] of the engine in a simulation, from controls by name, (...).
-
-    ``thrust`` is that of `skdgp.dynamics.simulate`: None, a function, or "auto"; raises ValueError
-    if nothing gives it.
-    """
-    if thrust is None:
-        return 0.0, 0.0
-    line = aircraft.thrust_line or CENTRED
-    if callable(thrust):
-        newtons = thrust(controls, airspeed, density)
-        if np.ndim(newtons) > np.ndim(airspeed):
-            raise ValueError(
-                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape "
-                f"{np.shape(airspeed)}, but expected a "
-                "function (controls, airspeed, density) to newtons along the thrust line, one for "
-                "each airspeed."
-            )
-        return line.loads(newtons)
-    if thrust != "auto":
-        raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
-    if any(name in controls for name in THRUST_FORCES):
-        return _loads_by_axis(controls, aircraft, np.shape(airspeed))
-    if "thrust" in controls:
-        return line.loads(controls["thrust"])
-    if (speed := propeller_speed_of(aircraft.propeller, controls)) is not None:
-        return propeller_loads(aircraft, speed, airspeed, density)
-    raise ValueError(
-        f"The thrust is unknown: the controls are {sorted(controls)}. Give thrust_x ... thrust_n "
-        f"or thrust [N] as "
-        "controls; or propeller_speed [rad/s] for an aircraft with a propeller, or throttle if "
-        "Propeller(speed_range="
-        "(idle, full)) is known; or thrust=function of (controls, airspeed, density); or "
-        "thrust=None (--thrust none) "
-        "for a glider, or if the coefficients of the model include the thrust."
-    )
 
 
 def thrust_control(aircraft: Aircraft, thrust: Thrust) -> str | None:
@@ -230,16 +193,6 @@ def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, A
         force += stacked(flight, forces, (len(flight),))
         moment += stacked(flight, moments, (len(flight),))
     return force, moment
-
-
-def _loads_by_axis(
-    values: Mapping | pd.DataFrame, aircraft: Aircraft, shape: tuple[int, ...]
-) -> tuple[Array, Array]:
-    """Return the thrust of its columns or controls; without a moment, that of the force on the thrust line."""
-    force = stacked(values, THRUST_FORCES, shape)
-    if any(name in values for name in THRUST_MOMENTS):
-        return force, stacked(values, THRUST_MOMENTS, shape)
-    return force, cross((aircraft.thrust_line or CENTRED).position, force)
 
 
 def stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[int, ...]) -> Array:

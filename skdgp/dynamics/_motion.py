@@ -28,7 +28,7 @@ from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, 
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsion_loads
+from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsive_loads
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
@@ -214,7 +214,8 @@ class Motion:
                 np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan)
             )
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
-        others = propulsion_loads(self.aircraft, self.thrust, controls, airspeed, density)
+        values = {**controls, "airspeed": airspeed, "density": density}
+        others = propulsive_loads(values, self.aircraft, self.thrust)
         if not self._implicit:
             return self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit

@@ -113,7 +113,7 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
         (lambda f: f.assign(ax="fast"), "columns of type .*'ax': .* expected numbers"),
         (
             lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]),
-            "thrust of this flight is unknown",
+            "thrust is unknown",
         ),
         (lambda f: f.iloc[:0], "no rows"),
         (lambda f: f.assign(az=f["az"].where(f.index != 7, np.inf)), "infinite"),

@@ -247,7 +247,6 @@ def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
         ({"altitude": [100.0, 200.0]}, "Got altitude=.*expected a finite number"),
         ({"fixed": {"rudder": np.nan}}, "Got rudder=nan"),
         ({"limits": {"rudder": 0.3}}, "limits of rudder 0.3, but expected two numbers"),
-        ({"controls": ["elevatr"]}, "'elevatr'"),
         ({"fixed": {"ruder": 0.0}}, r"'ruder' \(nearest: 'rudder'\)"),
         ({"limits": {"gear": (0, 1)}}, "'gear'"),
         ({"limits": {"elevator": (0.1, 0.1)}}, "smallest < largest"),

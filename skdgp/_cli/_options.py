@@ -166,7 +166,7 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
     "--paths": {"metavar": "N", "type": n_paths},
     "--gusts": {"choices": ["auto", "none"], "default": "auto"},
     "--thrust": {
-        "choices": ["auto", "columns", "propeller", "none"],
+        "choices": ["auto", "none"],
         "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
         "the coefficients",
     },

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from skdgp._compute.typing import ArrayLike, Vector
-from skdgp._flight.checks import check_columns, check_table
-from skdgp._flight.clock import flight_rows
+from skdgp._flight.checks import check_columns
 
 PATH_POINTS = 600  # of one flight; a picture resolves no more
 LATERAL_STATES = (
@@ -33,26 +29,6 @@ def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
     if n_samples is not None and len(time) != n_samples:
         raise ValueError(f"Got {len(time)} times for {n_samples} samples: give one per sample.")
     return time
-
-
-def named_flights(flights: pd.DataFrame | Mapping[Any, pd.DataFrame]) -> dict[str, pd.DataFrame]:
-    """Return checked flight tables by name; one table is divided by its column ``flight``."""
-    if not isinstance(flights, Mapping):
-        table = check_table(flights)
-        if "flight" in table.columns:
-            flights = {
-                name: table.iloc[rows] for name, rows in flight_rows(table["flight"]).items()
-            }
-        else:
-            flights = {"flight": table}
-    if not flights:
-        raise ValueError("Got no flights, but expected at least one table.")
-    for name, table in flights.items():
-        check_columns(
-            check_table(table, what=f"flight {name!r}"), ["time"], what=f"flight {name!r}"
-        )
-        check_time(table["time"])
-    return {str(name): table for name, table in flights.items()}
 
 
 def ground_path(flight: pd.DataFrame, name: str = "flight") -> pd.DataFrame:

@@ -14,11 +14,9 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._display.style import (
     PALETTE,
     axis_label,
-    check_matplotlib,
     display_unit,
     units_shown,
 )
-from skdgp._flight.checks import check_names
 from skdgp.plotting._display import Display
 
 PAIRS = (
@@ -120,50 +118,40 @@ class EnvelopeDisplay(Display):
 
     @classmethod
     def from_estimator(
-        cls,
-        estimator: Any,
-        X: Any,
-        *,
-        flight: Any = None,
-        pairs: Any = None,
-        n_grid: int = 16,
-        ax: Any = None,
+        cls, estimator: Any, X: Any, *, flight: Any = None, n_grid: int = 16, ax: Any = None
     ) -> Self:
         """Draw the uncertainty of an estimator around its data; the options are those of :meth:`compute`."""
-        check_matplotlib(cls.__name__)
         with units_shown(getattr(estimator, "control_units_", {})):
-            return cls.compute(estimator, X, flight=flight, pairs=pairs, n_grid=n_grid).plot(ax)
+            return cls.compute(estimator, X, flight=flight, n_grid=n_grid).plot(ax)
 
     @classmethod
-    def compute(
-        cls, estimator: Any, X: Any, *, flight: Any = None, pairs: Any = None, n_grid: int = 16
-    ) -> Self:
+    def compute(cls, estimator: Any, X: Any, *, flight: Any = None, n_grid: int = 16) -> Self:
         """Compute the uncertainty of a fitted estimator around its training data X, without drawing it.
 
         The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of
         regressors; it ends in a ``DependentGPRegressor``, or in another whose ``predict`` takes
         ``return_std``. X and ``flight``, another one to draw, are tables like its training data.
-        The regressors of the panels, ``pairs``, are by default alpha with beta, elevator and q,
-        beta with r and rudder, p with aileron, where present, or else neighbouring columns. Grids
-        have ``n_grid`` points along each axis.
+        The panels are alpha with beta, elevator and q, beta with r and rudder, p with aileron,
+        where present, or else neighbouring columns. Grids have ``n_grid`` points along each axis.
+        Raises ValueError if regressors have no names.
         """
-        selection, scaling, last = _split_steps(estimator)
+        selection, predictor = _split_steps(estimator)
         flown, path = (
             table if table is None or selection is None else selection.transform(table)
             for table in (X, flight)
         )
-        if not all(hasattr(table, "columns") for table in (flown, path) if table is not None):
+        if not hasattr(flown, "columns"):
             raise ValueError(
                 "Got regressors without names, but expected a DataFrame: put "
                 "RegressorSelector([...]) into the pipeline, or give X as a DataFrame."
             )
-        pairs = _check_pairs(pairs, list(flown.columns))
+        pairs = _pairs(list(flown))
         both = pd.concat([flown, path])
         points = [(_grid(both[x], n_grid), _grid(both[y], n_grid)) for x, y in pairs]
-        rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
-        means, variances = _moments(last, scaling, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
+        means, variances = _moments(predictor, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
         as_flown = means.var(axis=0) + variances.mean(axis=0)
-        ratio = (_moments(last, scaling, rows)[1] / as_flown).mean(axis=1)
+        rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
+        ratio = (_moments(predictor, rows)[1] / as_flown).mean(axis=1)
         rho = np.sqrt(ratio).reshape(len(pairs), n_grid, n_grid)
         return cls(flown=flown, path=path, pairs=pairs, points=points, relative_std=rho)
 
@@ -176,28 +164,19 @@ def _occupied(values: Matrix, axes: Any) -> Matrix:
     return values[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
-def _split_steps(estimator: Any) -> tuple[Any, Any, Any]:
-    """Return the steps up to the selection of regressors, those before the last step, and the last step."""
-    if not hasattr(estimator, "steps"):
-        return None, None, estimator
-    chosen = [k for k, (_, step) in enumerate(estimator.steps) if hasattr(step, "regressors_")]
-    place = max(chosen, default=-1) + 1
-    scaling = estimator[place:-1] if place < len(estimator.steps) - 1 else None
-    return estimator[:place] if place else None, scaling, estimator[-1]
+def _split_steps(estimator: Any) -> tuple[Any, Any]:
+    """Return the steps up to the selection of regressors, None if there is none, and the estimator behind it."""
+    steps = getattr(estimator, "steps", [])
+    places = [k for k, (_, step) in enumerate(steps) if hasattr(step, "regressors_")]
+    if not places:
+        return None, estimator
+    return estimator[: places[-1] + 1], estimator[places[-1] + 1 :]
 
 
-def _check_pairs(pairs: Any, names: list[str]) -> list[tuple[str, str]]:
-    if pairs is None:
-        here = [tuple(name if name in names else f"{name}_hat" for name in pair) for pair in PAIRS]
-        known = [pair for pair in here if set(pair) <= set(names)]
-        pairs = known or list(pairwise(names))
-    pairs = [tuple(pair) for pair in pairs]
-    if not pairs or any(len(set(pair)) != 2 for pair in pairs):
-        raise ValueError(
-            f"Got pairs={pairs}, but expected pairs of two different regressors out of {names}."
-        )
-    check_names(sorted({name for pair in pairs for name in pair}), names, "regressors of the model")
-    return pairs
+def _pairs(names: list[str]) -> list[tuple[str, str]]:
+    """Return the usual pairs of regressors among the names, or else neighbouring ones."""
+    pairs = [tuple(name if name in names else f"{name}_hat" for name in pair) for pair in PAIRS]
+    return [pair for pair in pairs if set(pair) <= set(names)] or list(pairwise(names))
 
 
 def _grid(values: pd.Series, n_grid: int) -> Vector:
@@ -216,10 +195,9 @@ def _slice(
     return rows.assign(**{name: axis.ravel() for name, axis in zip(pair, grid, strict=True)})
 
 
-def _moments(last: Any, scaling: Any, rows: pd.DataFrame) -> tuple[Matrix, Matrix]:
+def _moments(predictor: Any, rows: pd.DataFrame) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the outputs at rows of regressors, (n, P) each."""
+    last = getattr(predictor, "steps", [("", predictor)])[-1][1]
     exact = {"include_input_noise": False} if accepts(last, "include_input_noise") else {}
-    mean, std = last.predict(
-        rows if scaling is None else scaling.transform(rows), return_std=True, **exact
-    )
+    mean, std = predictor.predict(rows, return_std=True, **exact)
     return mean.reshape(len(rows), -1), std.reshape(len(rows), -1) ** 2

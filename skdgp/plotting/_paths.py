@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import pandas as pd
 
-from skdgp._display.flights import ground_path, named_flights
+from skdgp._display.flights import ground_path
 from skdgp._display.style import CYCLE, MARKERS, axis_label, plain
 from skdgp.plotting._display import Display
 
@@ -69,14 +69,11 @@ class PathDisplay(Display):
         ax.set(xlabel=axis_label("east"), ylabel=axis_label("north"))
 
     @classmethod
-    def from_flights(
-        cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame], *, ax: Any = None
-    ) -> Self:
-        """Draw one flight table, divided by its column ``flight``, or several by name."""
+    def from_flights(cls, flights: Mapping[str, pd.DataFrame], *, ax: Any = None) -> Self:
+        """Draw flight tables by name."""
         return cls.compute(flights).plot(ax)
 
     @classmethod
-    def compute(cls, flights: pd.DataFrame | Mapping[str, pd.DataFrame]) -> Self:
-        """Return what :meth:`from_flights` draws."""
-        named = named_flights(flights)
-        return cls(paths={name: ground_path(table, name) for name, table in named.items()})
+    def compute(cls, flights: Mapping[str, pd.DataFrame]) -> Self:
+        """Return the display of flight tables by name, not drawn."""
+        return cls(paths={str(name): ground_path(table, name) for name, table in flights.items()})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 
@@ -49,6 +49,28 @@ _THRESHOLDS = (
     f"a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for the "
     f"derivatives by the controls and the frequencies of the fast modes."
 )
+LINEAR = "least squares<br><em>± too small</em>"
+OF_AIRCRAFT = "± of aircraft"
+EXPLAINED = {
+    OF_AIRCRAFT: " ± of aircraft: what errors of its sizes make of them, which all derivatives of a "
+    "moment or force share; it does not matter for simulations with this aircraft.",
+    LINEAR: " Least squares' standard deviations are those of a straight line through exact "
+    "regressors: noise of the regressors and curvature are not in them.",
+}
+"""Explanations of columns of the table of derivatives."""
+DISPLAYS = {
+    "Calibration": "How often intervals, with the noise, hold the measured values of all test "
+    "flights. On the dotted line they hold as often as they say.",
+    "Effects": "For each coefficient the regressors whose effect varies most, on one scale, with "
+    "mean zero over the samples (short lines) and the 95 % band. Bands are wide where regressors "
+    "moved together in the flights: the sum is then known better than its terms.",
+    "Where the model knows": "Pairs of regressors; those that a panel does not show are at their "
+    "medians. Contours: the standard deviation of the coefficients, over how much they vary where "
+    "samples were flown: 0 where they are known, 1 where any value flown is as likely. Where a "
+    "test flight, or a simulation, leaves the dots for darker blue, coefficients are extrapolated.",
+}
+"""Captions of the displays of the model."""
+NO_WARNING = "No warning arose."
 HOW_TO_READ = (
     '<div class="note"><p><b>NRMSE</b>: root mean squared error over the standard deviation of the '
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
@@ -109,14 +131,14 @@ def render_report(content: ReportContent) -> str:
 def _sections(content: ReportContent) -> list[str]:
     draw = can_draw()
     parts = [_verdict(content), _next_flight(content.mechanics), *content.sections]
-    parts += [_messages(content), _assumed(content)]
+    parts += [_messages(content), _section("What was assumed", _list(content.assumed))]
     if not draw:
         parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
     if content.mechanics is not None:
         parts += [_mechanics(content.mechanics), _simulation(content.mechanics, draw)]
     parts += _flights(content, draw)
     if draw:
-        parts += [_calibration(content), _effects(content), _envelope(content), _flown(content)]
+        parts += [*_of_model(content), _flown(content)]
     return [
         *parts,
         _what_was_done(content),
@@ -148,7 +170,7 @@ def _note(words: str) -> str:
 
 
 def _verdict(content: ReportContent) -> str:
-    """Return what was learned in which air, what the model is good enough for, and its errors on each test flight."""
+    """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
     if not content.test:
         words = "No test flight was given: nothing here shows how the model does away from the flights it learned from."
         return _section("Verdict", _note(words))
@@ -163,7 +185,7 @@ def _verdict(content: ReportContent) -> str:
             _tiles(found),
             table(head, uses, caption="What the model is good for.", classes="words"),
             f"<p>{text(found.compared())}</p>",
-            _warnings("ol", found.warnings[:N_WARNINGS]),
+            _list(found.warnings[:N_WARNINGS], "ol", "alerts") or _note(NO_WARNING),
         ]
     if found is None or len(content.test) > 1:
         rows = []
@@ -177,30 +199,33 @@ def _verdict(content: ReportContent) -> str:
     return _section("Verdict", *parts)
 
 
+def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
+    """Return the derivatives of the coefficients of a plane by the regressors that move in it."""
+    names = GROUPED[plane]
+    is_in = derivatives["regressor"].isin(MIRRORED) == (plane == "Lateral")
+    is_in &= derivatives["coefficient"].isin(names) & (derivatives["regressor"] != "")
+    return derivatives[is_in].sort_values(
+        "coefficient", key=lambda c: c.map(names.index), kind="stable"
+    )
+
+
 def _next_flight(found: FlightMechanics | None) -> str:
-    """Return the weak derivatives by the input that would tell them, weakest first."""
+    """Return the weak derivatives by the input that excites them, weakest first."""
     if found is None or "std" not in found.derivatives:
         return ""
-    derivatives = found.derivatives
-    planes = [
-        derivatives["coefficient"].isin(names)
-        & (derivatives["regressor"].isin(MIRRORED) == (plane == "Lateral"))
-        for plane, names in GROUPED.items()
-    ]
-    derivatives = derivatives[planes[0] | planes[1]]
+    derivatives = pd.concat([_of_plane(found.derivatives, plane) for plane in GROUPED])
     half = 1.96 * derivatives["std"] / derivatives["value"].abs()
-    weak = (
-        derivatives[half > THRESHOLDS.band].assign(half=half).sort_values("half", ascending=False)
-    )
+    weak = derivatives.assign(half=half)[(half > THRESHOLDS.band) & (half < 1.96 * KNOWN)]
+    weak = weak.sort_values("half", ascending=False)
     rows = []
     for axis, regressors in EXCITED.items():
+        excited = weak[weak["regressor"].isin(regressors)]
         lines = [
-            f"{derivative(row['coefficient'], str(row['regressor']))} ±{THIN}{percent(row['half'], '.0f')}{THIN}%"
-            for _, row in weak[weak["regressor"].isin(regressors)].iterrows()
-            if row["half"] < 1.96 * KNOWN
+            f"{derivative(row.coefficient, row.regressor)} ±{THIN}{percent(row.half, '.0f')}{THIN}%"
+            for row in excited.head(MOST_NAMED).itertuples()
         ]
         if lines:
-            rows.append([axis, ", ".join(lines[:MOST_NAMED]), str(len(lines))])
+            rows.append([axis, ", ".join(lines), str(len(excited))])
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
     caption = (
@@ -208,10 +233,8 @@ def _next_flight(found: FlightMechanics | None) -> str:
         "half their values, widest first. <code>skdgp plan</code> on the model proposes manoeuvres, "
         "their seconds and what they would leave of the errors."
     )
-    numbers = table(
-        ["excite", "weak derivatives", "in all"], rows, caption=caption, classes="words"
-    )
-    return _section("What to fly next", numbers)
+    head = ["excite", "weak derivatives", "in all"]
+    return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
 
 
 def _tiles(found: Verdict) -> str:
@@ -225,22 +248,19 @@ def _tiles(found: Verdict) -> str:
     )
 
 
-def _warnings(kind: str, lines: Iterable[str]) -> str:
-    shown = "".join(f"<li>{text(line)}</li>" for line in lines)
-    return f'<{kind} class="alerts">{shown}</{kind}>' if shown else _note("No warning arose.")
-
-
-def _assumed(content: ReportContent) -> str:
-    lines = "".join(f"<li>{text(line)}</li>" for line in content.assumed)
-    return _section("What was assumed", f"<ul>{lines}</ul>" if lines else "")
+def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
+    items = "".join(f"<li>{text(line)}</li>" for line in lines)
+    return f'<{kind} class="{classes}">{items}</{kind}>' if items else ""
 
 
 def _messages(content: ReportContent) -> str:
     """Return the warnings that the verdict does not show, or that none arose."""
     if content.verdict is None:
-        return _section("Warnings", _warnings("ul", dict.fromkeys(content.messages)))
-    rest = content.verdict.warnings[N_WARNINGS:]
-    return _section("Further warnings", _warnings("ul", rest) if rest else "")
+        warnings = _list(dict.fromkeys(content.messages), classes="alerts")
+        return _section("Warnings", warnings or _note(NO_WARNING))
+    return _section(
+        "Further warnings", _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
+    )
 
 
 def _mechanics(found: FlightMechanics) -> str:
@@ -251,66 +271,52 @@ def _mechanics(found: FlightMechanics) -> str:
         if "climb" not in found.trim.solved:  # without a thrust it is the model's glide
             names.append("climb")
         values = {name: getattr(found.trim, name) for name in names} | found.trim.controls
-        shown = [(name, _in_words(name, value)) for name, value in values.items()]
+        shown = [(name, _with_unit(name, value)) for name, value in values.items()]
         parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))
     if len(found.derivatives):
-        tables = "".join(_derivatives(found, *group) for group in GROUPED.items())
+        tables = "".join(_derivatives(found, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
     if found.modes is not None:
         parts.append(_modes(found.modes))
     return _section("Trim, derivatives and modes", *parts)
 
 
-def _in_words(name: str, value: float) -> str:
+def _with_unit(name: str, value: float) -> str:
     factor, unit = display_unit("theta" if name == "climb" else name)
     return f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}"
 
 
-def _derivatives(found: FlightMechanics, group: str, coefficients: Sequence[str]) -> str:
-    """Return the derivatives of one plane; those that nobody can know are named beneath."""
-    derivatives = found.derivatives
-    across = group == "Lateral"
-    has_sizes = "std_aircraft" in derivatives
-    rows = []
-    unknown = []
-    for name, row in derivatives[derivatives["regressor"] != ""].iterrows():
-        coefficient, by = row[["coefficient", "regressor"]]
-        if coefficient not in coefficients or (by in MIRRORED) != across:
-            continue
-        if "std" in row and not row["std"] <= KNOWN * abs(row["value"]):
-            unknown.append(derivative(coefficient, by))
-            continue
-        value = _with_std(row["value"], row.get("std"))
-        if "std" in row and not row["lower"] * row["upper"] > 0:
-            value = f'<span class="off">▼ {value}</span>'
-        linear = DASH
-        if found.least_squares is not None:
-            linear = _with_std(*found.least_squares.loc[str(name), ["value", "std"]])
-        sizes = [number(row["std_aircraft"], ".2g")] if has_sizes else []
-        rows.append((coefficient, [derivative(coefficient, by), value, linear, *sizes]))
-    rows.sort(key=lambda row: coefficients.index(row[0]))
+def _derivatives(found: FlightMechanics, plane: str) -> str:
+    """Return the derivatives of one plane; those with too large standard deviations are named beneath."""
+    derivatives = _of_plane(found.derivatives, plane)
+    std = derivatives.get("std", 0.0 * derivatives["value"])
+    is_known = std <= KNOWN * derivatives["value"].abs()
+    names = [derivative(*row) for row in derivatives[["coefficient", "regressor"]].to_numpy()]
+    unknown = ", ".join(name for name, known in zip(names, is_known, strict=True) if not known)
+    columns = {"": names, "model": [_value(row) for _, row in derivatives.iterrows()]}
+    if found.least_squares is not None:
+        linear = found.least_squares.loc[derivatives.index, ["value", "std"]].to_numpy()
+        columns[LINEAR] = [_with_std(*row) for row in linear]
+    if "std_aircraft" in derivatives:
+        columns[OF_AIRCRAFT] = [number(x, ".2g") for x in derivatives["std_aircraft"]]
+    rows = pd.DataFrame(columns)[is_known.to_numpy()].to_numpy().tolist()
     caption = (
-        f"{group} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
+        f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
         "deviations. ▼: the 95 % band holds both signs."
     )
-    head = ["", "model", "least squares<br><em>± too small</em>"]
-    if has_sizes:
-        head.append("± of aircraft")
-        caption += (
-            " ± of aircraft: what errors of its sizes make of them, which all derivatives of a "
-            "moment or force share; it does not matter for simulations with this aircraft."
-        )
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
-    if found.least_squares is not None:
-        caption += (
-            " Least squares' standard deviations are those of a straight line through exact "
-            "regressors: noise of the regressors and curvature are not in them."
-        )
-    note = _note(f"Not told by these flights: {', '.join(unknown)}." if unknown else "")
-    cells = [row for _, row in rows]
-    numbers = table(head, cells, caption=caption, classes="numbers named") if cells else ""
+    caption += "".join(words for column, words in EXPLAINED.items() if column in columns)
+    note = _note(f"Not told by these flights: {unknown}." if unknown else "")
+    numbers = table([*columns], rows, caption=caption, classes="numbers named") if rows else ""
     return f"<div>{numbers}{note}</div>"
+
+
+def _value(row: pd.Series) -> str:
+    """Return a derivative with its standard deviation, marked if its band holds both signs."""
+    value = _with_std(row["value"], row.get("std"))
+    is_signed = row.get("lower", 1.0) * row.get("upper", 1.0) > 0
+    return value if is_signed else f'<span class="off">▼ {value}</span>'
 
 
 def _with_std(value: float, std: float | None) -> str:
@@ -324,14 +330,14 @@ def _with_std(value: float, std: float | None) -> str:
 def _modes(modes: pd.DataFrame) -> str:
     rows = []
     for name, row in modes.drop(columns="eigenvalue").iterrows():
-        times = number(row["time_constant"], ".3g")
+        time = number(row["time_constant"], ".3g")
         limits = row.get("time_constant_lower", 1.0) * row.get("time_constant_upper", 1.0)
-        if not 0 < limits < np.inf:
-            times = f'<span class="off">▼ {times}</span>'
-        damping = _with_std(row["damping"], row.get("damping_std"))
-        damping = DASH if abs(row["damping"]) == 1 else damping
-        frequency = _with_std(row["frequency"], row.get("frequency_std"))
-        rows.append([text(name), frequency, damping, times])
+        rows.append([
+            text(name),
+            _with_std(row["frequency"], row.get("frequency_std")),
+            DASH if abs(row["damping"]) == 1 else _with_std(row["damping"], row.get("damping_std")),
+            time if 0 < limits < np.inf else f'<span class="off">▼ {time}</span>',
+        ])  # fmt: skip
     caption = (
         "Modes: values ± standard deviations. The time constant is negative where a mode diverges. "
         "▼: its 95 % band holds decay and growth."
@@ -350,22 +356,22 @@ def _simulation(found: FlightMechanics, draw: bool) -> str:
             factor, unit = display_unit(str(name))
             cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
             lasts = number(row["lasts"], ".2g")
-            late = f'<span class="off">{lasts}</span>'
-            rows.append(
-                [
-                    state(str(name)),
-                    unit,
-                    *cells,
-                    f"all {lasts}" if row["lasts"] >= row["horizon"] else late,
-                ]
-            )
+            is_whole = row["lasts"] >= row["horizon"]
+            seconds = f"all {lasts}" if is_whole else f'<span class="off">{lasts}</span>'
+            rows.append([state(str(name)), unit, *cells, seconds])
         caption = (
             "Simulation of the test flights with the recorded controls, in still air, started again "
             "from measured states: root mean square error at the end, and how long it stays below "
             "the limit."
         )
-        head = ["", "unit", "spread in<br>the flights", "limit", "error at<br>the end"]
-        head.append("follows<br>for [s]")
+        head = [
+            "",
+            "unit",
+            "spread in<br>the flights",
+            "limit",
+            "error at<br>the end",
+            "follows<br>for [s]",
+        ]
         parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
     if draw and found.simulated is not None:
         caption = (
@@ -417,49 +423,21 @@ def _flight(result: FlightResult, length: float | None) -> str:
     return "".join(parts)
 
 
-def _calibration(content: ReportContent) -> str:
-    """Return how often intervals hold the measured values of all test flights."""
-    if not content.test:
-        return ""
-    columns = [
-        np.concatenate([getattr(one, name) for one in content.test])
-        for name in ("measured", "mean", "noisy_std")
+def _of_model(content: ReportContent) -> list[str]:
+    """Return the sections of calibration, effects, and where the model knows."""
+    calibration = None
+    if content.test:
+        columns = [
+            np.concatenate([getattr(result, name) for result in content.test])
+            for name in ("measured", "mean", "noisy_std")
+        ]
+        calibration = CalibrationDisplay.compute(*columns, output_names=COEFFICIENTS)
+    displays = (calibration, content.effects, content.envelope)
+    return [
+        _section(title, figures.display_figure(display, caption=caption))
+        for display, (title, caption) in zip(displays, DISPLAYS.items(), strict=True)
+        if display is not None
     ]
-    display = CalibrationDisplay.compute(*columns, output_names=COEFFICIENTS)
-    caption = (
-        "How often intervals, with the noise, hold the measured values of all test flights. On the "
-        "dotted line they hold as often as they say."
-    )
-    return _section("Calibration", figures.display_figure(display, caption=caption))
-
-
-def _effects(content: ReportContent) -> str:
-    """Return the largest effects of regressors on each output, and the strongest interactions."""
-    if content.effects is None:
-        return ""
-    words = (
-        "For each coefficient the regressors whose effect varies most, on one "
-        "scale, with mean zero over the samples (short lines) and the 95 % band. Then the two "
-        "strongest interactions: how the coefficient changes with one regressor at a low (5 %) and "
-        "a high (95 %) value of another, all others at their means. Without an interaction both "
-        "lines are one. Bands are wide where regressors moved together in the flights: the sum is "
-        "then known better than its terms."
-    )
-    return _section("Effects", figures.display_figure(content.effects, caption=words))
-
-
-def _envelope(content: ReportContent) -> str:
-    if content.envelope is None:
-        return ""
-    caption = (
-        "Pairs of regressors; those that a panel does not show are at their medians. Contours: the "
-        "standard deviation of the coefficients, over how much they vary where samples were flown: "
-        "0 where they are known, 1 where any value flown is as likely. Where a test flight, or a "
-        "simulation, leaves the dots for darker blue, coefficients are extrapolated."
-    )
-    return _section(
-        "Where the model knows", figures.display_figure(content.envelope, caption=caption)
-    )
 
 
 def _flown(content: ReportContent) -> str:
@@ -471,19 +449,15 @@ def _flown(content: ReportContent) -> str:
     }  # fmt: skip
     parts = []
     if tracked:
-        caption = "Path over the ground, north up; the flight's marker shows where it begins."
-        if any("north" not in table.columns for table in tracked.values()):
-            caption += (
-                " Without recorded positions: integrated from the velocities, from the origin."
-            )
+        caption = (
+            "Path over the ground, north up; the flight's marker shows where it begins. Without "
+            "recorded positions: integrated from the velocities, from the origin."
+        )
         parts.append(figures.display_figure(PathDisplay.compute(tracked), caption=caption))
     shown = list(flights.items())[: 2 * MOST_OPEN]
-    parts += [
-        figures.display_figure(
-            TimeHistoryDisplay.compute_inputs(table), caption=f"Inputs of {text(name)}."
-        )
-        for name, table in shown
-    ]
+    for name, flight in shown:
+        display = TimeHistoryDisplay.compute_inputs(flight)
+        parts.append(figures.display_figure(display, caption=f"Inputs of {text(name)}."))
     if len(shown) < len(flights):
         parts.append(_note(f"Inputs of the first {len(shown)} of {len(flights)} flights."))
     return _section("What was flown", *parts)
@@ -491,16 +465,13 @@ def _flown(content: ReportContent) -> str:
 
 def _flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
-    pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
-    pairs += [
-        (f"{result.name} (test)", result.table)
-        for result in content.test
-        if result.table is not None
-    ]
     tables: dict[str, pd.DataFrame] = {}
+    pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
+    pairs += [(f"{result.name} (test)", result.table) for result in content.test]
     for name, flight in pairs:
-        twins = sum(other == name or other.startswith(f"{name} no. ") for other in tables)
-        tables[f"{name} no. {twins + 1}" if twins else name] = flight
+        twins = sum(other.partition(" no. ")[0] == name for other in tables)
+        if flight is not None:
+            tables[f"{name} no. {twins + 1}" if twins else name] = flight
     return tables
 
 

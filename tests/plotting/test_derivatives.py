@@ -61,7 +61,7 @@ def test_draws_the_best_known_by_default_and_any_name(sweep):
     )
     display.figure_.canvas.draw()
     labels = [ax.get_ylabel() for ax in display.axes_.flat]
-    assert labels == [r"$C_{n_{\mathrm{elevon\_left}}}$", "$C_L$"]
+    assert labels == [r"$C_{n_{\mathrm{elevon\_left}}}$", "$C_{L}$"]
 
 
 def test_says_what_it_needs(sweep):

@@ -300,11 +300,9 @@ class TestFlight:
         np.testing.assert_allclose(np.hypot(north, east - 200), 200, rtol=1e-4)
         assert len(east) <= 600
 
-    def test_recorded_positions_are_taken_and_one_table_is_divided_by_flight(self):
+    def test_recorded_positions_are_taken(self):
         table = flight().assign(north=np.arange(400.0) + 7, east=np.arange(400.0) * 2)
-        both = pd.concat([table.assign(flight="one"), table[:100].assign(flight="two")])
-        display = PathDisplay.from_flights(both, ax=Figure())
-        assert list(display.paths) == ["one", "two"]
+        display = PathDisplay.from_flights({"one": table}, ax=Figure())
         first = display.axes_[0, 0].lines[0]
         assert (first.get_ydata()[0], first.get_xdata()[-1]) == (7, 798)
 
@@ -321,14 +319,6 @@ class TestFlight:
         display.figure_.canvas.draw()
         assert len(display.axes_[0, 0].get_legend().texts) == 3
 
-    @pytest.mark.parametrize(
-        ("flights", "message"),
-        [
-            ({}, "Got no flights"),
-            ({"a": flight().drop(columns="time")}, "flight 'a' lacks the columns 'time'"),
-            ({"a": flight()[["time"]]}, "lacks the columns 'v_north'"),
-        ],
-    )
-    def test_says_what_is_wrong(self, flights, message):
-        with pytest.raises(ValueError, match=message):
-            PathDisplay.from_flights(flights, ax=Figure())
+    def test_a_path_needs_velocities(self):
+        with pytest.raises(ValueError, match=r"flight 'a'.* lacks the columns 'v_north'"):
+            PathDisplay.from_flights({"a": flight()[["time"]]})

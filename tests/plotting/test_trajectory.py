@@ -58,14 +58,6 @@ def test_the_flown_heading_is_on_the_turn_of_the_simulation():
     assert np.abs(display.measured - display.mean).max() < 0.35
 
 
-def test_one_trajectory_has_the_band_of_its_deviations():
-    flown = pd.DataFrame({"time": TIME, "phi": 0.1, "phi_std": 0.01 * TIME})
-    display = TimeHistoryDisplay.compute_trajectories(flown, columns=["phi"])
-    np.testing.assert_allclose(display.upper[:, 0], 0.1 + 1.959964 * 0.01 * TIME, rtol=1e-6)
-    bare = TimeHistoryDisplay.compute_trajectories(flown[["time", "phi"]], columns=["phi"])
-    assert bare.upper is None
-
-
 def test_marks_where_paths_were_beyond_what_was_learned_from():
     paths = ensemble(3)
     paths.loc[(paths["path"] == 1) & (paths["time"] > 9), "beyond"] = "alpha"

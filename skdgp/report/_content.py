@@ -175,6 +175,9 @@ class FlightResult:
         Of `skdgp.dynamics.replay` for ``table``, of one or several horizons.
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
+    metrics : mapping, optional
+        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics, by
+        which they are computed by default.
     """
 
     name: str
@@ -187,6 +190,7 @@ class FlightResult:
     table: pd.DataFrame | None = None
     replay: pd.DataFrame | None = None
     baseline: Matrix | None = None
+    metrics: Mapping[str, Mapping[str, object]] | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "time", check_time(self.time))
@@ -220,19 +224,24 @@ class FlightResult:
     @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:
         """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
-        scores = {"measured": self._scores(self.measured, self.noisy_std)}
-        if self.truth is not None:
-            scores["truth"] = self._scores(self.truth, self.std)
-        return scores
+        given = self.metrics
+        if given is None:
+            given = {"measured": self._scores(self.measured, self.noisy_std)}
+            if self.truth is not None:
+                given["truth"] = self._scores(self.truth, self.std)
+        return {
+            against: pd.DataFrame(dict(scores), list(COEFFICIENTS)).reindex(columns=list(SCORES))
+            for against, scores in given.items()
+        }
 
-    def _scores(self, values: Matrix, std: Matrix) -> pd.DataFrame:
-        table = pd.DataFrame(index=list(COEFFICIENTS), columns=list(SCORES), dtype=float)
+    def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
+        scores = {}
         for name, score in SCORES.items():
             mean = self.baseline if score.of_baseline else self.mean
             if mean is not None:
                 moments = (mean, std) if score.of_band else (mean,)
-                table[name] = score.function(values, *moments, multioutput="raw_values")
-        return table
+                scores[name] = score.function(values, *moments, multioutput="raw_values")
+        return scores
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ Close the loop: explore, learn, plan, fly, and learn again::
 The truth is the example aircraft, simulated in gusts. After a gentle first flight a linear trend is
 learned, the next flight is planned for derivatives of Cl, Cm and Cn, and flown. The picture shows
 the planned inputs, and the derivatives after each flight with two standard deviations, beside the
-truth. What a linear trend cannot tell stays: unseen rates of the air, the effect of alpha_dot,
-curvature. Needs matplotlib: pip install "skdgp[plot]".
+truth. Further flights do not reduce errors by unmeasured rates of the air, alpha_dot and curvature.
+Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse

@@ -2,15 +2,13 @@
 Compare methods
 ===============
 
-The same flights and the same regressors for several methods: who predicts a flight that nobody has
-seen? ::
+Compare the errors of several methods on a flight that they did not learn from::
 
     python examples/compare_methods.py
 
-Simulated flights with known truth; about a minute. Every method learns the same rows, but for the
-trees, which take all of them. Needs matplotlib: pip install "skdgp[plot]". The comparison on
-flights that others simulated, with more methods, is docs/results.md. For your own method add a line
-to ``methods``: anything with ``fit`` and ``predict``.
+It takes about a minute. Every method learns the same rows with the same regressors; the trees learn
+all rows. docs/results.md compares more methods on other flights. For your own method add a line to
+``methods``: any object with ``fit`` and ``predict``. Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse

@@ -2,14 +2,14 @@
 Choose a model
 ==============
 
-By flights it has not seen: grid search over the whole pipeline, a flight held out each time::
+Choose settings by grid search over the whole pipeline, with one flight held out each time::
 
     python examples/grid_search_flights.py
 
-Raw flight tables go into the search, so that smoothing is chosen like everything else and nothing
-of the held-out flight leaks into the fit. Rows that are not observed, NaN, are neither learned from
-nor scored. The scorers use the predicted standard deviations: a model that is wrong and says so is
-better than one that is wrong and sure. Needs matplotlib: pip install "skdgp[plot]".
+The search takes raw flight tables, so smoothing is chosen too, and no information of the held-out
+flight leaks into the fit. Targets that are NaN are neither learned nor scored. The scorers use the
+predicted standard deviations, so narrow bands around a wrong mean score worst. Needs matplotlib:
+pip install "skdgp[plot]".
 """
 
 import argparse

@@ -2,7 +2,7 @@
 Identify an aircraft
 ====================
 
-From flight logs to predicted coefficients with honest bands, and a picture of them::
+Learn a model from flight logs, and draw the predicted coefficients of another flight with bands::
 
     python examples/identify_example_flights.py
 

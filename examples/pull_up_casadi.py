@@ -2,28 +2,26 @@ r"""
 Plan a pull-up with CasADi
 ==========================
 
-Plan a pull-up that keeps its limits by the posterior, not only by the mean of the model::
+Plan a pull-up that keeps its limits for 95 % of the aircraft of the posterior::
 
     python examples/pull_up_casadi.py
     python examples/pull_up_casadi.py --model results/model.joblib --airspeed 40
 
 IPOPT chooses the elevator that gains most altitude, with angle of attack and load factor below
-limits. The first plan knows the mean of the coefficients alone. The second one keeps a margin to
-the limits, so that 95 % of the aircraft that the flights allow keep them too. Both are flown by
-aircraft drawn from the posterior, in all six degrees of freedom.
+limits. The first plan uses the mean of the coefficients alone, the second one a margin to the
+limits. Both are flown by aircraft drawn from the posterior, in all six degrees of freedom.
 
 **The margin.** Let :math:`e` be the errors of CX, CZ and Cm along a plan. To first order they
 change states and limited values by x and y,
 
 .. math:: \dot x = A x + B e, \quad x(0) = 0, \quad y = D x + E e.
 
-A and D are slopes by the states and contain the Jacobian of the model; B and E are slopes by e. How
-large errors are at two points, and how correlated, the pipeline says: those of the function, and
-those by noise that lasts, as in the paths of ``simulate``. So e is normal, and :math:`y = G e`. The
-margin is :math:`c\,|G|`, with c so large that 99 % of all e keep :math:`G e \leq c\,|G|` for both
-limits at all times. The other 4 % are for what this leaves out: higher orders, errors of the other
-coefficients, the reduced model, the time between points. The margin belongs to a plan: IPOPT plans
-with the margin of the last plan until it stays the same.
+A and D are slopes by the states and contain the Jacobian of the model; B and E are slopes by e. The
+covariance of e contains errors of the function and noise that lasts, as in the paths of
+``simulate``. So e is normal, and :math:`y = G e`. The margin is :math:`c\,|G|`, with c so large that
+99 % of all e keep :math:`G e \leq c\,|G|` for both limits at all times. The other 4 % allow for
+higher orders, errors of the other coefficients, the reduced model and the time between points. IPOPT
+plans with the margin of the last plan until it stays the same.
 
 Needs CasADi and matplotlib: pip install "skdgp[export,plot]".
 """

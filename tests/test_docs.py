@@ -69,3 +69,12 @@ def test_code_of_every_page_runs_somewhere():
     assert len(RUN_HERE) >= 7
     for page, runner in RUN_ELSEWHERE.items():
         assert page in (ROOT / "tests" / runner).read_text(encoding="utf-8")
+
+
+def test_files_of_the_architecture_page_exist():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:\w+/)+\w+\.py)`", page))
+    assert len(named) > 15
+    assert [
+        name for name in named if not any((ROOT / a / name).is_file() for a in ("", "skdgp"))
+    ] == []

@@ -26,6 +26,7 @@ from skdgp._regressor._structure import (
 )
 from skdgp.inference import (
     FunctionErrors,
+    KnownSlopes,
     SlopeErrors,
     function_errors,
     misfit_variance,
@@ -228,7 +229,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     # ---------------------------------------------------------------------------------------
 
     @fit_context(prefer_skip_nested_validation=False)
-    def fit(self, X: Matrix, y: Any, time: Any = None, flight: Any = None) -> DependentGPRegressor:
+    def fit(
+        self,
+        X: Matrix,
+        y: Any,
+        time: Any = None,
+        flight: Any = None,
+        slopes: KnownSlopes | None = None,
+    ) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
         Parameters
@@ -252,6 +260,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None:
             one flight.
+        slopes : KnownSlopes or None
+            Slopes by the regressors that another source knows better than these samples. A linear
+            function is added to the targets, so that their slopes by least squares are these; the
+            errors of the slopes are those of the source.
 
         Returns
         -------
@@ -279,7 +291,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         with _checks.unchanged_on_error(self):
             X, Y, clock = self._checked(X, y, time, flight)
-            self._learn(X, Y, clock)
+            self._learn(X, Y, clock, slopes)
         return self
 
     def _checked(self, X, y, time, flight):
@@ -299,7 +311,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.warn_of_samples(X, Y, self.output_names_)
         return X, Y, clock
 
-    def _learn(self, X, Y, clock):
+    def _learn(self, X, Y, clock, slopes):
         """Set the fitted attributes."""
         log = clock is not None
         n_values = int(np.isfinite(Y).sum())
@@ -313,6 +325,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         else:
             _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
+        self._slopes = None
+        if slopes is not None:
+            self._slopes = slopes.scaled(1 / self.scale_[:, None])
+            Z = self._slopes.corrected(X, Z)
         self.max_iter_ = most_iterations(self.max_iter, Z, log)
         fit = fit_structure(self, X, Z, log, inference)
         posterior, learned = fit.posterior, fit.learned
@@ -443,8 +459,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         if added is not None:
             added = self._check_regressors(added)
-        errors = slope_errors(self.posterior_, self._check_regressors(X), added)
-        return None if errors is None else errors.scaled(self.scale_[:, None])
+        X = self._check_regressors(X)
+        errors = slope_errors(self.posterior_, X, added)
+        if errors is None:
+            return None
+        if self._slopes is not None:
+            now = errors if added is None else slope_errors(self.posterior_, X)
+            errors = self._slopes.applied(errors, errors.white / now.white)
+        return errors.scaled(self.scale_[:, None])
 
     def function_errors(self) -> FunctionErrors | None:
         """Return errors of the function that the posterior does not contain, from the samples of the fit.
@@ -464,7 +486,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         errors = function_errors(self.posterior_)
-        return None if errors is None else errors._replace(weights=errors.weights * self.scale_)
+        if errors is None:
+            return None
+        if self._slopes is not None:
+            errors = self._slopes.added(errors)
+        return errors._replace(weights=errors.weights * self.scale_)
 
     def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
         """Return samples of the joint posterior of all outputs at X (n, d), without misfit.

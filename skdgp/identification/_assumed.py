@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import warn
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES, VANES
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, THRUST_FORCES
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import (
@@ -35,10 +34,6 @@ THRUST_IN_COEFFICIENTS = (
     "thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
-FORCE_VANES = (
-    "No vanes: {} by specific force, from which CZ and CY follow, so that their errors on test "
-    "flights say nothing."
-)
 THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
 THRUST = "thrust on a bench over the propeller's speed"
 LISTED = 3  # measurements that are named
@@ -117,15 +112,6 @@ def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> 
     return _with_deviations(aircraft, {"airspeed": factor} if std else {})
 
 
-def with_vane_errors(aircraft: Aircraft, model: Pipeline) -> Aircraft:
-    """Return the aircraft, with the deviations of the scales of alpha and beta that specific force shows."""
-    found = getattr(model["flightpathreconstruction"], "vanes_", {})
-    words = "specific force in manoeuvres"
-    return _with_deviations(
-        aircraft, {name: ScaleFactor(vane.std, {name: 1.0}, words) for name, vane in found.items()}
-    )
-
-
 def with_thrust_errors(
     aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str
 ) -> Aircraft:
@@ -197,8 +183,6 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
     ]:
         lines.append(f"Estimated: {'; '.join(rules)}.")
     lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown
-    by_force = [name for name in VANES if name in deviations]
-    lines += [FORCE_VANES.format(" and ".join(by_force))] * bool(by_force)
     # What to measure, that first which lessens the errors of the coefficients most.
     errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1) if deviations else []
     gains: dict[str, float] = {}

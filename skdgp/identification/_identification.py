@@ -346,6 +346,8 @@ def air_of(pipeline: Pipeline) -> str:
     step = pipeline["flightpathreconstruction"]
     if not getattr(step, "tells_gusts_", False):
         return ""
+    if step.air_motion_ is not None:
+        return step.air_motion_.summary
     parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
     winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
     for name, row in winds.iterrows() if {"wind_north", "wind_east"} <= {*winds} else ():

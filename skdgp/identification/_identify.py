@@ -22,6 +22,7 @@ from skdgp.identification._pipeline import make_identification_pipeline
 from skdgp.identification._prepare import PreparedFlights, as_aircraft, prepare
 from skdgp.io import reversed_of
 from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import FlightPathReconstruction
 
 EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
 
@@ -191,6 +192,10 @@ def _pipeline_for(
     model = make_identification_pipeline(
         prepared.aircraft, regressors=regressors, regressor=regressor, **steps
     )
+    if isinstance(model["flightpathreconstruction"], FlightPathReconstruction):
+        model.set_params(flightpathreconstruction__thrust=prepared.loads["thrust"])
+        if prepared.loads["external_forces"]:  # which the motion of the air does not know
+            model.set_params(flightpathreconstruction__aircraft=None)
     if prepared.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
         model.set_params(regressorselector__extra=["airspeed"])
     model.control_units_ = _assumed.control_units(prepared.servos)
@@ -211,8 +216,8 @@ def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets:
 
 
 def _with_errors_of_fit(prepared: PreparedFlights, model: Pipeline, X: Any) -> Aircraft:
-    """Return the aircraft with the deviations of vanes and thrust that the fit shows."""
-    aircraft = _assumed.with_vane_errors(prepared.aircraft, model)
+    """Return the aircraft with the deviation of the thrust that the fit shows."""
+    aircraft = prepared.aircraft
     thrust = prepared.loads["thrust"]
     if "propeller" not in _evaluation.thrust_sources(thrust, prepared.train.values()):
         return aircraft

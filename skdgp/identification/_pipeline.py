@@ -14,10 +14,11 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._regressor import DependentGPRegressor
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
+from skdgp.inference import KnownSlopes
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -70,8 +71,9 @@ def make_identification_pipeline(
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
         "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass",
-        vanes="forces")``, which reconstructs the flights where their air data become more accurate
-        than by smoothing alone.
+        aircraft=aircraft)``, which reconstructs the flights where their air data become more
+        accurate than by smoothing alone, and estimates gusts and lag of the servos of flights
+        without vanes.
     cutoff : float, "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
@@ -110,7 +112,7 @@ def make_identification_pipeline(
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(
-            incomplete="pass", inconsistent="pass", vanes="forces"
+            incomplete="pass", inconsistent="pass", aircraft=aircraft
         )
     derivatives = list(
         DIFFERENTIATED
@@ -215,8 +217,11 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        super().fit(X, y, **self._clock(X) | params)
-        self._learn_turbulence(X)
+        if get_config()["enable_metadata_routing"]:
+            super().fit(X, y, **params)
+            self._learn_turbulence(X)
+        else:
+            self.fit_regressors(X, y, **params)
         return self
 
     def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
@@ -228,9 +233,21 @@ class FlightPipeline(Pipeline):
         steps = self[:-1]
         own = np.asarray(steps.fit_transform(X, y))
         self.steps = [*steps.steps, (name, last)]  # a memory fits clones
-        last.fit(own, y, **words)
+        last.fit(own, y, **self._known_slopes(y) | words)
         self._learn_turbulence(X)
         return own
+
+    def _known_slopes(self, y: Any) -> dict[str, KnownSlopes]:
+        """Return the slopes that the motion of the air shows, as a parameter of the last step, if it uses them."""
+        steps = self.named_steps
+        motion = getattr(steps.get("flightpathreconstruction"), "air_motion_", None)
+        if motion is None or not isinstance(self[-1], DependentGPRegressor):
+            return {}
+        value, errors = motion.slopes(
+            list(getattr(y, "columns", COEFFICIENTS)), steps["regressorselector"].regressors_
+        )
+        known = KnownSlopes(value, errors)
+        return {"slopes": known.scaled(steps["standardscaler"].scale_)}
 
     def _learn_turbulence(self, X):
         self.seconds_ = None

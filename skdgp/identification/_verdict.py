@@ -86,6 +86,13 @@ def judge(
         else "flights that are not part of this report"
     )
     tested = _amount([one.table for one in evaluations if one.table is not None])
+    uses = (
+        _prediction(table),
+        _simulation(mechanics, fit["regressors"]),
+        _control(mechanics, faults),
+    )
+    if fit.get("paths_not_converged"):
+        uses = _doubted(uses[0]), _doubted(uses[1]), _doubted(uses[2])
     return Verdict(
         learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
         f"{', '.join(fit['regressors'])}, "
@@ -95,11 +102,7 @@ def judge(
         least_squares_error=None if linear is None else float(linear.mean()),
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
-        uses=(
-            _prediction(table),
-            _simulation(mechanics, fit["regressors"]),
-            _control(mechanics, faults),
-        ),
+        uses=uses,
         warnings=(*faults.values(), *_warnings(table, flights, fit, messages)),
         flights=flights,
     )
@@ -109,6 +112,13 @@ def _amount(tables: Sequence[pd.DataFrame]) -> str:
     seconds = sum(float(np.ptp(table["time"])) for table in tables)
     time = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.3g} s"
     return f"{time} of {len(tables)} flight{'s' * (len(tables) != 1)}"
+
+
+def _doubted(use: Use) -> Use:
+    """Return a use of a model whose flights were not reconstructed: never yes."""
+    if use.fit != "yes":
+        return use
+    return Use(use.purpose, "partly", f"{use.reason}; but a reconstruction did not converge")
 
 
 def _prediction(table: pd.DataFrame) -> Use:

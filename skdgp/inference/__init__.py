@@ -25,6 +25,7 @@ from skdgp.inference._fit import (
     mean_of,
     residual_drift,
 )
+from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
@@ -45,6 +46,7 @@ __all__ = [
     "ExactPosterior",
     "Fit",
     "FunctionErrors",
+    "KnownSlopes",
     "Optimum",
     "Path",
     "Paths",

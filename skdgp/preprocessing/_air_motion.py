@@ -8,10 +8,24 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
+from skdgp._compute.linalg import eigen_root
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import AIR_DATA, COEFFICIENTS, SURFACES
-from skdgp._flight.checks import check_columns, check_radians, check_table
+from skdgp._flight.channels import (
+    AIR_DATA,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    ELEVONS,
+    EULER,
+    HAT,
+    MIXED,
+    RATES,
+    SPECIFIC_FORCE,
+    SURFACES,
+    WIND,
+)
+from skdgp._flight.checks import check_columns, check_radians, check_table, numeric
 from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
 from skdgp.dynamics import Aircraft, check_aircraft, propulsive_loads
 from skdgp.preprocessing._air_motion_equations import (
@@ -44,13 +58,13 @@ from skdgp.preprocessing._air_motion_parameters import (
     SHARED_NOISES,
     TERMS,
     Parameters,
+    Prior,
     derivatives_of,
 )
 from skdgp.preprocessing._path import (
     CONSTANTS,
     GUSTS,
     INERTIAL,
-    MEAN_WIND,
     NEEDED,
     NOISE,
     Log,
@@ -58,9 +72,12 @@ from skdgp.preprocessing._path import (
     first_guess,
     flight_logs,
 )
+from skdgp.preprocessing._table import has_values, interpolate_missing
 
-PATH_CONSTANTS = (*INERTIAL, "velocity_lag", "attitude_lag", *MEAN_WIND)
-FEWEST = 100  # samples of a record
+PATH_CONSTANTS = (*INERTIAL, "velocity_lag", "attitude_lag")
+FEWEST = 100  # samples of a record, of flights to learn from
+MOST = 12000  # samples to learn from, of all records
+RATE = 50.0  # Hz, of samples; faster logs are thinned to 50 to 100 Hz
 MOVE = 1e-4  # of a slope by alpha or beta, for the derivatives of the gain
 LOG_MOVE = 1e-3  # of the logarithm of a noise
 NOISE_SAMPLES = 2000  # of each record, from its middle, that tell the noises
@@ -94,7 +111,10 @@ class AirMotion:
         Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
     air : DataFrame
         For each row of the table, the smoothed airspeed, alpha, beta, p, q, r, and wind with gusts,
-        and ``_std`` of each; NaN in rows that no record contains.
+        and ``_std`` of each; NaN in rows that no record contains. Then specific force, attitude and
+        ground velocity without bias and lag.
+    surfaces : list of str
+        Surfaces of the model.
     converged : bool
         Whether the last steps were small. Otherwise the bands are those of the prior, and the results
         are not to be used.
@@ -107,6 +127,7 @@ class AirMotion:
     constants: pd.DataFrame
     noise: dict[str, float]
     air: pd.DataFrame
+    surfaces: list[str]
     converged: bool
     seconds: float
 
@@ -131,14 +152,47 @@ class AirMotion:
     @property
     def gusts(self) -> tuple[float, float]:
         """Intensity of the gusts of the first flight [m/s], and the length [m] over which they fall to 1/e."""
-        axes = [self.noise[f"gust_{axis} 0"] for axis in ("north", "east", "down")]
-        ratio = [self.noise["fast_h"], self.noise["fast_h"], self.noise["fast_v"]]
-        variances = np.square(axes) * (1 + np.square(ratio))
+        variances, _ = self._gust_variances(0)
         share, slow = self.noise["fast_h"] ** 2, self.noise["time_h"]
         times = np.geomspace(0.01, 10.0, 500) * slow
         correlation = np.exp(-times / slow) + share * np.exp(-times / slow / self.noise["faster_h"])
         time = times[np.argmax(correlation < (1 + share) / np.e)]
         return float(np.sqrt(np.mean(variances))), float(time * np.nanmean(self.air["airspeed"]))
+
+    def slopes(
+        self, coefficients: Sequence[str], regressors: Sequence[str]
+    ) -> tuple[Matrix, Array]:
+        """Return slopes (P, d) at the mean of alpha, NaN where there are none, and their errors (P, d, k).
+
+        ``regressors`` are alpha, beta, p_hat, q_hat, r_hat and surfaces. An error is the sum of its
+        last axis times independent standard normal numbers.
+        """
+        alpha, root = float(np.nanmean(self.air["alpha"])), eigen_root(self.covariance.to_numpy())
+        errors = pd.DataFrame(root, index=self.derivatives.index)
+        columns = pd.concat([self.derivatives["value"], errors], axis=1)
+        out = np.full((len(coefficients), len(regressors), columns.shape[1]), np.nan)
+        for i, C in enumerate(coefficients):
+            for j, name in enumerate(regressors):
+                term = f"{C}_{str(name).removesuffix(HAT)}"
+                if term in columns.index and (str(name) not in RATES):
+                    out[i, j] = columns.loc[term]
+                if name == "alpha" and f"{C}_alpha2" in columns.index:
+                    out[i, j] += 2 * alpha * columns.loc[f"{C}_alpha2"]
+        return out[..., 0], np.nan_to_num(out[..., 1:])
+
+    def gust_change(self, flight: int) -> float:
+        """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes."""
+        return float(np.sqrt(np.mean(self._gust_variances(flight)[1])))
+
+    def _gust_variances(self, flight: int) -> tuple[Vector, Vector]:
+        """Return the variances of gusts north, east, down, and of their changes in 1 s."""
+        noise = self.noise
+        slow = np.square([noise[f"gust_{axis} {flight}"] for axis in ("north", "east", "down")])
+        times = np.array([noise["time_h"], noise["time_h"], noise["time_v"]])
+        fast = slow * np.square([noise["fast_h"], noise["fast_h"], noise["fast_v"]])
+        faster = times * [noise["faster_h"], noise["faster_h"], noise["faster_v"]]
+        changes = 2 * slow * -np.expm1(-1 / times) + 2 * fast * -np.expm1(-1 / faster)
+        return slow + fast, changes
 
 
 def estimate_air_motion(
@@ -147,6 +201,7 @@ def estimate_air_motion(
     *,
     terms: Mapping[str, Sequence[str]] | None = None,
     thrust: str | None = "auto",
+    known: AirMotion | None = None,
 ) -> AirMotion:
     r"""Estimate derivatives, gusts, wind and lag of the servos from flights with or without vanes.
 
@@ -168,12 +223,16 @@ def estimate_air_motion(
     table : DataFrame
         Flights with time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed,
         density, surfaces (deflections or commands), thrust or what it follows from; ``flight``
-        names them. alpha and beta are used where they are. SI, radians.
+        names them. alpha and beta are used where they are. SI, radians. Of flights of more than
+        12,000 samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
     terms : mapping of str to sequence of str, optional
         Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`.
+    known : AirMotion, optional
+        Of other flights of the aircraft. Derivatives, lag of the servos and noise of the sensors
+        are held at its values; winds, biases and gusts are those of the given flights.
 
     Returns
     -------
@@ -182,21 +241,36 @@ def estimate_air_motion(
     check_aircraft(aircraft)
     check_columns(check_table(table), ["time", *NEEDED, "density"])
     check_radians(table, ("theta", "p", "q", "r", "alpha", "beta"))
-    surfaces = [name for name in SURFACES if name in table and np.ptp(table[name]) > 0]
-    records = _records(table, aircraft, surfaces, thrust)
+    if {*ELEVONS} <= {*table} and not {*MIXED} & {*table}:
+        left, right = table[ELEVONS[0]], table[ELEVONS[1]]
+        table = table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
+    surfaces = [name for name in SURFACES if has_values(table, name) and np.ptp(table[name]) > 0]
+    if known is not None:
+        surfaces = known.surfaces
+    records = _records(table, aircraft, surfaces, thrust, FEWEST if known is None else 2)
     if not records:
         raise ValueError(
             f"Got no record of {FEWEST} samples without a gap, but expected one: give a longer flight."
         )
-    return _Fit(records, aircraft, surfaces, TERMS if terms is None else terms).run(len(table))
+    if known is None:
+        records = _shortened(records)
+        derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
+    else:
+        derivatives = _posteriors(known.derivatives)
+    return _Fit(records, aircraft, surfaces, derivatives, known).run(len(table))
+
+
+def _posteriors(estimates: pd.DataFrame) -> Prior:
+    """Return value and standard deviation of estimates by name."""
+    return {str(name): (row["value"], row["std"]) for name, row in estimates.iterrows()}
 
 
 def _records(
-    table: pd.DataFrame, aircraft: Aircraft, surfaces: list[str], thrust: str | None
+    table: pd.DataFrame, aircraft: Aircraft, surfaces: list[str], thrust: str | None, fewest: int
 ) -> list[Record]:
     """Return the records of a table, with paths that need no aerodynamics."""
     loads = np.concatenate(propulsive_loads(table, aircraft, thrust), axis=1)
-    deflections, density = table[surfaces].to_numpy(float), table["density"].to_numpy(float)
+    given = np.column_stack([numeric(table, [*surfaces, "density"]), loads])
     vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for flight, (_, rows, log) in enumerate(flight_logs(table)):
@@ -204,12 +278,14 @@ def _records(
         to_body = np.swapaxes(path.attitude.as_matrix(), 1, 2)
         velocity = (to_body @ path.velocity[..., None])[..., 0]
         sensed = np.column_stack([path.force(log), path.rate(log), vanes[rows]])
-        inputs = Inputs(deflections[rows], loads[rows], density[rows])
+        known = interpolate_missing(log.time, given[rows])
+        inputs = Inputs(known[:, :-7], known[:, -6:], known[:, -7])
         for number in np.unique(log.segment):
             at = np.flatnonzero(log.segment == number)
-            if len(at) < FEWEST:
+            if len(at) < fewest:
                 continue
-            part = slice(at[0], at[-1] + 1)
+            stride = max(1, int((len(at) - 1) / np.ptp(log.time[at]) / RATE + 1e-6))
+            part = slice(at[0], at[-1] + 1, stride)
             records.append(
                 Record(
                     flight,
@@ -224,14 +300,22 @@ def _records(
     return records
 
 
+def _shortened(records: list[Record]) -> list[Record]:
+    """Return the first part of each record, `MOST` samples together."""
+    share = MOST / sum(len(record.rows) for record in records)
+    if share >= 1:
+        return records
+    return [record.first(max(FEWEST, int(share * len(record.rows)))) for record in records]
+
+
 def _path(log: Log):
-    """Return the path over the ground, without vanes; lags of GPS and attitude and biases are removed."""
-    log = log._replace(air=np.column_stack([log.air[:, 0], np.full((len(log.time), 2), np.nan)]))
+    """Return the path over the ground, without air data; lags of GPS and attitude and biases are removed."""
+    log = log._replace(air=np.full((len(log.time), 3), np.nan))
     return estimate(
         log,
         first_guess(log, np.zeros(len(CONSTANTS))),
         NOISE | GUSTS,
-        learn=NOISE | GUSTS,
+        learn=NOISE.keys() - {*AIR_DATA},
         free=list(PATH_CONSTANTS),
         gust_time=10.0,
     ).path
@@ -245,6 +329,7 @@ class _Sums(NamedTuple):
     blocks: Matrix  # (b, p) scores summed over blocks
     states: list[Matrix]
     passes: list[Pass]
+    parts: list[Linearisation]  # from which the noises are estimated
 
 
 class _Fit:
@@ -255,33 +340,44 @@ class _Fit:
         records: list[Record],
         aircraft: Aircraft,
         surfaces: list[str],
-        terms: Mapping[str, Sequence[str]],
+        derivatives: Prior,
+        known: AirMotion | None,
     ) -> None:
-        self.records, self.aircraft = records, aircraft
-        derivatives = derivatives_of(terms, surfaces)
+        self.records, self.aircraft, self.known = records, aircraft, known
+        self.surfaces = surfaces
         n_flights = 1 + max(record.flight for record in records)
         self.layout = Layout.of(list(derivatives), surfaces)
-        self.parameters = Parameters.of(dict(derivatives) | dict(SHARED), OWN, n_flights)
-        self.noises = Parameters.of(SHARED_NOISES, OWN_NOISES, n_flights)
+        shared, noises = SHARED, SHARED_NOISES
+        if known is not None:
+            shared = _posteriors(known.constants.loc[list(SHARED)])
+            noises = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
+        self.parameters = Parameters.of(dict(derivatives) | dict(shared), OWN, n_flights)
+        self.noises = Parameters.of(noises, OWN_NOISES, n_flights)
+        self.n_held, self.n_held_noises = 0, 0
+        if known is not None:
+            self.n_held, self.n_held_noises = len(derivatives) + len(shared), len(noises)
         self.log_noises = np.log(self.noises.mean)
         self.x, self.psi = self.parameters.mean.copy(), self.log_noises.copy()
         for names, sensors in ((("ax", "ay", "az"), slice(0, 3)), (("gyro",), slice(3, 6))):
             at = [self.noises.names.index(name) for name in names]
-            self.log_noises[at] = self.psi[at] = np.log(_white_noise(records, sensors))
+            if known is None:
+                self.log_noises[at] = self.psi[at] = np.log(_white_noise(records, sensors))
         self.states = [_rates_alone(record) for record in records]
         self._start()
 
     def run(self, n_rows: int) -> AirMotion:
         """Return the estimate, for a table of ``n_rows``."""
         damping, small, converged = 0.3, False, False
+        free = slice(self.n_held, None)
         for number in range(MAX_PASSES):
             sums = self._pass()
             self.states = sums.states
-            damped = sums.information + damping * np.diag(np.diag(sums.information))
-            step = -np.linalg.solve(damped, sums.score)
-            self.x = self.x + step
-            settled = self._noise_step() if number else np.inf
-            before, small = small, bool(step @ sums.information @ step < TOLERANCE)
+            information = sums.information[free, free]
+            damped = information + damping * np.diag(np.diag(information))
+            step = -np.linalg.solve(damped, sums.score[free])
+            self.x[free] += step
+            settled = self._noise_step(sums.parts) if number else np.inf
+            before, small = small, bool(step @ information @ step < TOLERANCE)
             if converged := before and small and settled < NOISE_TOLERANCE:
                 break
             damping /= 4
@@ -298,14 +394,19 @@ class _Fit:
         return noise(self.noises.values(np.exp(psi), record.flight), record.sampled)
 
     def _start(self) -> None:
-        """Set the wind by the airspeed, and derivatives by least squares but slopes by alpha and beta.
-
-        In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
-        """
+        """Set the wind by the airspeed, and derivatives that are not held by least squares."""
         for flight, places in enumerate(self.parameters.places):
             wind = _steady_wind([r for r in self.records if r.flight == flight])
             at = [self.parameters.local_names.index(name) for name in WINDS[:2]]
             self.x[places[at]] = wind
+        if self.known is None:
+            self._start_derivatives()
+
+    def _start_derivatives(self) -> None:
+        """Set derivatives by least squares, but slopes by alpha and beta.
+
+        In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
+        """
         pairs = [self._regression(record) for record in self.records]
         X, C = (np.concatenate(part) for part in zip(*pairs, strict=True))
         rows, columns, by_air = self.layout.rows, self.layout.columns, self.layout.by_air
@@ -346,22 +447,23 @@ class _Fit:
 
     def _pass(self) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
-        p, by_air = len(self.x), self.layout.by_air
+        p, by_air = len(self.x), self.layout.by_air[: 0 if self.n_held else None]
         moves = np.full(len(by_air), MOVE)
         information = np.diag(self.parameters.precision)
         score = (self.x - self.parameters.mean) * self.parameters.precision
-        blocks, states, passes = [], [], []
-        for record in self.records:
+        blocks, states, passes, parts = [], [], [], []
+        for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
         for record, before in zip(self.records, self.states, strict=True):
-            linear = self.linearised(record, before)
+            at = self.parameters.places[record.flight]
+            linear = self.linearised(record, before).of(np.flatnonzero(at >= self.n_held))
             sets = np.tile(self.psi, (len(moves) + 1, 1))
             run = filtered(varied(linear, moves), self.noise(sets, record))
             slopes = innovation_slopes(linear, run, by_air, moves)
             run = run.first()
             whitener = np.linalg.inv(np.linalg.cholesky(run.covariance))
             D, e = whitener @ slopes, (whitener @ run.innovation[..., None])[..., 0]
-            at = self.parameters.places[record.flight]
+            at = at[at >= self.n_held]
             information[np.ix_(at, at)] += np.tensordot(D, D, axes=((0, 1), (0, 1)))
             scores = np.einsum("nmk,nm->nk", D, e)
             score[at] += scores.sum(axis=0)
@@ -372,35 +474,38 @@ class _Fit:
             blocks.append(sums)
             states.append(run.filtered)
             passes.append(run)
-        return _Sums(score, information, np.concatenate(blocks), states, passes)
+            parts.append(_middle(linear, NOISE_SAMPLES))
+        return _Sums(score, information, np.concatenate(blocks), states, passes, parts)
 
-    def _noise_step(self) -> float:
+    def _noise_step(self, parts: list[Linearisation]) -> float:
         """Move the logarithms of the noises by a step of Fisher scoring; return its squared length."""
-        precision = self.noises.precision
+        precision, held = self.noises.precision, self.n_held_noises
         information, score = np.diag(precision), (self.psi - self.log_noises) * precision
-        for record, states in zip(self.records, self.states, strict=True):
-            linear = _middle(self.linearised(record, states), NOISE_SAMPLES)
+        for record, linear in zip(self.records, parts, strict=True):
             at = self.noises.places[record.flight]
+            at = at[at >= held]
             sets = np.tile(self.psi, (len(at) + 1, 1))
             sets[np.arange(1, len(at) + 1), at] += LOG_MOVE
             run = filtered(linear, self.noise(sets, record), keep=False)
-            weight = (len(states) - 1) / len(linear.step)
+            weight = len(record.step) / len(linear.step)
             slope, square = _likelihood_slopes(run)
             score[at] += weight * slope
             information[np.ix_(at, at)] += weight * square
+        information, score = information[held:, held:], score[held:]
         step = -np.linalg.solve(information + 0.02 * np.diag(np.diag(information)), score)
-        self.psi = self.psi + np.clip(step, -LARGEST_LOG, LARGEST_LOG)
+        self.psi[held:] += np.clip(step, -LARGEST_LOG, LARGEST_LOG)
         return float(step @ information @ step)
 
     def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:
         nd = len(self.layout.rows)
         covariance = _covariance(sums) if converged else np.diag(self.parameters.std**2)
-        derivatives = self.x[:nd]
-        covariance[:nd, :nd] += np.diag((MODEL_ERROR * derivatives) ** 2)
         columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
-        columns["std"][self.parameters.names.index("servo_lag")] += LAG_ERROR * float(
-            np.median(self.records[0].step)
-        )
+        if self.known is None:
+            covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
+            columns["std"] = np.sqrt(np.diag(covariance))
+            columns["std"][self.parameters.names.index("servo_lag")] += LAG_ERROR * float(
+                np.median(self.records[0].step)
+            )
         columns["prior_std"] = self.parameters.std
         estimates = pd.DataFrame(columns, index=self.parameters.names)
         names = self.parameters.names[:nd]
@@ -408,12 +513,13 @@ class _Fit:
         noises = dict(zip(self.noises.names, np.exp(self.psi).tolist(), strict=True))
         seconds = float(sum(record.step.sum() for record in self.records))
         air = self._air(sums, covariance, n_rows)
-        return AirMotion(estimates[:nd], shown, estimates[nd:], noises, air, converged, seconds)
+        found = estimates[:nd], shown, estimates[nd:], noises, air, self.surfaces
+        return AirMotion(*found, converged, seconds)
 
     def _air(self, sums: _Sums, covariance: Matrix, n_rows: int) -> pd.DataFrame:
         """Return the smoothed motion through the air, with standard deviations, in the rows of the table."""
-        names = [*AIR_DATA, "p", "q", "r", "wind_north", "wind_east", "wind_down"]
-        out = np.full((n_rows, 18), np.nan)
+        names, path = [*AIR_DATA, *RATES, *WIND], [*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY]
+        out = np.full((n_rows, 27), np.nan)
         for record, before, run in zip(self.records, self.states, sums.passes, strict=True):
             linear = self.linearised(record, before)
             states, P = smoothed(linear, run)
@@ -428,8 +534,12 @@ class _Fit:
             at = self.parameters.places[record.flight]
             shift = self._shift(record, linear, run, slopes, velocity)
             variance += np.einsum("nij,jk,nik->ni", shift, covariance[np.ix_(at, at)], shift)
-            out[record.rows, 9:] = np.sqrt(variance)
-        return pd.DataFrame(out, columns=[*names, *(f"{name}_std" for name in names)])
+            out[record.rows, 9:18] = np.sqrt(variance)
+            earth = np.swapaxes(record.attitude, 1, 2)
+            angles = Rotation.from_matrix(earth).as_euler("ZYX")[:, ::-1]
+            ground = (earth @ record.velocity[..., None])[..., 0]
+            out[record.rows, 18:] = np.column_stack([record.measured[:, :3], angles, ground])
+        return pd.DataFrame(out, columns=[*names, *(f"{name}_std" for name in names), *path])
 
     def _shift(
         self, record: Record, linear: Linearisation, run: Pass, slopes: Array, velocity: Matrix

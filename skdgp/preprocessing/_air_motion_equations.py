@@ -53,6 +53,12 @@ class Record(NamedTuple):
     measured: Matrix  # (n, 9) ax, ay, az, p, q, r, airspeed, alpha, beta; NaN where not sampled
     inputs: Inputs  # as logged
 
+    def first(self, n: int) -> Record:
+        """Return the first n samples."""
+        flight, rows, step, *arrays, inputs = self
+        parts = (values[:n] for values in arrays)
+        return Record(flight, rows[:n], step[: n - 1], *parts, inputs.part(slice(n)))
+
     @property
     def sampled(self) -> Mask:
         """Whether a sensor has any sample, (9,)."""

@@ -39,6 +39,14 @@ class Linearisation(NamedTuple):
     gain_residual: Array  # (j, n - 1, m, N)
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
 
+    def of(self, parameters: Indices) -> Linearisation:
+        """Return the linearisation in some of the parameters, with no slopes of the gain if not in all."""
+        if len(parameters) == self.transition_slopes.shape[-1]:
+            return self
+        names = ("transition_slopes", "innovation_slopes", "residual_slopes")
+        gains = {name: getattr(self, name)[:0] for name in ("gain_transition", "gain_residual")}
+        return self._replace(**{n: getattr(self, n)[..., parameters] for n in names}, **gains)
+
 
 class Noise(NamedTuple):
     """Noises, with leading axes for sets of them."""

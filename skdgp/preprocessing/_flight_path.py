@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from numbers import Integral, Real
 from typing import Any
@@ -15,12 +16,22 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Indices, Matrix, Vector
-from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    EARTH_VELOCITY,
+    EULER,
+    RATES,
+    SPECIFIC_FORCE,
+    WIND,
+)
 from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
-from skdgp.preprocessing._force_vanes import force_vanes, with_force_vanes
+from skdgp.dynamics import Aircraft
+from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
+from skdgp.preprocessing._air_motion_equations import lagged
 from skdgp.preprocessing._path import (
     CONSTANTS,
     GUSTS,
@@ -40,9 +51,16 @@ from skdgp.preprocessing._path import (
     missing_channels,
 )
 from skdgp.preprocessing._smoother import FlightSmoother
-from skdgp.preprocessing._table import TableTransformer, has_values, with_columns, wrapped_near
+from skdgp.preprocessing._table import (
+    TableTransformer,
+    has_values,
+    interpolate_missing,
+    with_columns,
+    wrapped_near,
+)
 
 MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
+_PATH = tuple(name for name in MADE if name not in ("alpha_dot", "beta_dot"))
 OPINION = 2.0
 """Seconds of a flight that the gusts of the fit are worth: pieces of half a second show none, whatever the air. By the
 bands of pieces of .5 to 10 s of eleven aircraft: 2 and 5 have the same median score, others a worse
@@ -120,12 +138,14 @@ class FlightPathReconstruction(TableTransformer):
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 15 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
-    vanes : {"measured", "forces"}, default="measured"
-        For flights without alpha or beta. "measured": from attitude, velocity and steady wind, so
-        without the gusts. "forces": az and ay show the angle, gusts included, by slopes that
-        ``fit`` learns from manoeuvres faster than the aircraft follows gusts, where the flights
-        tell these to 20 %. Coefficients CZ and CY of such flights agree with these angles by
-        construction: their errors on test flights say nothing.
+    aircraft : Aircraft, optional
+        For flights without alpha or beta. None: angles from attitude, velocity and steady wind, so
+        without the gusts. Else by `estimate_air_motion`, whose derivatives, lag of the servos and
+        noises ``fit`` keeps: ``transform`` estimates gusts, wind and biases of each flight, and the
+        surfaces without their lag. Coefficients of such flights agree with these angles by
+        construction: their errors on test flights say little.
+    thrust : str or None, default="auto"
+        For ``aircraft``, as in `skdgp.dynamics.aerodynamic_coefficients`.
 
     Attributes
     ----------
@@ -148,9 +168,9 @@ class FlightPathReconstruction(TableTransformer):
         tilt, heading.
     error_std_ : dict of str to float
         Expected error of reconstructed airspeed, alpha and beta.
-    vanes_ : dict of str to ForceVane
-        Of ``vanes="forces"``: the force that shows alpha, beta, its ``slope`` by the angle over rho
-        V^2 [m^2/kg], and its relative ``std``. Empty where the flights have vanes, or do not tell.
+    air_motion_ : AirMotion or None
+        Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
+        no ``calibration_``.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds that of each flight.
@@ -185,7 +205,8 @@ class FlightPathReconstruction(TableTransformer):
         "incomplete": [StrOptions({"raise", "pass"})],
         "inconsistent": [StrOptions({"use", "pass"})],
         "max_rows": [Interval(Integral, 1, None, closed="left")],
-        "vanes": [StrOptions({"measured", "forces"})],
+        "aircraft": [Aircraft, None],
+        "thrust": [str, None],
     }
 
     def __init__(
@@ -196,14 +217,16 @@ class FlightPathReconstruction(TableTransformer):
         incomplete: str = "raise",
         inconsistent: str = "use",
         max_rows: int = 65536,
-        vanes: str = "measured",
+        aircraft: Aircraft | None = None,
+        thrust: str | None = "auto",
     ) -> None:
         self.calibrate = calibrate
         self.gust_time = gust_time
         self.incomplete = incomplete
         self.inconsistent = inconsistent
         self.max_rows = max_rows
-        self.vanes = vanes
+        self.aircraft = aircraft
+        self.thrust = thrust
 
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
@@ -219,7 +242,7 @@ class FlightPathReconstruction(TableTransformer):
                 f"The flights of fit lack {self.missing_}, so their sensors were not estimated."
             )
         self._check(table)
-        table, errors = with_force_vanes(table, self.vanes_), self._error_names()
+        errors = self._error_names()
         return _calibration(self._estimates(table, free=errors, learn=GUSTS, sensors={}), errors)
 
     def _fit_table(self, table):
@@ -231,21 +254,18 @@ class FlightPathReconstruction(TableTransformer):
             "asked for, without a check",
         )
         self.tells_gusts_ = self.used_
-        self.vanes_ = {}
+        self.air_motion_: AirMotion | None = None
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
+        if self.aircraft is not None and not has_values(table, *AIR_DATA):
+            self._fit_air_motion(table)
+        if self.air_motion_ is not None:
+            return
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors={})
-        if self.vanes == "forces" and not has_values(table, *AIR_DATA):
-            self.vanes_ = force_vanes(
-                table, [(rows, log, each.path) for _, rows, log, each in estimates]
-            )
-        if self.vanes_:
-            complete = with_force_vanes(table, self.vanes_)
-            estimates = self._estimates(complete, free=errors, learn=NOISE | GUSTS, sensors={})
         for name, _, _, each in estimates:
             self.converged_[name] = self.converged_.get(name, True) and each.converged
         samples = [len(log.time) for _, _, log, _ in estimates]
@@ -280,15 +300,48 @@ class FlightPathReconstruction(TableTransformer):
         """Set whether the reconstruction is used, and why."""
         if not has_values(table, *AIR_DATA):
             self.reason_ = "the flights lack a vane of alpha or beta"
-            if self.vanes_:
-                found = [
-                    f"{name} by {vane.force} (± {100 * vane.std:.2g} %)"
-                    for name, vane in self.vanes_.items()
-                ]
-                self.reason_ += f": {', '.join(found)}, so that errors of CZ, CY say nothing"
         else:
             self.errors_ = expected_errors(table, estimates, self.noise_std_)
             self.used_, self.tells_gusts_, self.reason_ = decision(self.errors_)
+
+    def _fit_air_motion(self, table: pd.DataFrame) -> None:
+        """Set the fitted attributes by the motion of the air, if it can be estimated; else warn."""
+        try:
+            motion = estimate_air_motion(table, self.aircraft, thrust=self.thrust)
+        except ValueError as error:
+            warn(
+                f"The motion of the air is not estimated, alpha and beta lack the gusts: {error}",
+                stacklevel=4,
+            )
+            return
+        mean = motion.air.mean().to_frame().T  # a saved model holds no flights
+        self.air_motion_ = replace(motion, air=mean)
+        names = [name for name, _, _ in flight_logs(table)]
+        self.converged_ = dict.fromkeys(names, motion.converged)
+        self.reason_ = f"alpha and beta by the motion that gusts cause: {motion.summary}"
+        changes = [motion.gust_change(k) for k in range(len(names))]
+        self.gust_std_ = float(np.sqrt(np.mean(np.square(changes))))
+        self.noise_std_ = NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
+        self.error_std_ = motion.air[[f"{name}_std" for name in AIR_DATA]].mean().to_dict()
+        self.sensors_ = dict.fromkeys(SENSORS, 0.0)
+
+    def _motion_of(self, table: pd.DataFrame) -> dict[str, Vector]:
+        """Return the columns of flights by the motion of the air that ``fit`` knows."""
+        known = self.air_motion_
+        motion = estimate_air_motion(table, self.aircraft, thrust=self.thrust, known=known)
+        air, new = motion.air, {}
+        for k, (_, rows, log) in enumerate(flight_logs(table)):
+            values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
+            part = dict(zip(_PATH, values.T, strict=True))
+            part |= _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
+            part["gust"] = np.full(len(rows), motion.gust_change(k))
+            lag = known.constants.loc["servo_lag", "value"]
+            names = [name for name in ALL_SURFACES if has_values(table, name)]
+            part |= dict(zip(names, _late(log, numeric(table, names)[rows], lag).T, strict=True))
+            for name, column in part.items():
+                new.setdefault(name, np.empty(len(table)))[rows] = column
+        order = [*MADE, "gust", *ALL_SURFACES]
+        return {name: new[name] for name in order if name in new}
 
     def _transform_table(self, table):
         missing = missing_channels(table) if self.incomplete == "pass" else []
@@ -305,20 +358,24 @@ class FlightPathReconstruction(TableTransformer):
             )
             return FlightSmoother().fit_transform(table)
         self._check(table)
-        inertial = [name for name in self._error_names() if name in INERTIAL]
-        new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
-        complete = with_force_vanes(table, self.vanes_)
-        for _, rows, log, solved in self._estimates(
-            complete, free=inertial, learn=GUSTS, sensors=self.sensors_
-        ):
-            for name, values in _channels(solved.path, log).items():
-                new[name][rows] = values
-            new["gust"][rows] = self._gust_of(solved, np.ptp(log.time))
+        new = self._path_of(table) if self.air_motion_ is None else self._motion_of(table)
         if not self.used_:
             return with_columns(table, {"gust": new["gust"]})
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
+
+    def _path_of(self, table: pd.DataFrame) -> dict[str, Vector]:
+        """Return the columns of flights by their most likely paths."""
+        inertial = [name for name in self._error_names() if name in INERTIAL]
+        new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
+        for _, rows, log, solved in self._estimates(
+            table, free=inertial, learn=GUSTS, sensors=self.sensors_
+        ):
+            for name, values in _channels(solved.path, log).items():
+                new[name][rows] = values
+            new["gust"][rows] = self._gust_of(solved, np.ptp(log.time))
+        return new
 
     def _gust_of(self, solved: Estimate, seconds: float) -> float:
         """Return the gusts of a flight of some seconds; the variance of those of the fit counts as `OPINION` does."""
@@ -412,14 +469,13 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log)  # in steady air: of single samples
-    for segment in np.unique(log.segment):
-        rows = log.segment == segment
-        if rows.sum() > 1:
-            dots[rows] = CubicSpline(log.time[rows], air[rows])(log.time[rows], 1)
+    dots = air_data_rates(path, log)[:, 1:]  # in steady air: of single samples
+    for rows in log.segments():
+        if len(rows) > 1:
+            dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)
     parts = [
         air,
-        dots[:, 1:],
+        dots,
         path.rate(log),
         path.force(log),
         rotation,
@@ -427,6 +483,24 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
         path.wind(),
     ]
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
+
+
+def _angle_rates(log: Log, air: Matrix) -> dict[str, Vector]:
+    """Return the rates of change of alpha and beta by air data (n, 3); zero of single samples."""
+    dots = np.zeros((len(air), 2))
+    for rows in log.segments():
+        if len(rows) > 1:
+            dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)
+    return dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
+
+
+def _late(log: Log, surfaces: Matrix, lag: float) -> Matrix:
+    """Return the outputs of servos with a first-order lag [s], by gap-free segments."""
+    out, surfaces = np.empty_like(surfaces), interpolate_missing(log.time, surfaces)
+    for rows in log.segments():
+        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else 1.0
+        out[rows] = lagged(surfaces[rows], lag, step)
+    return out
 
 
 def _gust(solved: Estimate) -> float:

@@ -136,7 +136,10 @@ class LagCorrector(TableTransformer):
         if isinstance(self.lags, str):
             segments = segments_of(table)
             found = _lags_of_motion(segments) | dict.fromkeys(KINEMATIC, UNKNOWN)
-            if segments and not missing_channels(table):
+            complete = bool(segments) and not missing_channels(table)
+            if complete and not has_values(table, *VANES):
+                found["surfaces"] = UNKNOWN  # a parameter of the motion of the air
+            if complete:
                 of_path = kinematic_lags(
                     table
                 )  # attitude and GPS against integrated gyros and accelerometers

@@ -155,6 +155,10 @@ class Log(NamedTuple):
         """Return the samples from first to before last."""
         return Log._make([*(values[first:last] for values in self[:-1]), self.delays])
 
+    def segments(self) -> list[Indices]:
+        """Return the rows of each gap-free segment."""
+        return [np.flatnonzero(self.segment == number) for number in np.unique(self.segment)]
+
     @property
     def joined(self) -> Mask:
         """Whether a sample and the next are in one segment, (n - 1,)."""

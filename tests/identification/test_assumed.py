@@ -1,7 +1,6 @@
 """A model of what an owner has: what is chosen where nothing tells it, and what is said of it."""
 
 import warnings
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -18,10 +17,8 @@ from skdgp.identification._assumed import (
     lacks_thrust,
     servos_for,
     with_throw_errors,
-    with_vane_errors,
 )
 from skdgp.io import FULL_THROW
-from skdgp.preprocessing._force_vanes import ForceVane
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 SIGNS = {
@@ -114,20 +111,6 @@ def quietly(*flights, **options):
     with warnings.catch_warnings(record=True):
         warnings.simplefilter("always")
         return identify(*flights, regressor=QUICK, **options)
-
-
-def test_alpha_by_specific_force_has_the_deviation_of_its_slope():
-    step = SimpleNamespace(vanes_={"alpha": ForceVane("az", -0.05, {"q": 0.1}, 0.0, 0.03, 1.0)})
-    glider = Aircraft(
-        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
-    )
-    told = with_vane_errors(glider, {"flightpathreconstruction": step})
-    by_alpha, by_q = relative_errors(told.deviations, ("alpha", "q"))[0, 2, 1:]  # of CZ
-    assert (abs(by_alpha), by_q) == (0.03, 0.0)
-    lines = assumptions(told, servos=None, thrust_unknown=False)
-    assert any(line.startswith("No vanes: alpha by specific force") for line in lines)
-    still = {"flightpathreconstruction": SimpleNamespace(vanes_={})}
-    assert with_vane_errors(glider, still) is glider
 
 
 def test_a_table_without_thrust():

@@ -249,9 +249,11 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
         assert found.warnings == ()
 
 
-def test_a_reconstruction_that_did_not_converge_forbids_a_controller():
+def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
     found = verdict(messages=["A gap."], paths_not_converged=["a"])
     assert "1 flights of the fit did not converge: a." in found.warnings[0]
+    assert "yes" not in {use.fit for use in found.uses}
+    assert "yes" in {use.fit for use in verdict().uses}
     assert found.warnings[1:] == ("A gap.",)
     assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
 

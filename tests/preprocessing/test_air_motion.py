@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.dynamics import Aircraft
-from skdgp.preprocessing import estimate_air_motion
+from skdgp.preprocessing import FlightPathReconstruction, estimate_air_motion
 from skdgp.preprocessing._air_motion_equations import (
     N_STATES,
     TURN,
@@ -276,7 +276,14 @@ def as_aircraft(plane):
 @cache
 def found_in_gusts():
     table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
-    return estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane)), table, plane
+    return reconstruction().air_motion_, table, plane
+
+
+@cache
+def reconstruction():
+    table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
+    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
+    return step.fit(table.drop(columns="alpha_true"))
 
 
 def test_derivatives_lie_inside_their_bands():
@@ -305,10 +312,43 @@ def test_lag_wind_and_gusts_are_found():
 
 
 def test_angle_of_attack_follows_the_gusts():
-    found, table, _ = found_in_gusts()
-    error = found.air["alpha"] - table["alpha_true"]
+    found, table, plane = found_in_gusts()
+    air = estimate_air_motion(table, as_aircraft(plane), known=found).air
+    error = air["alpha"] - table["alpha_true"]
     assert error.std() < np.deg2rad(0.5) < 0.5 * table["alpha_true"].std()
-    assert np.mean(abs(error) < 1.96 * found.air["alpha_std"]) > 0.8
+    assert np.mean(abs(error) < 1.96 * air["alpha_std"]) > 0.8
+
+
+def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
+    found, _, plane = found_in_gusts()
+    table, _ = simulated("0.5 m/s, 1 s", seconds=6.0, seed=8)
+    out = reconstruction().transform(table)
+    blind = FlightPathReconstruction().fit_transform(table)
+    errors = [(one["alpha"] - table["alpha_true"]).std() for one in (out, blind)]
+    assert errors[0] < np.deg2rad(0.6)
+    assert errors[0] < 0.75 * errors[1]
+    held = estimate_air_motion(table, as_aircraft(plane), known=found)
+    np.testing.assert_allclose(held.derivatives["value"], found.derivatives["value"])
+    np.testing.assert_allclose(held.air["alpha"], out["alpha"])
+    lag = found.constants.loc["servo_lag", "value"]
+    np.testing.assert_allclose(out[SURFACES], lagged(table[SURFACES].to_numpy(), lag, 0.02))
+    assert list(reconstruction().get_feature_names_out()) == [
+        name for name in out if name != "alpha_true"
+    ]
+
+
+def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():
+    found, *_ = found_in_gusts()
+    value, errors = found.slopes(["CX", "Cm"], ["alpha", "q_hat", "beta"])
+    alpha = found.air["alpha"].item()
+    d = found.derivatives["value"]
+    expected = [
+        [d["CX_alpha"] + 2 * alpha * d["CX_alpha2"], np.nan, np.nan],
+        [d["Cm_alpha"], d["Cm_q"], np.nan],
+    ]
+    np.testing.assert_allclose(value, expected)
+    of_Cm = found.covariance.loc[["Cm_alpha", "Cm_q"], ["Cm_alpha", "Cm_q"]]
+    np.testing.assert_allclose(errors[1, :2] @ errors[1, :2].T, of_Cm, rtol=1e-6)
 
 
 def test_flight_without_inputs_has_wide_bands():

@@ -1,0 +1,59 @@
+"""Slopes of outputs that are known from elsewhere, in place of those of the samples."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix
+from skdgp.inference._slopes import FunctionErrors, SlopeErrors
+
+
+class KnownSlopes(NamedTuple):
+    """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
+
+    Samples whose regressors were estimated from their own targets, as an angle of attack from the
+    force that it causes, are no evidence of slopes: least squares of them is biased, and its bands
+    are too narrow.
+    """
+
+    value: Matrix  # (P, d)
+    errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
+
+    @property
+    def known(self) -> Array:
+        """Whether a slope is known, (P, d, 1)."""
+        return np.isfinite(self.value)[..., None]
+
+    def scaled(self, factor: Array) -> KnownSlopes:
+        """Return the slopes times ``factor``, which broadcasts to (P, d)."""
+        return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
+
+    def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
+        """Return Y (n, P) plus what makes its slopes by least squares at X (n, d) the known ones."""
+        Y, centred = Y.copy(), X - X.mean(axis=0)
+        for y, value in zip(Y.T, self.value, strict=True):
+            rows, known = np.isfinite(y), np.isfinite(value)
+            Q = np.column_stack([np.ones(rows.sum()), centred[rows]])
+            wanted = np.zeros(1 + len(value))
+            wanted[1:][known] = value[known]
+            free = np.append(True, ~known)
+            rest = y[rows] - Q @ wanted
+            wanted[free] = np.linalg.lstsq(Q[:, free], rest, rcond=None)[0]
+            rest = y[rows] - Q @ wanted
+            y[rows] -= Q @ np.linalg.lstsq(Q, rest, rcond=None)[0]
+        return Y
+
+    def applied(self, found: SlopeErrors, ratio: Array) -> SlopeErrors:
+        """Return the errors of slopes (n, P, d), with those of known slopes times ``ratio`` (n, P, d)."""
+        errors = self.errors * ratio[..., None]
+        random = np.concatenate([np.where(self.known, 0.0, found.random), errors], axis=-1)
+        return found._replace(random=random, method=np.where(self.known, 0.0, found.method))
+
+    def added(self, found: FunctionErrors) -> FunctionErrors:
+        """Return the errors of a function, with those of its known slopes."""
+        P, d, k = self.errors.shape
+        weights = np.zeros((k, found.weights.shape[1], P))
+        weights[:, 1 : d + 1] = np.transpose(self.errors, (2, 1, 0)) * found.scale[:, None]
+        return found._replace(weights=np.concatenate([found.weights, weights]))

@@ -1,0 +1,56 @@
+"""Slopes that another source knows: the samples do not change them, nor their errors."""
+
+import numpy as np
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import KnownSlopes
+
+NAN = np.nan
+
+
+def samples(n=200):
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((n, 3)) @ [[1.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 1.0]]
+    Y = X @ [[2.0, 0.0], [1.0, -3.0], [0.5, 1.0]] + 0.1 * rng.standard_normal((n, 2))
+    return X, Y
+
+
+KNOWN = KnownSlopes(
+    np.array([[1.5, NAN, 0.7], [NAN, -2.5, NAN]]),
+    np.random.default_rng(1).standard_normal((2, 3, 4)),
+)
+
+
+def slopes(X, Y):
+    return np.linalg.lstsq(np.column_stack([np.ones(len(X)), X]), Y, rcond=None)[0]
+
+
+def test_least_squares_of_corrected_targets_has_the_known_slopes():
+    X, Y = samples()
+    found = slopes(X, KNOWN.corrected(X, Y))
+    np.testing.assert_allclose(found[1:].T[KNOWN.known[..., 0]], [1.5, 0.7, -2.5])
+    rest = Y[:, 0] - X[:, [0, 2]] @ [1.5, 0.7]
+    free = np.linalg.lstsq(np.column_stack([np.ones(len(X)), X[:, 1]]), rest, rcond=None)[0]
+    np.testing.assert_allclose(found[[0, 2], 0], free)
+    np.testing.assert_allclose(KNOWN.corrected(X, Y).mean(axis=0), Y.mean(axis=0))
+
+
+def test_targets_that_are_not_observed_stay_so():
+    X, Y = samples()
+    Y[::2, 0] = NAN
+    assert np.array_equal(np.isnan(KNOWN.corrected(X, Y)), np.isnan(Y))
+
+
+def test_model_has_the_known_slopes_and_their_errors():
+    X, Y = samples()
+    model = DependentGPRegressor(structure="trend").fit(X, Y, slopes=KNOWN)
+    known = KNOWN.known[..., 0]
+    np.testing.assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
+    errors = model.slope_errors(X[:1])
+    of_known = np.linalg.norm(errors.random[0], axis=-1)[known]
+    np.testing.assert_allclose(of_known, np.linalg.norm(KNOWN.errors, axis=-1)[known])
+    assert not errors.method[0][known].any()
+    assert errors.method[0][~known].any()
+    drawn = model.function_errors().draw(4000, random_state=0).gradient(np.zeros((4000, 1, 3)))
+    least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
+    assert np.all(drawn[:, 0].std(axis=0)[known] > 0.95 * least)

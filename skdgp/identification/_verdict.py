@@ -15,6 +15,7 @@ from skdgp._compute.messages import without_warnings
 from skdgp._flight.channels import COEFFICIENTS, RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
+from skdgp._flight.frames import wrapped
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -497,6 +498,8 @@ def _windows(
                 first = part["time"].iloc[0]
                 names = [*STATES, *(["psi"] if {*WIND, "psi"} <= {*run} else [])]
                 start = run.loc[np.abs(time - first) <= START / 2, names].mean()
+                if "psi" in start:
+                    start["psi"] = wrapped(start["psi"])  # the flight turns more than once
                 found.append((start, part.assign(time=part["time"] - first).reset_index(drop=True)))
     if not found or not horizon > 2 * FLIGHT_STEP:
         raise ValueError(

@@ -187,6 +187,9 @@ class TestSimulation:
         known = simulation_errors(glider(), AIRCRAFT, [gusty.assign(**felt)], SETTINGS)
         assert still["lasts"].min() < 1
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
+        turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
+        found = simulation_errors(glider(), AIRCRAFT, [turns], SETTINGS)
+        pd.testing.assert_frame_equal(found, known, rtol=1e-6)
 
     def test_gaps_are_not_flown_through(self, flight):
         broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))

@@ -5,19 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from numbers import Real
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.fft import irfft, rfft
-from scipy.optimize import minimize
+from scipy.fft import irfft
+from scipy.optimize import minimize, newton
 
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.checks import check_names
+from skdgp._flight.checks import as_floats, check_names, check_number
 
 EDGE = 1e-5  # a sample this little before a step counts as after it [s]: clocks are rounded
 ROUNDING = 1e-9  # relative excess over a limit that is rounding
@@ -105,11 +103,11 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "rate"):
-            value = getattr(self, name)
-            if not (isinstance(value, Real) and float(value) > 0):
+            value = as_floats(getattr(self, name))
+            if value.shape != () or not value > 0:
                 raise ValueError(
-                    f"Got a limit {name}={value!r}, which forbids every input, but expected a "
-                    f"number > 0."
+                    f"Got a limit {name}={getattr(self, name)!r}, which forbids every input, but "
+                    f"expected a number > 0."
                 )
 
     def check(self, signal: AnySignal, axis: str = "") -> AnySignal:
@@ -163,18 +161,16 @@ class Steps(Signal):
 
     def __post_init__(self) -> None:
         freeze(self, float, "durations", "levels")
-        if (
-            not self.levels
-            or len(self.levels) != len(self.durations)
-            or not np.isfinite(self.levels).all()
-        ):
+        if not self.levels or len(self.levels) != len(self.durations):
             raise ValueError(
                 f"Got durations {self.durations} of levels {self.levels}, but expected one finite "
                 f"level for each."
             )
-        if not (min(self.durations) > 0 and np.isfinite(self.durations).all() and self.rate > 0):
+        numbers = np.array([*self.durations, *self.levels])
+        if not (np.isfinite(numbers).all() and min(*self.durations, self.rate) > 0):
             raise ValueError(
-                f"Got durations {self.durations} [s] and rate {self.rate}, but expected all > 0."
+                f"Got durations {self.durations} [s], levels {self.levels} and rate {self.rate}, "
+                f"but expected finite levels, and all others > 0."
             )
         needed = 0.5 * (self.ramps[:-1] + self.ramps[1:])
         if (needed > np.array(self.durations) * (1.0 + ROUNDING)).any():
@@ -306,26 +302,22 @@ class Multisine(Signal):
                 f"Got harmonics {list(self.harmonics)}, but expected integers from 1 to "
                 f"{MOST_PERIODS}: choose a shorter signal or lower frequencies."
             )
-        if not len({*given}) == len(given) == len(self.amplitudes) == len(self.phases):
-            raise ValueError(
-                f"Got {len(self.amplitudes)} amplitudes and {len(self.phases)} phases of "
-                f"{len({*given})} distinct harmonics, but expected one for each."
-            )
         numbers = np.array([self.duration, *self.amplitudes, *self.phases])
-        if not (np.isfinite(numbers).all() and self.duration > 0):
+        n = len({*given})
+        is_complete = n == len(given) == len(self.amplitudes) == len(self.phases)
+        if not (is_complete and np.isfinite(numbers).all() and self.duration > 0):
             raise ValueError(
-                "Got a duration, amplitudes or phases that are NaN or infinite, but expected a "
-                "duration > 0 and finite numbers."
+                f"Got duration {self.duration}, amplitudes {self.amplitudes} and phases "
+                f"{self.phases} of {n} distinct harmonics, but expected a duration > 0 and a finite "
+                f"amplitude and phase for each."
             )
         freeze(self, int, "harmonics")
         freeze(self, float, "amplitudes", "phases")
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
-        total = np.zeros(x.shape)
-        for k, amplitude, phase in zip(self.harmonics, self.amplitudes, self.phases, strict=True):
-            total += amplitude * np.sin(2.0 * np.pi * k * x + phase)
-        return total * ((x >= 0) & (x < 1))
+        angles = 2.0 * np.pi * np.multiply.outer(x, self.harmonics) + self.phases
+        return (np.sin(angles) @ self.amplitudes) * ((x >= 0) & (x < 1))
 
     @property
     def rms(self) -> float:
@@ -363,17 +355,18 @@ class Multisine(Signal):
         power = np.square(self.amplitudes)
         with one_blas_thread():
             phases = _flattest(self.harmonics, np.sqrt(power / power.sum()), _schroeder(power))
-        # to the crossing of zero of least slope
+        turn = 2.0 * np.pi * np.array(self.harmonics)
+
+        # to the zero crossing of least slope
         signal = _sampled(self.harmonics, self.amplitudes, phases, PEAK_SAMPLES)
         following = np.roll(signal, -1)
-        crossings = np.flatnonzero(signal * following <= 0)
-        k = int(crossings[np.argmin(np.abs(following - signal)[crossings])])
-        fraction = signal[k] / (signal[k] - following[k]) if signal[k] != following[k] else 0.0
-        turn = 2.0 * np.pi * np.array(self.harmonics)
-        at = (k + fraction) / len(signal)
-        for _ in range(3):  # Newton's steps
-            value = np.sin(turn * at + phases) @ self.amplitudes
-            at -= value / ((turn * np.cos(turn * at + phases)) @ self.amplitudes)
+        is_crossing = (signal > 0) != (following > 0)
+        k = int(np.argmin(np.where(is_crossing, np.abs(following - signal), np.inf)))
+        at = newton(
+            lambda at: np.sin(turn * at + phases) @ self.amplitudes,
+            k / len(signal),
+            lambda at: (turn * np.cos(turn * at + phases)) @ self.amplitudes,
+        )
         return replace(self, phases=np.mod(phases + turn * at, 2.0 * np.pi).tolist())
 
 
@@ -406,9 +399,8 @@ def multisine(
     >>> round(multisine(10.0, [2, 3, 5], rms=0.02).rms, 6)
     0.02
     """
-    if not 0 < rms < np.inf:
-        raise ValueError(f"Got rms={rms!r}, but expected a number > 0.")
-    amplitudes = [rms * float(np.sqrt(2.0 / len(harmonics))) for _ in harmonics]
+    amplitude = check_number("rms", rms) * float(np.sqrt(2.0 / len(harmonics)))
+    amplitudes = [amplitude] * len(harmonics)
     phases = _schroeder(np.ones(len(harmonics))).tolist()
     return (limits or UNLIMITED).check(Multisine(duration, harmonics, amplitudes, phases))
 
@@ -513,24 +505,15 @@ def _schroeder(power: Vector) -> Vector:
 def _flattest(harmonics: Sequence[int], weights: Vector, phases: Vector) -> Vector:
     """Return the phases of a local minimum of the range of a multisine with amplitudes ``weights``."""
 
-    def size(phases: Vector, p: int) -> tuple[float, Vector]:
-        """Return the sum of the p-norms of the positive and the negative part, and its gradient."""
+    def size(phases: Vector, p: int) -> float:
+        """Return the sum of the p-norms of the positive and the negative part."""
         signal = _sampled(harmonics, weights, phases, SEARCH_SAMPLES)
-        total = 0.0
-        by_signal = np.zeros_like(signal)
-        for sign in (1.0, -1.0):
-            part = np.maximum(sign * signal, 0.0)
-            ratio = part / part.max()
-            mean = np.mean(ratio**p)
-            total += part.max() * mean ** (1.0 / p)
-            by_signal += sign * mean ** (1.0 / p - 1.0) * ratio ** (p - 1) / len(signal)
-        spectrum = np.conj(rfft(by_signal)[list(harmonics)])
-        return total, weights * np.real(np.exp(1j * phases) * spectrum)
+        parts = np.maximum([signal, -signal], 0.0)
+        peaks = parts.max(axis=1)
+        return float(peaks @ np.mean((parts / peaks[:, None]) ** p, axis=1) ** (1.0 / p))
 
-    options: Any = {"maxiter": MOST_STEPS, "maxfun": 2 * MOST_STEPS}
     for p in POWERS:
-        found = minimize(partial(size, p=p), phases, jac=True, method="L-BFGS-B", options=options)
-        phases = found.x
+        phases = minimize(size, phases, (p,), "L-BFGS-B", options={"maxiter": MOST_STEPS}).x
     return phases
 
 
@@ -561,21 +544,18 @@ class Wavetrain:
 
     def __post_init__(self) -> None:
         check_names([*self.inputs, *self.limits], AXES, "axes")
-        for axis, signals in self.inputs.items():
-            if not isinstance(signals, Mapping):
-                raise ValueError(
-                    f"Got {signals!r} as inputs of the {axis}, but expected {{start: signal}}."
-                )
-        for axis, limit in self.limits.items():
-            if not isinstance(limit, Limits):
-                raise ValueError(
-                    f"Got {limit!r} as limits of the {axis}, but expected Limits(amplitude, rate)."
-                )
+        kinds = (
+            ("inputs", Mapping, "{start: signal}"),
+            ("limits", Limits, "Limits(amplitude, rate)"),
+        )
+        for name, kind, expected in kinds:
+            for axis, value in getattr(self, name).items():
+                if not isinstance(value, kind):
+                    raise ValueError(
+                        f"Got {value!r} as {name} of the {axis}, but expected {expected}."
+                    )
         for axis, start, signal in self.events():
-            if not 0 <= start < np.inf:
-                raise ValueError(
-                    f"Got an input of the {axis} at {start:g} s, but expected a time >= 0."
-                )
+            check_number(f"start of an input of the {axis}", start, is_open=False, unit="s")
             self.limits.get(axis, UNLIMITED).check(signal, axis)
 
     def __call__(self, axis: str, time: ArrayLike) -> Array:

@@ -39,7 +39,7 @@ def test_the_oldest_versions_that_are_tested_are_the_bounds():
         if not line.startswith("#")
     )
     bounds = {}
-    for extra in (None, "plot", "parquet", "logs", "dask", "control", "test"):
+    for extra in (None, "plot", "parquet", "logs", "dask", "test"):
         for name, bound in requirements(extra).items():
             assert bounds.setdefault(name, bound) == bound, f"{name} has two bounds"
     assert pinned == {name: bound for name, bound in bounds.items() if name not in NOT_RUN}

@@ -33,7 +33,7 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
 def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     """On four minutes of a flight at two altitudes, from 100 noisy samples of two minutes at one."""
     folder = shared_data / "flights"
-    aircraft = Aircraft.from_json(folder / "viggen_uav.json")
+    aircraft = Aircraft.from_file(folder / "viggen_uav.json")
     train, test = (
         read_flight(folder / f"viggen_uav_{part}.parquet")
         for part in ("train_latlon", "test_twoalt")

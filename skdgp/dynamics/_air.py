@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,7 +18,15 @@ from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
-from skdgp._flight.checks import check_columns, check_radians, check_table
+from skdgp._flight.checks import (
+    as_floats,
+    check_choice,
+    check_columns,
+    check_number,
+    check_numbers,
+    check_radians,
+    check_table,
+)
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.frames import air_velocity, body_to_ned, cross, euler_to_quaternion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
@@ -82,8 +89,7 @@ def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarra
             f"the low-altitude "
             "model ends."
         )
-    if not 0 <= wind_at_6m < np.inf:
-        raise ValueError(f"Got wind_at_6m={wind_at_6m!r}, but expected a number from 0 on [m/s].")
+    check_number("wind_at_6m", wind_at_6m, is_open=False, unit="m/s")
     shear = 0.177 + 0.000823 * height / FEET
     length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
     return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
@@ -229,26 +235,15 @@ def dryden_wind(
     >>> list(wind), len(wind)
     (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
     """
-    for name, value in (
-        ("duration", duration),
-        ("airspeed", airspeed),
-        ("height", height),
-        ("span", span),
-        ("dt", dt),
-    ):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"Got {name}={value!r}, but expected a number > 0.")
-    if np.shape(mean_wind) != (3,) or not np.isfinite(mean_wind).all():
-        raise ValueError(
-            f"Got mean_wind={mean_wind!r}, but expected three finite numbers, north, east, down "
-            f"[m/s]."
-        )
+    sizes = {"duration": duration, "airspeed": airspeed, "height": height, "span": span, "dt": dt}
+    for name, value in sizes.items():
+        check_number(name, value)
+    north, east, down = check_numbers("mean_wind", list(mean_wind), 3)
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
     length, intensity = low_altitude_turbulence(height, wind_at_6m)
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
     u, v, w = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng).velocity[:, 0].T
     ahead, aside = np.cos(heading), np.sin(heading)
-    north, east, down = np.asarray(mean_wind, dtype=float)
     return pd.DataFrame({
         "time": dt * np.arange(n_times),
         "wind_north": north + ahead * u - aside * v,
@@ -387,8 +382,7 @@ class Turbulence(NamedTuple):
     @classmethod
     def _of(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
         """Return the turbulence of winds, exact ones, or of sensors with the heading of the aircraft."""
-        if not 0 < span < np.inf:
-            raise ValueError(f"Got span={span!r}, but expected a number > 0 [m].")
+        check_number("span", span, unit="m")
         speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
         found = [
             _periodogram(table, speed, span)
@@ -559,13 +553,12 @@ class Air:
     gusts : "auto", Turbulence or None, default="auto"
         Turbulence in which each path of a simulation meets gusts of its own, with their rates p, q,
         r, besides the wind. A table or function as wind contains the velocity of the gusts: then
-        only rates are drawn. "auto": that of this table or function (`Turbulence.from_wind`), else
+        only rates are drawn. "auto": that of this table (`Turbulence.from_wind`), else
         that of the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
-        coefficients that change slowly, as the residuals of the training flights did, besides what
-        drawn gusts explain: smaller in calmer air, if the model knows the turbulence of its
-        flights. False: the uncertainty of the aircraft alone.
+        coefficients that change slowly, as the residuals of the training flights did. False: the
+        uncertainty of the aircraft alone.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
     gravity : float, default=9.80665
@@ -586,13 +579,9 @@ class Air:
 
     def __post_init__(self) -> None:
         if isinstance(self.gusts, Turbulence):
-            intensity, length = (np.asarray(part, dtype=float) for part in self.gusts[:2])
-            size = (
-                np.stack([intensity, length])
-                if intensity.shape == length.shape == (3,)
-                else np.full((2, 3), np.nan)
-            )
-            if not (np.isfinite(size).all() and (intensity >= 0).all() and (length > 0).all()):
+            sizes = [as_floats(part) for part in self.gusts[:2]]
+            is_valid = all(part.shape == (3,) and np.isfinite(part).all() for part in sizes)
+            if not (is_valid and (sizes[0] >= 0).all() and (sizes[1] > 0).all()):
                 raise ValueError(
                     f"Got {self.gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 "
                     f"[m], of u, v, w."
@@ -601,20 +590,10 @@ class Air:
             raise ValueError(
                 f"Got gusts={self.gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
             )
-        if not isinstance(self.drift, bool | np.bool_):
-            raise ValueError(f"Got drift={self.drift!r}, but expected True or False.")
-        density, gravity = self.density, self.gravity
-        if not (
-            density is None
-            or callable(density)
-            or (isinstance(density, Real) and 0 <= float(density) < np.inf)
-        ):
-            raise ValueError(
-                f"Got density={density!r}, but expected kg/m^3 from 0 on, or a function of "
-                f"altitude [m]."
-            )
-        if not (isinstance(gravity, Real) and np.isfinite(float(gravity))):
-            raise ValueError(f"Got gravity={gravity!r}, but expected a finite number [m/s^2].")
+        check_choice("drift", self.drift, (True, False))
+        if not (self.density is None or callable(self.density)):
+            check_number("density", self.density, is_open=False, unit="kg/m^3")
+        check_number("gravity", self.gravity, -np.inf, unit="m/s^2")
 
 
 def as_air(air: Any) -> Air:

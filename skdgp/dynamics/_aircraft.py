@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skdgp._compute.files import parse_json, read_json, read_toml
+from skdgp._compute.files import read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import as_floats
@@ -90,34 +90,23 @@ class Aircraft:
             object.__setattr__(self, name, value)
             if std:
                 factors[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
-        pair: Any = self.inertia
-        if isinstance(pair, (list, tuple)) and len(pair) == 2 and np.shape(pair[1]) == (3,):
-            inertia = _inertia(pair[0])
-            relative = (as_floats(pair[1]) / np.diag(inertia)).tolist()
+        inertia: Any = self.inertia
+        if isinstance(inertia, list | tuple) and len(inertia) == 2 and np.shape(inertia[1]) == (3,):
+            inertia, stds = inertia
+            relative = (as_floats(stds) / np.diag(inertia)).tolist()
             for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
                 factors[name] = ScaleFactor(std, {moment: 1.0}, "given")
-        else:
-            inertia = _inertia(pair)
-        for name, each in factors.items():
-            if isinstance(each, Mapping):
-                factors[name] = _build(ScaleFactor, each, f"deviations of {name}")
-        object.__setattr__(self, "inertia", inertia)
+        for name, factor in factors.items():
+            factors[name] = _part(ScaleFactor, factor, f"deviations of {name}")
+        object.__setattr__(self, "inertia", _inertia(inertia))
         object.__setattr__(self, "deviations", factors or None)
-        for name, kind in (("thrust_line", ThrustLine), ("propeller", Propeller)):
-            part: Any = getattr(self, name)
-            if isinstance(part, Mapping) and kind is Propeller and "pitch" in part:
-                check_keys(
-                    part, list(signature(Propeller.from_size).parameters), ["diameter"], name
-                )
-                part = Propeller.from_size(**part)
-            elif isinstance(part, Mapping):
-                part = _build(kind, part, name)
-            elif part is not None and not isinstance(part, kind):
-                raise TypeError(
-                    f"Got {type(part).__name__} for {name}, but expected {kind.__name__} or a "
-                    f"mapping."
-                )
-            object.__setattr__(self, name, part)
+        propeller: Any = self.propeller
+        if isinstance(propeller, Mapping) and "pitch" in propeller:
+            names = list(signature(Propeller.from_size).parameters)
+            check_keys(propeller, names, ["diameter"], "propeller")
+            propeller = Propeller.from_size(**propeller)
+        object.__setattr__(self, "propeller", _part(Propeller, propeller, "propeller"))
+        object.__setattr__(self, "thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
 
     @cached_property
     def inertia_inverse(self) -> np.ndarray:
@@ -185,29 +174,16 @@ class Aircraft:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
-        """Read the aircraft from a file that ends in .json or .toml."""
-        path, readers = Path(path), {".json": cls.from_json, ".toml": cls.from_toml}
+        """Read the aircraft from a JSON or TOML file whose keys are the parameters of this class."""
+        readers = {".json": read_json, ".toml": read_toml}
+        path = Path(path)
         if not path.exists():
             raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
         if path.suffix.lower() not in readers:
             raise ValueError(
                 f"Got {path} as the aircraft, but expected a file that ends in .json or .toml."
             )
-        return readers[path.suffix.lower()](path)
-
-    @classmethod
-    def from_json(cls, path: str | Path) -> Aircraft:
-        """Read the aircraft from a JSON file, or the text of one, whose keys are the parameters of this class."""
-        if isinstance(path, str) and path.lstrip().startswith("{"):
-            return cls.from_dict(
-                parse_json(path, "the JSON text is not valid"), what="the JSON text"
-            )
-        return cls.from_dict(read_json(path), what=str(path))
-
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Aircraft:
-        """Read the aircraft from a TOML file whose keys are the parameters of this class."""
-        return cls.from_dict(read_toml(path), what=str(path))
+        return cls.from_dict(readers[path.suffix.lower()](path), what=str(path))
 
     @classmethod
     def from_dict(cls, values: Mapping, *, what: str = "the aircraft") -> Aircraft:
@@ -279,6 +255,17 @@ def _inertia(value: ArrayLike) -> Array:
     return inertia
 
 
+def _part(kind: type, part: Any, what: str) -> Any:
+    """Return an object of a kind, built if it is a mapping, or None."""
+    if isinstance(part, Mapping):
+        return _build(kind, part, what)
+    if part is not None and not isinstance(part, kind):
+        raise TypeError(
+            f"Got {type(part).__name__} for {what}, but expected {kind.__name__} or a mapping."
+        )
+    return part
+
+
 def _build(kind: type, values: Mapping, what: str) -> Any:
     """Return ``kind(**values)``, with errors that name missing keys and the nearest to unknown ones."""
     if not isinstance(values, Mapping):
@@ -326,6 +313,6 @@ def check_aircraft(aircraft: Any) -> Aircraft:
         raise TypeError(
             f"Got {type(aircraft).__name__} for aircraft, but expected a skdgp.dynamics.Aircraft: "
             f"read one with "
-            "Aircraft.from_json(path) or Aircraft.from_toml(path)."
+            "Aircraft.from_file(path)."
         )
     return aircraft

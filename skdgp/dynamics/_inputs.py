@@ -21,7 +21,15 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
 )
-from skdgp._flight.checks import check_columns, check_names, check_radians, check_table
+from skdgp._flight.checks import (
+    as_floats,
+    check_columns,
+    check_names,
+    check_number,
+    check_radians,
+    check_table,
+    numeric,
+)
 from skdgp._flight.frames import (
     air_velocity,
     body_to_ned,
@@ -52,22 +60,13 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
     of them.
     """
-    if isinstance(x0, Sequence) and len(x0) and all(hasattr(one, "state") for one in x0):
-        x0 = [one.state for one in x0]
-    if isinstance(x0, Mapping):
-        lacking = [name for name in START_NAMES if name not in x0]
-        for name in map(str, x0):
-            if name not in CHANNELS and (
-                near := get_close_matches(name, lacking, n=1, cutoff=0.75)
-            ):
-                raise ValueError(
-                    f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean "
-                    f"{near[0]!r}?"
-                )
-    if not isinstance(x0, Mapping | pd.Series | pd.DataFrame):
-        x0 = getattr(x0, "state", x0)
+    if isinstance(x0, Sequence) and len(x0) and all(hasattr(point, "state") for point in x0):
+        x0 = [point.state for point in x0]
+    x0 = getattr(x0, "state", x0)
     if hasattr(x0, "columns") and not isinstance(x0, pd.DataFrame):
         x0 = {name: np.asarray(x0[name]) for name in x0.columns}
+    if isinstance(x0, Mapping):
+        _check_start_names([str(name) for name in x0])
     if isinstance(x0, Mapping | pd.Series):
         x0 = pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
     if isinstance(x0, pd.DataFrame) and len(x0):
@@ -81,6 +80,18 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     return states
 
 
+def _check_start_names(names: Sequence[str]) -> None:
+    """Raise ValueError at an unknown name that resembles a name of a start."""
+    lacking = [name for name in START_NAMES if name not in names]
+    for name in names:
+        near = get_close_matches(name, lacking, n=1, cutoff=0.75)
+        if name not in CHANNELS and near:
+            raise ValueError(
+                f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean "
+                f"{near[0]!r}?"
+            )
+
+
 def initial_states(
     starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None] = lambda states: None
 ) -> Array:
@@ -92,15 +103,11 @@ def initial_states(
     radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
     """
     states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
-    if not np.isfinite(states).all():
-        bad = [
-            name
-            for name, column in zip(STATE_NAMES, states.T, strict=True)
-            if not np.isfinite(column).all()
-        ]
+    is_bad = ~np.isfinite(states).all(axis=0)
+    if is_bad.any():
         raise ValueError(
-            f"Got a start whose {bad} are NaN or infinite: choose rows in which the state was "
-            f"measured."
+            f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: "
+            f"choose rows in which the state was measured."
         )
     if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
         raise ValueError(
@@ -115,57 +122,50 @@ def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
     ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or
     `EARTH_VELOCITY`.
     """
-    states = np.zeros((len(table), len(STATE_NAMES)))
-    states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, (len(table),)).T)
-    states[:, rigid_body.RATES] = stacked(table, RATES, (len(table),))
-    states[:, rigid_body.POSITION] = stacked(table, POSITION, (len(table),))
-    if velocity:
-        values = stacked(table, velocity, (len(table),))
-        states[:, VELOCITY] = (
-            values if velocity == BODY_VELOCITY else ned_to_body(states[:, ATTITUDE], values)
-        )
+    n = (len(table),)
+    states = np.zeros((*n, len(STATE_NAMES)))
+    states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, n).T)
+    states[:, rigid_body.RATES] = stacked(table, RATES, n)
+    states[:, rigid_body.POSITION] = stacked(table, POSITION, n)
+    values = stacked(table, velocity, n) if velocity else 0.0
+    is_in_body = not velocity or velocity == BODY_VELOCITY
+    states[:, VELOCITY] = values if is_in_body else ned_to_body(states[:, ATTITUDE], values)
     return states
 
 
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
-    given = [
-        names for names in (BODY_VELOCITY, EARTH_VELOCITY) if all(name in table for name in names)
-    ]
-    states = table_states(table, given[0] if given else ())
+    velocities = [v for v in (BODY_VELOCITY, EARTH_VELOCITY) if set(v) <= set(table)]
+    states = table_states(table, velocities[0] if velocities else ())
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     if (states[:, 2] > -LOWEST_LAND).any():
         warn(
             f"Got a start at an altitude of {-states[:, 2].max():g} m, below any land: down is "
-            f"positive downwards, "
-            "altitude = -down.",
+            f"positive downwards, altitude = -down.",
             stacklevel=4,
         )
     air = air_at(states)
     wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
-    if not given:
+    if not velocities:
         check_names(
             ["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)"
         )
-        if (table["airspeed"].to_numpy(float) <= 0).any():
-            raise ValueError(
-                f"Got airspeed {table['airspeed'].min():g} m/s in x0, but expected one > 0."
-            )
+        for speed in table["airspeed"]:
+            check_number("airspeed of x0", speed, unit="m/s")
         states[:, VELOCITY] = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T) + wind
-    given_speed = (
-        table["airspeed"].to_numpy(float) if "airspeed" in table else np.full(len(table), np.nan)
-    )
-    airspeed = np.linalg.norm(states[:, VELOCITY] - wind, axis=1)
-    off = np.abs(airspeed - given_speed)
-    if (off > AIRSPEED_TOLERANCE * np.abs(given_speed)).any():
-        worst = int(np.nanargmax(off))
-        warn(
-            f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} "
-            f"m/s, but x0 says "
-            f"{given_speed[worst]:.1f} m/s: give the wind of that flight (air=wind).",
-            stacklevel=4,
-        )
+    elif "airspeed" in table:
+        given = table["airspeed"].to_numpy(float)
+        airspeed = np.linalg.norm(states[:, VELOCITY] - wind, axis=1)
+        off = np.nan_to_num(np.abs(airspeed / given - 1.0))
+        worst = int(np.argmax(off))
+        if off[worst] > AIRSPEED_TOLERANCE:
+            warn(
+                f"At start {worst} ground velocity and wind make an airspeed of "
+                f"{airspeed[worst]:.1f} m/s, but x0 says {given[worst]:.1f} m/s: give the wind of "
+                f"that flight (air=wind).",
+                stacklevel=4,
+            )
     return states
 
 
@@ -256,16 +256,15 @@ def control_schedule(
     if callable(controls):
         return lambda step, stage, observe: controls(clock.stages[stage], observe())
     if isinstance(controls, Mapping):
-        constant = {name: _numbers(value, f"control {name}") for name, value in controls.items()}
-        for name, value in constant.items():
+        constants = {str(name): as_floats(value) for name, value in controls.items()}
+        for name, value in constants.items():
             if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
                 raise ValueError(
                     f"Got control {name} of shape {value.shape}, not all finite, or not one for "
-                    f"each of {n_starts} "
-                    "starts, but expected a finite number, or one for each start; what varies is "
-                    "a table with time."
+                    f"each of {n_starts} starts, but expected a finite number, or one for each "
+                    f"start; what varies is a table with time."
                 )
-        return lambda step, stage, observe: constant
+        return lambda step, stage, observe: constants
     tables = as_tables(controls, "controls", n_starts)
     names = [name for name in map(str, tables[0]) if name != "time" and wanted(name)]
     if not names:
@@ -298,61 +297,47 @@ def interpolated(
     tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str
 ) -> dict[str, Array]:
     """Return columns at every stage, linear between rows: (n_stages,), or (n_stages, n_starts) of several tables."""
+    names = list(names)
     parts = []
     for table in tables:
         check_columns(table, names, what=what)
         time = table["time"].to_numpy(float) - table["time"].iloc[0]
-        needed = (
-            table[time <= clock.n_steps * clock.dt + np.diff(time).max()]
-            if len(time) > 1
-            else table
-        )
-        values = {name: _numbers(table[name], f"{what} {name}") for name in names}
-        holes = [name for name in names if not np.isfinite(values[name][: len(needed)]).all()]
-        if holes:
+        values = numeric(table, names)
+        longest = np.diff(time, append=time[-1]).max()
+        is_needed = time <= clock.n_steps * clock.dt + longest
+        is_whole = np.isfinite(values[is_needed]).all(axis=0)
+        if holes := [name for name, whole in zip(names, is_whole, strict=True) if not whole]:
             raise ValueError(
                 f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them "
                 f"out."
             )
-        parts.append({name: np.interp(clock.stages, time, values[name]) for name in names})
-    if len(parts) == 1:
-        return parts[0]
-    return {name: np.stack([part[name] for part in parts], axis=-1) for name in names}
-
-
-def _numbers(values: Any, what: str) -> Array:
-    """Return values as floats, NaN where a table misses one."""
-    try:
-        return (
-            values.to_numpy(float, na_value=np.nan)
-            if isinstance(values, pd.Series)
-            else np.asarray(values, float)
-        )
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"Got {what} that is no number, but expected numbers: {error}.") from error
+        parts.append([np.interp(clock.stages, time, column) for column in values.T])
+    stacks = [np.stack(columns, axis=-1) for columns in zip(*parts, strict=True)]
+    return {
+        name: stack[:, 0] if len(tables) == 1 else stack
+        for name, stack in zip(names, stacks, strict=True)
+    }
 
 
 def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: float) -> None:
     """Warn of a start or a wind that carries another time than the first row of the controls, which is the start."""
-    tables, air = tables_of(controls), tables_of(wind)
-    if not tables:
+    spans = [tuple(table["time"].iloc[[0, -1]]) for table in tables_of(controls)]
+    if not spans:
         return
-    spans = [(table["time"].iloc[0], table["time"].iloc[-1]) for table in tables]
-    other = []
+    others = []
     if isinstance(starts, pd.DataFrame) and "time" in starts:
-        for k, at in enumerate(starts["time"].to_numpy(float)):
-            first = spans[k if len(spans) > 1 else 0][0]
-            other += [(f"start {k} is of time {at:g} s", first)] if abs(at - first) > dt else []
-    for table in air:
-        first, last = table["time"].iloc[0], table["time"].iloc[-1]
-        if any(abs(a - first) > dt and max(a, first) < min(b, last) for a, b in spans):
-            other.append((f"the wind begins at time {first:g} s", spans[0][0]))
-    if other:
-        what, first = other[0]
+        firsts = np.broadcast_to([first for first, _ in spans], (len(starts),))
+        for k, (at, first) in enumerate(zip(starts["time"], firsts, strict=True)):
+            if abs(at - first) > dt:
+                others.append((f"start {k} is of time {at:g} s", first))
+    for begin, end in (table["time"].iloc[[0, -1]] for table in tables_of(wind)):
+        if any(abs(a - begin) > dt and max(a, begin) < min(b, end) for a, b in spans):
+            others.append((f"the wind begins at time {begin:g} s", spans[0][0]))
+    if others:
+        what, first = others[0]
         warn(
-            f"Got controls that begin at time {first:g} s, but {what}: the first row of each "
-            f"table counts as the "
-            "start. Cut them alike, table[table['time'] >= start].",
+            f"Got controls that begin at time {first:g} s, but {what}: the first row of each table "
+            f"counts as the start. Cut them alike, table[table['time'] >= start].",
             stacklevel=3,
         )
 

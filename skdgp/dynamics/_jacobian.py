@@ -21,21 +21,27 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import BODY_VELOCITY, POSITION, RATE_LENGTHS
+from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION, RATE_LENGTHS
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.frames import air_data_slopes, air_velocity, cross, cross_matrix, quaternion_rate
-from skdgp.dynamics._air import LocalAir
+from skdgp._flight.frames import (
+    air_data_slopes,
+    air_velocity,
+    cross,
+    euler_per_rotation,
+    euler_to_quaternion,
+    quaternion_to_euler,
+)
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 """Rates of change, and the rates whose slopes theirs are shares of."""
 SHARES = np.array([0.4, 0.2])
-ERRORS = (*POSITION, *BODY_VELOCITY, "turn_x", "turn_y", "turn_z", *RATE_NAMES)
-"""Errors of a state: the error of its attitude is a small rotation about body axes."""
+STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
+"""States of a linear model."""
+ANGLES_OF_STATE = slice(6, 9)
+"""Places of phi, theta, psi in `STATES`."""
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
-TURN, SPIN = slice(6, 9), slice(9, 12)
-"""Places in `ERRORS`."""
 ANGLES = slice(1, 3)
 """Places of alpha and beta in `OUTPUTS`."""
 POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
@@ -46,77 +52,42 @@ WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
 """Of the central difference of fourth order."""
 
 
-class Jacobian(NamedTuple):
-    """Derivatives at states (...), by the state errors `ERRORS` and by an error added to the coefficients."""
-
-    state: Array
-    """d error_dot / d error, (..., 12, 12)."""
-    controls: Array
-    """(..., 12, k)."""
-    coefficients: Array
-    """(..., 12, 6)."""
-    outputs_state: Array
-    """d outputs / d error, of `OUTPUTS`, (..., 6, 12)."""
-    outputs_controls: Array
-    """(..., 6, k)."""
-    instant: Instant
-
-
 def jacobian(
     motion: Motion,
     state: Array,
     controls: Mapping,
-    *,
     inputs: Sequence[str] = (),
-    air: LocalAir | None = None,
     lag: Lag | None = None,
-) -> Jacobian:
-    r"""Return the derivatives of an aircraft's motion at states (..., 13).
+) -> tuple[Array, Array, Instant]:
+    r"""Return d state_dot (..., 12, 12 + k), d outputs (..., 6, 12 + k) by `STATES` and inputs, and the instant.
 
-    The motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of
+    The states are (..., 13), as of `Motion.at`, the inputs k of the controls. The
+    motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of
     regressors :math:`X = G(x, u, C)`, which depend on C where they follow from the loads
     (alpha_dot, ax, ...). So
 
-    .. math:: dC = (I - c_X G_C)^{-1} (c_X (G_x dx + G_u du) + e), \quad d\dot x = F_x dx + F_u du + F_C dC
+    .. math:: dC = (I - c_X G_C)^{-1} c_X (G_x dx + G_u du), \quad d\dot x = F_x dx + F_u du + F_C dC
 
-    with the slopes of the model :math:`c_X`, its error e, and differences of F and G, exact to some
-    1e-10. ``controls`` are those of :meth:`Motion.at`, ``inputs`` the k of them to differentiate
-    by. Where the aerodynamics are paths, these are the first axis of ``state``. A ``lag`` adds
-    coefficients by alpha_dot and beta_dot, to first order.
+    with the slopes of the model :math:`c_X`, and differences of F and G, exact to some 1e-10.
+    ``controls`` are those of :meth:`Motion.at`. Where the aerodynamics are paths, these are the
+    first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
-    instant = motion.at(state, controls, air)
-    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant, air)
+    instant = motion.at(state, controls)
+    F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant)
     slopes = motion.aerodynamics.gradient(instant.regressors)
-    n = len(ERRORS) + len(inputs)
+    n = len(STATES) + len(inputs)
     change: np.ndarray = slopes @ G[..., :n]
     gain: np.ndarray = np.eye(6)
     if motion.is_implicit:
         gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
         change = gain @ change
     if lag is not None:
-        rate = _error_rate(F[..., :n] + F[..., n:] @ change, state)
-        change = change + gain @ lag.slopes @ (
-            lag.missing * (H[..., ANGLES, :12] @ rate) - lag.relation @ G[..., :n]
-        )
-    rate, output = (
-        _error_rate(F[..., :n] + F[..., n:] @ change, state),
-        H[..., :n] + H[..., n:] @ change,
-    )
-    return Jacobian(
-        rate[..., :12],
-        rate[..., 12:],
-        F[..., n:] @ gain,
-        output[..., :12],
-        output[..., 12:],
-        instant,
-    )
-
-
-def _error_rate(rate: Array, state: Array) -> Array:
-    """Return the derivatives of error_dot (..., 12, n) with those of the attitude, which are exact."""
-    rate[..., TURN, TURN], rate[..., TURN, SPIN] = -cross_matrix(state[..., RATES]), np.eye(3)
-    return rate
+        rate = F[..., :n] + F[..., n:] @ change
+        by_angles = lag.missing * (H[..., ANGLES, : len(STATES)] @ rate)
+        change = change + gain @ lag.slopes @ (by_angles - lag.relation @ G[..., :n])
+    rate = F[..., :n] + F[..., n:] @ change
+    return rate, H[..., :n] + H[..., n:] @ change, instant
 
 
 def check_settled(instant: Instant) -> None:
@@ -130,69 +101,51 @@ def check_settled(instant: Instant) -> None:
 
 
 def _mechanics(
-    motion: Motion,
-    state: Array,
-    controls: Mapping,
-    inputs: tuple[str, ...],
-    instant: Instant,
-    air: LocalAir | None,
+    motion: Motion, state: Array, controls: Mapping, inputs: tuple[str, ...], instant: Instant
 ) -> tuple[Array, Array, Array]:
-    """Return d (error_dot, regressors, outputs) / d (error, inputs, coefficients), the coefficients being given."""
+    """Return d (state_dot, regressors, outputs) / d (state, inputs, coefficients), the coefficients being given."""
     frozen: Any = copy.copy(motion)
-    if air is not None:
-        parts: Any = (
-            None if part is None else np.asarray(part, dtype=float)[..., None, :] for part in air
-        )
-        air = LocalAir(*parts)
-    n_inputs, shape = len(inputs), state.shape[:-1]
-    controls = {
-        name: np.broadcast_to(np.asarray(value, dtype=float), shape)
-        for name, value in controls.items()
-    }
-    steps = np.full((*shape, 18 + n_inputs), FRACTION)
-    steps[..., :3], steps[..., 3:6], steps[..., 6:12] = (
-        POSITION_STEP,
-        FRACTION * instant.airspeed[..., None],
-        ANGLE_STEP,
+    shape = state.shape[:-1]
+    n = len(STATES)
+    k = len(inputs)
+    x = np.concatenate(
+        [state[..., :6], quaternion_to_euler(state[..., ATTITUDE]), state[..., RATES]], axis=-1
     )
-    for k, name in enumerate(inputs):
-        steps[..., 12 + k] = FRACTION * (1.0 + np.abs(controls[name]))
+    u = {name: np.broadcast_to(np.asarray(v, dtype=float), shape) for name, v in controls.items()}
+    steps = np.full((*shape, n + k + 6), FRACTION)
+    steps[..., :3] = POSITION_STEP
+    steps[..., 3:6] = FRACTION * instant.airspeed[..., None]
+    steps[..., 6:n] = ANGLE_STEP
+    for j, name in enumerate(inputs):
+        steps[..., n + j] = FRACTION * (1.0 + np.abs(u[name]))
     slopes = np.zeros(())
     for move, weight in WEIGHTS.items():
-        moves = move * steps[..., None] * np.eye(steps.shape[-1])
-        C = instant.coefficients[..., None, :] + moves[..., 12 + n_inputs :]
+        moves = move * steps[..., None] * np.eye(n + k + 6)
+        C = instant.coefficients[..., None, :] + moves[..., n + k :]
         frozen.aerodynamics = lambda X, C=C: C
-        moved = {
-            name: np.repeat(value[..., None], steps.shape[-1], axis=-1)
-            for name, value in controls.items()
-        }
-        for k, name in enumerate(inputs):
-            moved[name] = moved[name] + moves[..., 12 + k]
-        slopes = slopes + weight * _responses(
-            frozen.at(_shifted(state, moves[..., :12]), moved, air), motion
-        )
+        moved = {name: np.repeat(v[..., None], n + k + 6, axis=-1) for name, v in u.items()}
+        for j, name in enumerate(inputs):
+            moved[name] = moved[name] + moves[..., n + j]
+        now = frozen.at(_state(x[..., None, :] + moves[..., :n]), moved)
+        slopes = slopes + weight * _responses(now, x[..., None, :] + moves[..., :n], motion)
     slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
     d = len(motion.regressors)
-    return slopes[..., :12, :], slopes[..., 12 : 12 + d, :], slopes[..., 12 + d :, :]
+    return slopes[..., :n, :], slopes[..., n : n + d, :], slopes[..., n + d :, :]
 
 
-def _shifted(state: Array, errors: Array) -> Array:
-    """Return the states (..., 13) with errors (..., m, 12), as (..., m, 13)."""
-    shifted = np.repeat(state[..., None, :], errors.shape[-2], axis=-2)
-    shifted[..., :6] += errors[..., :6]
-    shifted[..., RATES] += errors[..., SPIN]
-    shifted[..., ATTITUDE] += quaternion_rate(shifted[..., ATTITUDE], errors[..., TURN])
-    return shifted
+def _state(x: Array) -> Array:
+    """Return states (..., 13) of states with Euler angles (..., 12)."""
+    attitude = euler_to_quaternion(*np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0))
+    return np.concatenate([x[..., :6], attitude, x[..., 9:]], axis=-1)
 
 
-def _responses(instant: Instant, motion: Motion) -> Array:
-    """Return error_dot, zero for the attitude, which `jacobian` has exactly, then regressors and outputs."""
-    rate = np.zeros((*instant.derivative.shape[:-1], 12))
-    rate[..., :6], rate[..., SPIN] = instant.derivative[..., :6], instant.derivative[..., RATES]
+def _responses(instant: Instant, x: Array, motion: Motion) -> Array:
+    """Return the rates of change of `STATES`, the regressors, and `OUTPUTS`."""
+    euler_rate = euler_per_rotation(x[..., 6], x[..., 7]) @ x[..., 9:, None]
     seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
-    return np.concatenate(
-        [rate, instant.regressors, seen, instant.force / motion.aircraft.mass], axis=-1
-    )
+    rate = instant.derivative
+    parts = [rate[..., :6], euler_rate[..., 0], rate[..., RATES], instant.regressors, seen]
+    return np.concatenate([*parts, instant.force / motion.aircraft.mass], axis=-1)
 
 
 class Lag(NamedTuple):

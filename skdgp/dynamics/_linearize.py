@@ -15,27 +15,21 @@ from scipy.optimize import linear_sum_assignment
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
-from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import euler_per_rotation, quaternion_to_euler
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._jacobian import (
     OUTPUTS,
-    SPIN,
-    TURN,
     Lag,
     check_settled,
     draw_errors,
     jacobian,
     lag_of,
 )
+from skdgp.dynamics._jacobian import STATES as ALL_STATES
 from skdgp.dynamics._loads import Thrust, thrust_control
 from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
-ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
 ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
 ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
@@ -103,20 +97,20 @@ class LinearModel:
         self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
     ) -> LinearModel:
         """Return the part with these states, inputs and outputs; what is left out stands still."""
-        for asked, have, what in (
-            (states, self.states, "states"), (inputs, self.inputs, "inputs"), (outputs, self.outputs, "outputs")
-        ):  # fmt: skip
-            check_names(asked, have, f"{what} of the linear model")
+        check_names(states, self.states, "states of the linear model")
+        check_names(inputs, self.inputs, "inputs of the linear model")
+        check_names(outputs, self.outputs, "outputs of the linear model")
         blocks = _block_names(list(states), list(inputs), list(outputs))
-        pairs = list(zip(self._tables(), blocks, strict=True))
-        A, B, C, D = (table.loc[rows, columns] for table, (rows, columns) in pairs)
+        tables = [t.loc[block] for t, block in zip(self._tables(), blocks, strict=True)]
         paths = None
         if self.paths is not None:
-            places = [[axis.get_indexer(pd.Index(names)) for axis, names in zip(table.axes, block, strict=True)]
-                      for table, block in pairs]  # fmt: skip
-            each = zip(self.paths, places, strict=True)
-            paths = Matrices(*(values[:, rows][:, :, columns] for values, (rows, columns) in each))
-        return LinearModel(A, B, C, D, self.state, self.controls, paths)
+            parts = []
+            for values, whole, part in zip(self.paths, self._tables(), tables, strict=True):
+                rows = whole.index.get_indexer(part.index)
+                columns = whole.columns.get_indexer(part.columns)
+                parts.append(values[:, rows][:, :, columns])
+            paths = Matrices(*parts)
+        return LinearModel(*tables, self.state, self.controls, paths)
 
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
@@ -152,18 +146,6 @@ class LinearModel:
         from scipy.signal import StateSpace
 
         return StateSpace(*(table.to_numpy() for table in self._tables()))
-
-    def to_control(self) -> Any:
-        """Return it as :class:`control.StateSpace` of python-control, with names; raises ImportError without it."""
-        try:
-            import control
-        except ImportError as error:
-            raise ImportError(
-                "to_control() needs python-control, which is not installed: run pip install "
-                '"skdgp[control]".'
-            ) from error
-        tables = (table.to_numpy() for table in self._tables())
-        return control.ss(*tables, states=self.states, inputs=self.inputs, outputs=self.outputs)
 
     def _tables(self) -> tuple[pd.DataFrame, ...]:
         return self.A, self.B, self.C, self.D
@@ -341,161 +323,110 @@ def _matrices(
     inputs: list,
     outputs: list,
 ) -> Matrices:
-    found = jacobian(motion, state, controls, inputs=inputs, lag=lag)
-    check_settled(found.instant)
-    if not np.isfinite(found.state).all():
+    rate, seen, instant = jacobian(motion, state, controls, inputs, lag)
+    check_settled(instant)
+    if not np.isfinite(rate).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    rate, change = _in_euler_angles(found.state, state)
-    rows, all_outputs = [ALL_STATES.index(name) for name in states], (*ALL_STATES, *OUTPUTS)
-    seen = [all_outputs.index(name) for name in outputs]
-    C = np.concatenate(
-        [np.broadcast_to(np.eye(12), rate.shape), found.outputs_state @ change], axis=-2
-    )
-    B = np.array(found.controls)
-    D = np.concatenate([np.zeros_like(B), found.outputs_controls], axis=-2)
-    return Matrices(
-        rate[..., rows, :][..., rows], B[..., rows, :], C[..., seen, :][..., rows], D[..., seen, :]
-    )
-
-
-def _in_euler_angles(rate: Array, state: Array) -> tuple[Array, Array]:
-    """Return A of the states with Euler angles, and d error / d state, of A of the states with small rotations."""
-    phi, theta, _ = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
-    _, q, r = np.moveaxis(state[..., RATES], -1, 0)
-    per_rotation = euler_per_rotation(phi, theta)
-    change = np.zeros_like(rate) + np.eye(12)
-    change[..., TURN, TURN] = np.linalg.inv(per_rotation)
-    rate = rate @ change
-    rate[..., TURN, :] = 0.0
-    rate[..., TURN, SPIN] = per_rotation
-    # The Euler angles' rates, (p + tan(theta) yaw, pitch, sec(theta) yaw), by phi and theta.
-    yaw, pitch = q * np.sin(phi) + r * np.cos(phi), q * np.cos(phi) - r * np.sin(phi)
-    tan, sec = np.tan(theta), 1.0 / np.cos(theta)
-    rate[..., 6, 6], rate[..., 6, 7] = tan * pitch, yaw * sec**2
-    rate[..., 7, 6] = -yaw
-    rate[..., 8, 6], rate[..., 8, 7] = pitch * sec, yaw * sec * tan
-    return rate, change
+    n = len(ALL_STATES)
+    seen = np.concatenate([np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape), seen], axis=-2)
+    rows = [ALL_STATES.index(name) for name in states]
+    rate = rate[..., rows, :]
+    seen = seen[..., [(*ALL_STATES, *OUTPUTS).index(name) for name in outputs], :]
+    return Matrices(rate[..., rows], rate[..., n:], seen[..., rows], seen[..., n:])
 
 
 def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
     r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
-    core = [
-        name for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states) for name in family
-    ] or states
+    families = [family for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states)]
+    core = [name for family in families for name in family] or states
     rows = [states.index(name) for name in core]
-    A = A[np.ix_(rows, rows)]
-    eigenvalues, left, right = eig(A, left=True)
-    share = np.abs(left.conj() * right)
-    named = _named(_units(eigenvalues), share / share.sum(axis=0), core, eigenvalues)
-    table = pd.DataFrame(
-        [_row(eigenvalues[list(unit)]) for unit in named.values()], index=list(named)
-    )
+    eigenvalues, left, right = eig(A[np.ix_(rows, rows)], left=True)
+    participation = np.abs(left.conj() * right)
+    participation = pd.DataFrame(participation / participation.sum(axis=0), core)
+    named = _named(_units(eigenvalues), participation, eigenvalues)
+    roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
+    table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
     if paths is None:
         return table
-    drawn = np.linalg.eigvals(
-        paths[:, rows][:, :, rows]
-    )  # each in the order of those that they lie nearest to
-    spread = [one[linear_sum_assignment(np.abs(eigenvalues[:, None] - one))[1]] for one in drawn]
-    found = np.array(
-        [[_values(values[list(unit)]) for unit in named.values()] for values in spread]
-    )
-    decay = np.quantile(found[..., 2], [0.025, 0.975], axis=0)
-    table["frequency_std"], table["damping_std"] = (
-        found[..., 0].std(axis=0, ddof=1),
-        found[..., 1].std(axis=0, ddof=1),
-    )
-    table["time_constant_lower"], table["time_constant_upper"] = (
-        _inverse(decay[1]),
-        _inverse(decay[0]),
-    )
-    table.loc[decay[0] <= 0, "time_constant_upper"] = np.inf
-    table.loc[decay[1] <= 0, "time_constant_lower"] = -np.inf
+    drawn = np.linalg.eigvals(paths[:, rows][:, :, rows])
+    # in the order of the eigenvalues that they lie nearest to
+    drawn = [x[linear_sum_assignment(np.abs(eigenvalues[:, None] - x))[1]] for x in drawn]
+    values = np.array([[_values(x[list(unit)]) for unit in named.values()] for x in drawn])
+    table["frequency_std"], table["damping_std"] = values[..., :2].std(axis=0, ddof=1).T
+    least, most = np.quantile(values[..., 2], [0.025, 0.975], axis=0)
+    with np.errstate(divide="ignore"):
+        table["time_constant_lower"] = np.where(most > 0, 1.0 / most, -np.inf)
+        table["time_constant_upper"] = np.where(least > 0, 1.0 / least, np.inf)
     return table
 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
-    """Return pairs of conjugate eigenvalues, that of positive imaginary part first, and single real ones."""
-    units: list[tuple[int, ...]] = []
-    for k, value in enumerate(eigenvalues):
-        if value.imag > 0:
-            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
-        elif value.imag == 0:
-            units.append((k,))
-    return units
+    """Return pairs of conjugate eigenvalues, positive imaginary part first, and single real ones."""
+    real = [(k,) for k, value in enumerate(eigenvalues) if value.imag == 0]
+    upper = np.flatnonzero(eigenvalues.imag > 0)
+    return [
+        *real,
+        *((k, int(np.argmin(np.abs(eigenvalues - eigenvalues[k].conj())))) for k in upper),
+    ]
 
 
 def _named(
-    units: list[tuple[int, ...]], share: Array, states: list[str], eigenvalues: Array
+    units: list[tuple[int, ...]], participation: pd.DataFrame, eigenvalues: Array
 ) -> dict[str, tuple[int, ...]]:
-    """Return the units by name, of the shares that the states have in each eigenvalue."""
+    """Return the units by name, of the participation of the states in each eigenvalue."""
 
-    def moving(names, unit):
-        return share[np.ix_([states.index(name) for name in names], unit)].sum()
+    def part(names, unit):
+        return participation.loc[list(names), list(unit)].to_numpy().sum()
 
     def split(units, names, size):
-        every = (chosen for number in range(1, size + 1) for chosen in combinations(units, number))
-        whole = (
-            chosen for chosen in every if sum(map(len, chosen)) == size
-        )  # units that hold so many eigenvalues
-        return max(whole, key=lambda chosen: sum(moving(names, unit) for unit in chosen))
+        """Return the units of ``size`` eigenvalues in which these states participate most, and the others."""
+        every = (some for number in range(1, size + 1) for some in combinations(units, number))
+        complete = (some for some in every if sum(map(len, some)) == size)
+        best = max(complete, key=lambda some: sum(part(names, unit) for unit in some))
+        return best, [unit for unit in units if unit not in best]
 
     named: dict[str, tuple[int, ...]] = {}
-    rest = list(units)
-    if set(LONGITUDINAL) <= set(states):
-        along = split(rest, LONGITUDINAL, 4)
-        rest = [unit for unit in rest if unit not in along]
-        short = split(along, ("w", "q"), 2)
+    states = set(participation.index)
+    if set(LONGITUDINAL) <= states:
+        along, units = split(units, LONGITUDINAL, 4)
+        short, long = split(along, ("w", "q"), 2)
         named |= _numbered("short period", short, eigenvalues)
-        named |= _numbered("phugoid", [unit for unit in along if unit not in short], eigenvalues)
-    if set(LATERAL) <= set(states):
-        dutch = split(rest, ("v", "r"), 2)
-        others = sorted(
-            (unit for unit in rest if unit not in dutch), key=lambda unit: -moving(("p",), unit)
-        )
+        named |= _numbered("phugoid", long, eigenvalues)
+    if set(LATERAL) <= states:
+        dutch, others = split(units, ("v", "r"), 2)
+        others.sort(key=lambda unit: -part(("p",), unit))
+        names = ("roll", "spiral") if len(others) == 2 else ("roll-spiral",)
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(
-            zip(("roll", "spiral") if len(others) == 2 else ("roll-spiral",), others, strict=True)
-        )
-        rest = []
-    return named or _numbered("mode", rest, eigenvalues)
+        named |= dict(zip(names, others, strict=True))
+    return named or _numbered("mode", units, eigenvalues)
 
 
 def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
-    """Return the one unit by its name; several with numbers, the fastest first."""
+    """Return a single unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    return (
-        {name: units[0]}
-        if len(units) == 1
-        else {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
-    )
+    if len(units) == 1:
+        return {name: units[0]}
+    return {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
 
 
-def _values(eigenvalues: np.ndarray) -> tuple[float, float, float]:
-    """Return frequency, damping and rate of decay of one root, or of two as s^2 + 2 zeta omega s + omega^2."""
-    decay = float(-eigenvalues.real.mean())
-    frequency = (
-        float(np.sqrt(np.abs(np.prod(eigenvalues))))
-        if len(eigenvalues) == 2
-        else float(abs(eigenvalues[0]))
-    )
+def _values(roots: np.ndarray) -> tuple[float, float, float]:
+    """Return frequency, damping and rate of decay of a root, or of two as s^2 + 2 zeta omega s + omega^2."""
+    decay = float(-roots.real.mean())
+    frequency = float(np.abs(np.prod(roots)) ** (1.0 / len(roots)))
     return frequency, decay / frequency if frequency > 0 else 0.0, decay
 
 
-def _row(eigenvalues: np.ndarray) -> dict[str, Any]:
-    frequency, damping, decay = _values(eigenvalues)
+def _row(roots: np.ndarray) -> dict[str, Any]:
+    frequency, damping, decay = _values(roots)
+    period = 2.0 * np.pi / abs(roots[0].imag) if roots[0].imag else np.inf
     return {
-        "eigenvalue": eigenvalues[0],
+        "eigenvalue": roots[0],
         "frequency": frequency,
         "damping": damping,
-        "time_constant": float(_inverse(decay)),
-        "time_to_half": float(np.log(2.0) * _inverse(max(decay, 0.0))),
-        "time_to_double": float(np.log(2.0) * _inverse(max(-decay, 0.0))),
-        "period": float(2.0 * np.pi * _inverse(abs(eigenvalues[0].imag))),
+        "time_constant": 1.0 / decay if decay else np.inf,
+        "time_to_half": np.log(2.0) / decay if decay > 0 else np.inf,
+        "time_to_double": -np.log(2.0) / decay if decay < 0 else np.inf,
+        "period": period,
     }
-
-
-def _inverse(values: Any) -> np.ndarray:
-    values = np.asarray(values, dtype=float)
-    return np.divide(1.0, values, out=np.full(values.shape, np.inf), where=values != 0)

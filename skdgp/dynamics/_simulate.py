@@ -49,8 +49,6 @@ from skdgp.dynamics._record import (
 )
 from skdgp.dynamics._rigid_body import rk4_step
 from skdgp.dynamics._wind import (
-    airspeeds,
-    drift_in,
     gusty_air,
     met_turbulence,
     wind_field,
@@ -176,15 +174,13 @@ def simulate(
         raise ValueError("Got initial_std without n_paths: nothing would show it.")
     drifts, said = None, ""
     if n_paths is not None:
-        met, said = met_turbulence(asked, local, motion, clock, states)
-        speed = float(airspeeds(states, local).mean())
-        drift = drift_in(met, motion, speed) if asked.drift else None
+        met, said = met_turbulence(asked, local, motion, states)
         if met is not None and np.any(met.intensity):
             local = gusty_air(asked, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        if drift is not None:
-            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
+        if asked.drift and motion.aerodynamics.drift is not None:
+            drifts = motion.aerodynamics.drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
         states = states[0]
     record = fly_record(motion, commands, local, clock, states, drifts)

@@ -68,7 +68,7 @@ def task_of(name, folder):
         aircraft, train, test, loads = ampyx_ap2(folder)
     else:
         craft, *parts = FLIGHTS[name]
-        aircraft = Aircraft.from_json(folder / "flights" / f"{craft}.json")
+        aircraft = Aircraft.from_file(folder / "flights" / f"{craft}.json")
         paths = [folder / "flights" / f"{craft}_{part}.parquet" for part in parts]
         train, test = map(read_flight, paths)
     targets = aerodynamic_coefficients(train, aircraft, **loads)
@@ -85,7 +85,7 @@ def ampyx_ap2(folder):
     table["flight"] = [f"block {b + 1}" for b in block]
     parts = (table[block % 2 == k].reset_index(drop=True) for k in (0, 1))
     loads = {"thrust": None, "external_forces": ["tether"]}
-    return Aircraft.from_json(folder / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
+    return Aircraft.from_file(folder / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
 
 
 def toy(n=300):

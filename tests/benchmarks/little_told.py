@@ -66,7 +66,7 @@ def subjects(options):
         if name in options.aircraft:
             folder = options.data / "flights"
             flights = [read_flight(folder / f"{name}_{part}.parquet") for part in parts]
-            yield name, kind, Aircraft.from_json(folder / f"{name}.json"), *flights
+            yield name, kind, Aircraft.from_file(folder / f"{name}.json"), *flights
     for name, kind in JSBSIM.items():
         if name in options.aircraft:
             train, aircraft = flight_of(name, *TRAINING)

@@ -76,7 +76,7 @@ def test_overlapping_inputs_add_up_within_limits():
     [
         (lambda: Wavetrain({"elevater": {0.0: doublet(1, 0.1)}}), "nearest: 'elevator'"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"flaps": Limits(0.1)}), "flaps"),
-        (lambda: Wavetrain({"elevator": {-1.0: doublet(1, 0.1)}}), "time >= 0"),
+        (lambda: Wavetrain({"elevator": {-1.0: doublet(1, 0.1)}}), "a number >= 0"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"elevator": Limits(0.05)}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
         (lambda: Wavetrain({"elevator": {0.0: multisine(10, [60], rms=1)}}).table(50.0), "at least 60 Hz"),

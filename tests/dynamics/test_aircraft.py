@@ -28,7 +28,7 @@ def without(*keys, **changes):
 def test_json_round_trip(tmp_path):
     aircraft = Aircraft.from_dict(GOOD)
     aircraft.to_json(tmp_path / "a.json")
-    again = Aircraft.from_json(tmp_path / "a.json")
+    again = Aircraft.from_file(tmp_path / "a.json")
     assert again == aircraft
     assert hash(again) == hash(aircraft)
     assert isinstance(again.thrust_line, ThrustLine)
@@ -47,14 +47,14 @@ def test_toml_says_the_same_as_json(tmp_path):
             *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items()),
         ]
     (tmp_path / "a.toml").write_text("\n".join(lines))
-    assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
+    assert Aircraft.from_file(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
 
 
 def test_the_aircraft_file_of_the_page_is_one(tmp_path):
     page = Path(__file__).parents[2] / "docs" / "dynamics.md"
     (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     (tmp_path / "delta.toml").write_text(text)
-    aircraft = Aircraft.from_toml(tmp_path / "delta.toml")
+    aircraft = Aircraft.from_file(tmp_path / "delta.toml")
     assert aircraft.propeller.thrust(600.0, 0.0) > 0
     assert aircraft.mass == pytest.approx(12.0)
 
@@ -81,7 +81,7 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
 )
 def test_shared_aircraft_are_read(shared_data, path):
     stored = json.loads((shared_data / path).read_text())
-    assert Aircraft.from_json(shared_data / path).to_dict() == stored
+    assert Aircraft.from_file(shared_data / path).to_dict() == stored
 
 
 def test_json_text_is_the_same_aircraft_with_coefficients_given_as_tuples():
@@ -96,12 +96,10 @@ def test_json_text_is_the_same_aircraft_with_coefficients_given_as_tuples():
         chord=0.25,
         propeller=propeller,
     )
-    again = Aircraft.from_json(aircraft.to_json())
+    again = Aircraft.from_dict(json.loads(aircraft.to_json()))
     assert again == aircraft
     assert again.propeller == propeller
     assert json.loads(aircraft.to_json()) == aircraft.to_dict()
-    with pytest.raises(ValueError, match="JSON text is not valid"):
-        Aircraft.from_json("{")
 
 
 @pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])

@@ -139,7 +139,7 @@ class TestFiles:
     def test_round_trip(self, tmp_path):
         aircraft = Aircraft.estimate((3.2, 0.05), 1.6, name="mine")
         aircraft.to_json(tmp_path / "a.json")
-        again = Aircraft.from_json(tmp_path / "a.json")
+        again = Aircraft.from_file(tmp_path / "a.json")
         assert again == aircraft
         assert again.deviations == aircraft.deviations
 
@@ -147,7 +147,7 @@ class TestFiles:
         (tmp_path / "a.toml").write_text(
             'kind = "twin"\nmass = [3.2, 0.05]\nspan = 1.6\nname = "mine"\n'
         )
-        assert Aircraft.from_toml(tmp_path / "a.toml") == Aircraft.estimate(
+        assert Aircraft.from_file(tmp_path / "a.toml") == Aircraft.estimate(
             (3.2, 0.05), 1.6, kind="twin", name="mine"
         )
 

@@ -156,7 +156,7 @@ def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
     (0.0, {}, "Got height=0"),
     (400.0, {}, "at most 304.8 m"),
     (100.0, {"wind_at_6m": -1.0}, "wind_at_6m=-1"),
-    (100.0, {"mean_wind": [1.0, 2.0]}, "three finite numbers"),
+    (100.0, {"mean_wind": [1.0, 2.0]}, "3 finite numbers"),
 ])  # fmt: skip
 def test_winds_that_are_none(height, options, match):
     with pytest.raises(ValueError, match=match):

@@ -170,7 +170,7 @@ def noise_free(flight):
 @pytest.mark.parametrize(("name", "kind"), FLIGHTS)
 def test_noise_free_columns_give_back_the_true_coefficients(shared_data, name, kind):
     flight = noise_free(pd.read_parquet(shared_data / "flights" / f"{name}.parquet"))
-    aircraft = Aircraft.from_json(shared_data / "flights" / f"{kind}.json")
+    aircraft = Aircraft.from_file(shared_data / "flights" / f"{kind}.json")
     truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
     got = aerodynamic_coefficients(flight, aircraft, cutoff=None).to_numpy()
     assert (np.abs(got - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
@@ -179,7 +179,7 @@ def test_noise_free_columns_give_back_the_true_coefficients(shared_data, name, k
 @pytest.mark.shared
 def test_tethered_flight_needs_to_be_told_of_its_rope(shared_data):
     flight = pd.read_parquet(shared_data / "ampyx_ap2" / "ampyx_ap2.parquet")
-    aircraft = Aircraft.from_json(shared_data / "ampyx_ap2" / "ampyx_ap2.json")
+    aircraft = Aircraft.from_file(shared_data / "ampyx_ap2" / "ampyx_ap2.json")
     with pytest.raises(ValueError, match="thrust=None"):
         aerodynamic_coefficients(flight, aircraft)
     got = aerodynamic_coefficients(flight, aircraft, thrust=None, external_forces=["tether"])

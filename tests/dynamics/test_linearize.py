@@ -15,9 +15,6 @@ from skdgp.dynamics import (
     quaternion_to_euler,
     trim,
 )
-from skdgp.dynamics._air import LocalAir
-from skdgp.dynamics._jacobian import jacobian
-from skdgp.dynamics._linearize import ALL_STATES
 from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -31,6 +28,9 @@ SLOPES[Z, [ALPHA, Q, ELEVATOR]] = -4.5, -3.0, -0.4
 SLOPES[L, [BETA, P, R, AILERON, RUDDER]] = -0.05, -0.4, 0.1, 0.1, 0.01
 SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
 SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
+STATES = [
+    "north", "east", "down", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r",
+]  # fmt: skip
 AIR = Air(density=1.1, gravity=9.79)
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 BRUMBYS = Aerodynamics(
@@ -136,7 +136,13 @@ def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
         ]
     )
     controls = {"elevator": -0.03, "aileron": 0.01, "rudder": 0.02, "thrust": 60.0}
-    found = linearize(BRUMBYS, aircraft, state, controls, states=ALL_STATES)
+    found = linearize(
+        BRUMBYS,
+        aircraft,
+        state,
+        controls,
+        states=STATES,
+    )
     motion = Motion(BRUMBYS, aircraft)
 
     def full(x):
@@ -161,24 +167,6 @@ def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft):
         assert found.B[name].to_numpy() == pytest.approx(
             (more - less)[:12] / 2e-4, rel=1e-5, abs=1e-6
         )
-
-
-def test_in_moving_air_the_jacobian_is_the_derivative_of_the_motion(aircraft):
-    """Implicit regressors, wind that changes; by position, velocity and rates."""
-    attitude = euler_to_quaternion(0.5, 0.15, 2.0)
-    state = np.r_[30.0, -20.0, -400.0, 24.0, -1.0, 2.0, attitude, 0.3, 0.1, -0.2]
-    controls = {"elevator": -0.05, "aileron": 0.01, "rudder": 0.02, "thrust": 22.0}
-    air = LocalAir(np.array([3.0, -2.0, 0.7]), np.array([0.4, 0.2, -0.3]))
-    motion, h = Motion(BRUMBYS, aircraft), 1e-5
-    found = jacobian(motion, state, controls, inputs=[], air=air).state
-    for error, k in zip((*range(6), 9, 10, 11), (*range(6), 10, 11, 12), strict=True):
-        ahead, behind = (
-            motion.at(state + sign * h * np.eye(13)[k], controls, air).derivative
-            for sign in (1, -1)
-        )
-        expected = ((ahead - behind) / (2 * h))[[*range(6), 10, 11, 12]]
-        column = found[[*range(6), 9, 10, 11], error]
-        assert column == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
 class TestSpread:
@@ -221,17 +209,6 @@ class TestParts:
         times = np.linspace(0, 1, 11)
         _, y, _ = lsim(linear.longitudinal().to_scipy(), np.ones((11, 2)) * [0.01, 0.0], times)
         assert np.isfinite(y).all()
-
-    def test_control_keeps_the_names(self, linear):
-        pytest.importorskip(
-            "control", reason="python-control is not installed", exc_type=ImportError
-        )
-        system = linear.longitudinal().to_control()
-        assert system.state_labels == ["u", "w", "q", "theta"]
-        assert system.input_labels == ["elevator", "thrust"]
-        assert np.sort_complex(system.poles()) == pytest.approx(
-            np.sort_complex(np.linalg.eigvals(linear.longitudinal().A))
-        )
 
     def test_height_changes_the_density(self, glider, level):
         high = linearize(

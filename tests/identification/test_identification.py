@@ -173,7 +173,7 @@ class TestPipeline:
 
     def test_refuses_what_is_no_aircraft(self):
         with pytest.raises(
-            TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_json"
+            TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_file"
         ):
             make_identification_pipeline({"span": 2.6, "chord": 0.55})
 

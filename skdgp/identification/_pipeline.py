@@ -247,7 +247,8 @@ class FlightPipeline(Pipeline):
             list(getattr(y, "columns", COEFFICIENTS)), steps["regressorselector"].regressors_
         )
         known = KnownSlopes(value, errors)
-        return {"slopes": known.scaled(steps["standardscaler"].scale_)}
+        scale = getattr(steps.get("standardscaler"), "scale_", None)
+        return {"slopes": known if scale is None else known.scaled(scale)}
 
     def _learn_turbulence(self, X):
         self.seconds_ = None

@@ -156,7 +156,7 @@ class AirMotion:
         share, slow = self.noise["fast_h"] ** 2, self.noise["time_h"]
         times = np.geomspace(0.01, 10.0, 500) * slow
         correlation = np.exp(-times / slow) + share * np.exp(-times / slow / self.noise["faster_h"])
-        time = times[np.argmax(correlation < (1 + share) / np.e)]
+        time = times[np.argmax(correlation < (1 + share) * np.exp(-1.0))]
         return float(np.sqrt(np.mean(variances))), float(time * np.nanmean(self.air["airspeed"]))
 
     def slopes(
@@ -181,13 +181,14 @@ class AirMotion:
         return out[..., 0], np.nan_to_num(out[..., 1:])
 
     def gust_change(self, flight: int) -> float:
-        """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes."""
+        """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
         return float(np.sqrt(np.mean(self._gust_variances(flight)[1])))
 
     def _gust_variances(self, flight: int) -> tuple[Vector, Vector]:
         """Return the variances of gusts north, east, down, and of their changes in 1 s."""
         noise = self.noise
-        slow = np.square([noise[f"gust_{axis} {flight}"] for axis in ("north", "east", "down")])
+        axes = [f"gust_{axis} {flight}" for axis in ("north", "east", "down")]
+        slow = np.square([noise.get(name, np.nan) for name in axes])
         times = np.array([noise["time_h"], noise["time_h"], noise["time_v"]])
         fast = slow * np.square([noise["fast_h"], noise["fast_h"], noise["fast_v"]])
         faster = times * [noise["faster_h"], noise["faster_h"], noise["faster_v"]]
@@ -362,6 +363,8 @@ class _Fit:
             at = [self.noises.names.index(name) for name in names]
             if known is None:
                 self.log_noises[at] = self.psi[at] = np.log(_white_noise(records, sensors))
+        self.noise_moves, self.limits = np.zeros((2, len(self.psi)))
+        self.limits += LARGEST_LOG
         self.states = [_rates_alone(record) for record in records]
         self._start()
 
@@ -493,7 +496,11 @@ class _Fit:
             information[np.ix_(at, at)] += weight * square
         information, score = information[held:, held:], score[held:]
         step = -np.linalg.solve(information + 0.02 * np.diag(np.diag(information)), score)
-        self.psi[held:] += np.clip(step, -LARGEST_LOG, LARGEST_LOG)
+        back = step * self.noise_moves[held:] < 0
+        limit = self.limits[held:] * np.where(back, 0.5, 1.3)  # noises near zero overshoot
+        self.limits[held:] = limit = np.minimum(limit, LARGEST_LOG)
+        self.noise_moves[held:] = step = np.clip(step, -limit, limit)
+        self.psi[held:] += step
         return float(step @ information @ step)
 
     def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:

@@ -55,9 +55,9 @@ class Record(NamedTuple):
 
     def first(self, n: int) -> Record:
         """Return the first n samples."""
-        flight, rows, step, *arrays, inputs = self
-        parts = (values[:n] for values in arrays)
-        return Record(flight, rows[:n], step[: n - 1], *parts, inputs.part(slice(n)))
+        parts = self.velocity[:n], self.attitude[:n], self.measured[:n]
+        inputs = self.inputs.part(slice(n))
+        return Record(self.flight, self.rows[:n], self.step[: n - 1], *parts, inputs)
 
     @property
     def sampled(self) -> Mask:

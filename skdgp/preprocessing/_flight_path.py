@@ -306,13 +306,8 @@ class FlightPathReconstruction(TableTransformer):
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated; else warn."""
-        try:
-            motion = estimate_air_motion(table, self.aircraft, thrust=self.thrust)
-        except ValueError as error:
-            warn(
-                f"The motion of the air is not estimated, alpha and beta lack the gusts: {error}",
-                stacklevel=4,
-            )
+        motion = self._estimated_motion(table)
+        if motion is None:
             return
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
@@ -320,22 +315,34 @@ class FlightPathReconstruction(TableTransformer):
         self.converged_ = dict.fromkeys(names, motion.converged)
         self.reason_ = f"alpha and beta by the motion that gusts cause: {motion.summary}"
         changes = [motion.gust_change(k) for k in range(len(names))]
-        self.gust_std_ = float(np.sqrt(np.mean(np.square(changes))))
+        self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
-        self.error_std_ = motion.air[[f"{name}_std" for name in AIR_DATA]].mean().to_dict()
+        self.error_std_ = {name: float(mean[f"{name}_std"].item()) for name in AIR_DATA}
         self.sensors_ = dict.fromkeys(SENSORS, 0.0)
 
-    def _motion_of(self, table: pd.DataFrame) -> dict[str, Vector]:
-        """Return the columns of flights by the motion of the air that ``fit`` knows."""
-        known = self.air_motion_
-        motion = estimate_air_motion(table, self.aircraft, thrust=self.thrust, known=known)
-        air, new = motion.air, {}
+    def _estimated_motion(self, table: pd.DataFrame, known: Any = None) -> AirMotion | None:
+        """Return the motion of the air, with a warning None where it cannot be estimated."""
+        aircraft: Any = self.aircraft
+        try:
+            return estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
+        except ValueError as error:
+            warn(f"Alpha and beta lack the gusts, which are not estimated: {error}", stacklevel=5)
+            return None
+
+    def _motion_of(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
+        """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
+        motion = self._estimated_motion(table, known)
+        if motion is None:
+            return self._path_of(table)
+        air = motion.air
+        new: dict[str, Vector] = {}
         for k, (_, rows, log) in enumerate(flight_logs(table)):
             values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
             part = dict(zip(_PATH, values.T, strict=True))
             part |= _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
-            part["gust"] = np.full(len(rows), motion.gust_change(k))
-            lag = known.constants.loc["servo_lag", "value"]
+            gust = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
+            part["gust"] = np.full(len(rows), gust)
+            lag = float(known.constants["value"].to_dict()["servo_lag"])
             names = [name for name in ALL_SURFACES if has_values(table, name)]
             part |= dict(zip(names, _late(log, numeric(table, names)[rows], lag).T, strict=True))
             for name, column in part.items():
@@ -358,7 +365,8 @@ class FlightPathReconstruction(TableTransformer):
             )
             return FlightSmoother().fit_transform(table)
         self._check(table)
-        new = self._path_of(table) if self.air_motion_ is None else self._motion_of(table)
+        known = self.air_motion_
+        new = self._path_of(table) if known is None else self._motion_of(table, known)
         if not self.used_:
             return with_columns(table, {"gust": new["gust"]})
         for name in EULER:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from skdgp.inference import CentredTerm, training_inputs
 MAX_ROWS = 1000  # samples over which effects are centred
 RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is computed
 JOINT = "joint"  # name of the term of all regressors
+LEVELS = (0.05, 0.95)  # quantiles of the second regressor of an interaction
+N_SAMPLES = 60  # samples over which interactions are compared
 
 
 class Curve(NamedTuple):
@@ -26,6 +29,22 @@ class Curve(NamedTuple):
     at: Vector
     mean: Matrix
     std: Matrix
+
+
+class Interaction(NamedTuple):
+    """How the effect of one regressor on an output depends on another.
+
+    ``mean`` and ``std`` (n, 2) are f(x, z) - f(x0, z) over the values ``at`` (n,) of x, at the low
+    and the high value ``levels`` (2,) of z; x0 and all others are means of the samples. ``share``
+    is the root mean square of the interaction over the samples, in units of the output.
+    """
+
+    regressors: tuple[str, str]
+    at: Vector
+    levels: Vector
+    mean: Matrix
+    std: Matrix
+    share: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -123,10 +142,7 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     check_is_fitted(regressor)
     if n_grid < 2:
         raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2 points for each curve.")
-    if X is None:
-        rows = training_inputs(regressor.posterior_)
-    else:
-        rows = regressor._check_regressors(X if before is None else before.transform(X))
+    rows = samples_of(regressor, before, X)
     rows = rows[:: -(-len(rows) // MAX_ROWS)]
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor.scale_
@@ -157,6 +173,85 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     )
 
 
+def interactions(
+    model: BaseEstimator, X: Any = None, *, most: int = 2, n_grid: int = 15
+) -> dict[str, list[Interaction]]:
+    r"""Return the ``most`` strongest interactions of two regressors on each output, the strongest first.
+
+    Around the mean c of the samples, regressors i and j interact by what their effects do not add
+    up to, the second-order term of cut-HDMR (Rabitz & Alis 1999),
+
+    .. math:: I(x_i, x_j) = f(x_i, x_j) - f(x_i, c_j) - f(c_i, x_j) + f(c_i, c_j),
+
+    with all other regressors at c. It is zero where the model is a sum of functions of single
+    regressors. The arguments and errors are those of `effects`.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp import DependentGPRegressor
+    >>> from skdgp._effects import interactions
+    >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-1, 1, (80, 3)), columns=["alpha", "q", "r"])
+    >>> model = DependentGPRegressor(n_latent=0, max_iter=20).fit(X, pd.DataFrame({"Cm": X["alpha"] * X["q"]}))
+    >>> interactions(model, most=1)["Cm"][0].regressors
+    ('alpha', 'q')
+    """
+    regressor, before, scalers, names = split_model(model)
+    rows = samples_of(regressor, before, X)
+    rows = rows[:: -(-len(rows) // N_SAMPLES)]
+    posterior, scale = regressor.posterior_, regressor.scale_
+    centre = rows.mean(axis=0)
+
+    def moved(columns):
+        points = np.tile(centre, (len(rows), 1))
+        points[:, columns] = rows[:, columns]
+        return posterior.predict(points)
+
+    alone = [moved([k]) for k in range(len(names))]
+    origin = posterior.predict(centre[None])
+    pairs = list(combinations(range(len(names)), 2))
+    sizes = np.zeros((len(pairs), len(scale)))
+    for row, (i, j) in zip(sizes, pairs, strict=True):
+        row[:] = np.sqrt(np.mean((moved([i, j]) - alone[i] - alone[j] + origin) ** 2, axis=0))
+    found = {}
+    for k, output in enumerate(regressor.output_names_):
+        strongest = np.argsort(-sizes[:, k], kind="stable")[:most]
+        found[str(output)] = [
+            _interaction(posterior, rows, pairs[n], k, n_grid, names, scalers, scale[k])._replace(
+                share=float(sizes[n, k] * scale[k])
+            )
+            for n in strongest
+        ]
+    return found
+
+
+def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -> Interaction:
+    """Return how an output moves with the first of two regressors at two values of the second."""
+    first, second = pair
+    low, high = np.quantile(rows[:, first], RANGE)
+    grid = np.linspace(low, high, n_grid)
+    levels = np.quantile(rows[:, second], LEVELS)
+    points = np.tile(rows.mean(axis=0), (2, n_grid + 1, 1))
+    points[:, 1:, first] = grid  # the first row of each level is the origin of its curve
+    points[:, :, second] = levels[:, None]
+    flat = points.reshape(-1, points.shape[2])
+    n = len(flat)
+    mean = posterior.predict(flat)[:, output].reshape(2, -1)
+    block = slice(output * n, (output + 1) * n)
+    cov = posterior.covariance(flat)[block, block].reshape(2, n_grid + 1, 2, n_grid + 1)
+    cov = np.stack([cov[0, :, 0], cov[1, :, 1]])
+    variance = np.einsum("lnn->ln", cov) + cov[:, :1, 0] - 2 * cov[:, :, 0]
+    units = in_units(flat, scalers).reshape(points.shape)
+    return Interaction(
+        regressors=(names[first], names[second]),
+        at=units[0, 1:, first],
+        levels=units[:, 0, second],
+        mean=scale * (mean - mean[:, :1])[:, 1:].T,
+        std=scale * np.sqrt(np.maximum(variance, 0.0))[:, 1:].T,
+        share=np.nan,
+    )
+
+
 def split_model(model):
     """Return the regressor, the steps before it or None, the scalers at their end, and the names of the regressors."""
     last = model[-1] if isinstance(model, Pipeline) else model
@@ -179,6 +274,13 @@ def split_model(model):
         scalers.append(step)
         names = [str(name) for name in getattr(step, "feature_names_in_", names)]
     return regressor, model[:-1], scalers, names
+
+
+def samples_of(regressor, before, X):
+    """Return samples X or, without them, those of the fit, (n, d), as the regressor sees them."""
+    if X is not None:
+        return regressor._check_regressors(X if before is None else before.transform(X))
+    return training_inputs(regressor.posterior_)
 
 
 def in_units(rows, scalers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -22,7 +22,7 @@ from skdgp._display.style import (
     symbol,
     units_shown,
 )
-from skdgp._effects import Curve, effects
+from skdgp._effects import Curve, Interaction, effects, interactions
 from skdgp._flight.checks import check_choice, check_names
 from skdgp.plotting._display import BAND, Display
 
@@ -36,10 +36,11 @@ DEFAULT_DERIVATIVES = (
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class EffectsDisplay(Display):
-    r"""The largest effects on each output with their 95 % bands.
+    r"""The largest effects on each output with their 95 % bands, and its strongest interactions.
 
-    A row holds the four regressors whose effects vary most over the samples, on one scale. Short
-    lines at the bottom are quantiles of the samples, each 4 %.
+    A row holds the four regressors whose effects vary most over the samples, on one scale, and the
+    two strongest interactions: the change with one regressor at a low and at a high value of
+    another. Short lines at the bottom are quantiles of the samples, each 4 %.
 
     Parameters
     ----------
@@ -50,6 +51,8 @@ class EffectsDisplay(Display):
         Standard deviation of each term over the samples; the columns are the outputs.
     samples : DataFrame (n, d)
         Regressors of the samples.
+    interactions : dict of str to list of Interaction, optional
+        The strongest interactions of each output.
 
     Examples
     --------
@@ -62,20 +65,24 @@ class EffectsDisplay(Display):
     >>> model = DependentGPRegressor(structure="trend").fit(X, Y)
     >>> display = EffectsDisplay.from_model(model, ax=Figure())
     >>> display.keys
-    [('Cm', 'alpha'), ('Cm', 'elevator')]
+    [('Cm', 'alpha'), ('Cm', 'elevator'), ('Cm', 0)]
     """
 
     curves: dict[str, Curve]
     importance: pd.DataFrame
     samples: pd.DataFrame
+    interactions: dict[str, list[Interaction]] = field(default_factory=dict)
+
     size = (2.9, 1.75)
 
     @property
-    def keys(self) -> list[tuple[str, str]]:
-        """Output and regressor."""
-        return [
-            (output, name) for output in map(str, self.importance) for name in self._largest(output)
-        ]
+    def keys(self) -> list[tuple[str, str | int]]:
+        """Output and regressor, or output and number of an interaction."""
+        keys: list[tuple[str, str | int]] = []
+        for output in map(str, self.importance):
+            keys += [(output, name) for name in self._largest(output)]
+            keys += [(output, k) for k in range(len(self.interactions.get(output, ())))]
+        return keys
 
     @property
     def n_columns(self) -> int:
@@ -85,24 +92,49 @@ class EffectsDisplay(Display):
     def _largest(self, output: str) -> list[str]:
         return list(self.importance.loc[list(self.curves), output].nlargest(N_EFFECTS).index)
 
-    def words(self, key: tuple[str, str]) -> str:
+    def words(self, key: tuple[str, str | int]) -> str:
         """Return what a panel shows."""
-        return f"{key[0]} by {key[1]}"
-
-    def draw(self, ax: Any, key: tuple[str, str]) -> None:
-        """Draw an effect."""
         output, name = key
+        if isinstance(name, str):
+            return f"{output} by {name}"
+        first, second = self.interactions[output][name].regressors
+        return f"{output} by {first}, at two {second}"
+
+    def draw(self, ax: Any, key: tuple[str, str | int]) -> None:
+        """Draw an effect, or an interaction."""
+        output, name = key
+        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
+        if isinstance(name, str):
+            self._draw_effect(ax, output, name)
+        else:
+            self._draw_interaction(ax, self.interactions[output][name])
+        ax.locator_params(axis="both", nbins=4)
+        ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
+        ax.set_ylabel(symbol(output))
+
+    def _draw_effect(self, ax, output, name):
         k = list(self.importance).index(output)
         curve = self.curves[name]
         factor = display_unit(name)[0]
-        ax.axhline(0.0, color=PALETTE["grey"], linewidth=0.6)
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], "effect")
         mark_samples(ax, factor * self.samples[name].to_numpy())
-        drawn = [self.curves[largest] for largest in self._largest(output)]
-        top = 1.08 * max(np.abs(x.mean[:, k]).max() + BAND * x.std[:, k].min() for x in drawn)
-        ax.set(ylim=(-top, top), xlabel=axis_label(name), ylabel=symbol(output))
-        ax.locator_params(axis="both", nbins=4)
-        ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
+        shown = [self.curves[each] for each in self._largest(output)]
+        top = max(np.abs(each.mean[:, k]).max() + BAND * each.std[:, k].min() for each in shown)
+        ax.set_ylim(-1.08 * top, 1.08 * top)
+        ax.set_xlabel(axis_label(name))
+
+    def _draw_interaction(self, ax, found):
+        first, second = found.regressors
+        factor = display_unit(first)[0]
+        times, unit = display_unit(second)
+        for k, color in enumerate((PALETTE["blue"], PALETTE["vermillion"])):
+            label = f"{symbol(second)} = {times * found.levels[k]:.3g} {unit}".rstrip()
+            draw_curve(
+                ax, factor * found.at, found.mean[:, k], found.std[:, k], label, color, color
+            )
+        ax.set_xlabel(axis_label(first))
+        lines = [line for line in ax.lines if not line.get_label().startswith("_")]
+        ax.legend(handles=lines, frameon=False, fontsize="small")
 
     @classmethod
     def from_model(
@@ -114,7 +146,7 @@ class EffectsDisplay(Display):
         ax: Any = None,
         keys: Any = None,
     ) -> Self:
-        """Draw the :func:`skdgp.effects` of a model."""
+        """Draw the :func:`skdgp.effects` and the interactions of a model."""
         check_matplotlib(cls.__name__)
         with units_shown(getattr(model, "control_units_", {})):
             return cls.compute(model, X, n_grid=n_grid).plot(ax, keys=keys)
@@ -123,7 +155,12 @@ class EffectsDisplay(Display):
     def compute(cls, model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Self:
         """Return what :meth:`from_model` draws."""
         found = effects(model, X, n_grid=n_grid)
-        return cls(curves=found.curves, importance=found.importance, samples=found.samples)
+        return cls(
+            curves=found.curves,
+            importance=found.importance,
+            samples=found.samples,
+            interactions=interactions(model, X),
+        )
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -62,8 +62,11 @@ DISPLAYS = {
     "Calibration": "How often intervals, with the noise, hold the measured values of all test "
     "flights. On the dotted line they hold as often as they say.",
     "Effects": "For each coefficient the regressors whose effect varies most, on one scale, with "
-    "mean zero over the samples (short lines) and the 95 % band. Bands are wide where regressors "
-    "moved together in the flights: the sum is then known better than its terms.",
+    "mean zero over the samples (short lines) and the 95 % band. Then the two strongest "
+    "interactions: how the coefficient changes with one regressor at a low (5 %) and a high (95 %) "
+    "value of another, all others at their means. Without an interaction both lines are one. Bands "
+    "are wide where regressors moved together in the flights: the sum is then known better than "
+    "its terms.",
     "Where the model knows": "Pairs of regressors; those that a panel does not show are at their "
     "medians. Contours: the standard deviation of the coefficients, over how much they vary where "
     "samples were flown: 0 where they are known, 1 where any value flown is as likely. Where a "

@@ -12,7 +12,7 @@ import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._display import page as page_module
-from skdgp._effects import Curve
+from skdgp._effects import Curve, Interaction
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
@@ -134,10 +134,13 @@ def effects():
     at = np.linspace(-0.1, 0.1, 5)
     curve = Curve(at, np.outer(at, np.arange(6)), np.full((5, 6), 0.01))
     names = ["alpha", "beta"]
+    both = np.outer(at, [1.0, 2.0])
+    interaction = Interaction(("alpha", "beta"), at, at[[0, -1]], both, 0.1 + 0 * both, 0.1)
     return EffectsDisplay(
         curves=dict.fromkeys(names, curve),
         importance=pd.DataFrame(0.1, index=[*names, "joint"], columns=COEFFICIENTS),
         samples=pd.DataFrame(np.column_stack([at, at]), columns=names),
+        interactions={name: 2 * [interaction] for name in COEFFICIENTS},
     )
 
 
@@ -351,8 +354,13 @@ class TestWords:
         without = content(envelope=None, test=(), train={})
         assert "Where the model knows" not in Page(render_report(without)).words
 
-    def test_effects_of_each_coefficient(self, html):
+    def test_effects_with_the_two_strongest_interactions_of_each_coefficient(self, html):
         assert html.count('alt="Cm by alpha"') == html.count('alt="Cm by beta"') == 1
+        assert html.count("by alpha, at two beta") == 2 * 6
+        straight = replace(effects(), interactions={})
+        html = render_report(ReportContent(title="lines", effects=straight))
+        assert html.count(" by beta") == 6
+        assert "at two beta" not in html
 
     def test_marks_dishonest_bands(self, numbers_only):
         flight = result()

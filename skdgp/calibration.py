@@ -100,8 +100,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         output was observed.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
+    drift_variance_, drift_memory_, misfit_variance_ : ndarray (P,)
+        As of the estimator, variances scaled; zero if it has none.
     output_names_, n_features_in_, feature_names_in_
-        Column names of Y, or y0, y1, ...; the others are those of the estimator.
+        Column names of Y, or y0, y1, ...; the others are the estimator's.
 
     Examples
     --------
@@ -182,6 +184,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             self.estimator_ = clone(self.estimator).fit(X, y, **fit_params)
         self.unit_, units = _units_of([test for _, test in splits], flights["flight"].to_numpy())
         self._calibrate(np.concatenate(scores), units)
+        inner, zero = unwrap(self.estimator_), np.zeros(len(self.std_scale_))
+        self.drift_memory_ = getattr(inner, "drift_memory_", zero)
+        self.drift_variance_ = getattr(inner, "drift_variance_", zero) * self.std_scale_**2
+        self.misfit_variance_ = getattr(inner, "misfit_variance_", zero) * self.std_scale_**2
         return self
 
     def _calibrate(self, scores, units):
@@ -245,7 +251,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         X, inside = _check_X(X), unwrap(self.estimator_)
         if return_cov:
             if return_std:
-                raise ValueError("Got return_std and return_cov, but expected one of them.")
+                raise ValueError("Got return_std and return_cov, but expected one.")
             exact = (
                 {"include_input_noise": False}
                 if accepts(self.estimator_, "include_input_noise")
@@ -265,8 +271,12 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def predict_gradient(self, X: Any, return_std: bool = False) -> Any:
         """Return the gradient of the mean at X (n, d), (n, P, d) or (n, d), and on request its scaled deviations."""
         check_is_fitted(self)
-        found = unwrap(self.estimator_).predict_gradient(X, return_std=return_std)
-        return (found[0], found[1] * np.asarray(self._scale)[..., None]) if return_std else found
+        gradients = unwrap(self.estimator_).predict_gradient(X, return_std=return_std)
+        return (
+            (gradients[0], gradients[1] * np.asarray(self._scale)[..., None])
+            if return_std
+            else gradients
+        )
 
     @available_if(_estimator_has("sample_paths"))
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> ScaledPaths:
@@ -280,24 +290,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         return ScaledPaths(regressor.sample_paths(n_paths, random_state), regressor, self._scale)
 
     @property
-    def drift_variance_(self) -> Array:
-        """Variance of the estimator's drift in time, (P,), scaled; zero if it has none."""
-        return self._of_estimator("drift_variance_") * self.std_scale_**2
-
-    @property
-    def drift_memory_(self) -> Array:
-        """Memory of the estimator's drift, (P,)."""
-        return self._of_estimator("drift_memory_")
-
-    @property
-    def misfit_variance_(self) -> Array:
-        """Variance of the estimator's misfit, (P,), scaled; zero if it knows none."""
-        return self._of_estimator("misfit_variance_") * self.std_scale_**2
-
-    def _of_estimator(self, name) -> Array:
-        return getattr(unwrap(self.estimator_), name, np.zeros(len(self.std_scale_)))
-
-    @property
     def _scale(self):
         """Return the factors of the deviations: (P,), or a number for y of shape (n,)."""
         return self.std_scale_[0] if self._single else self.std_scale_
@@ -305,7 +297,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     def predict_interval(self, X: Any, level: float | None = None) -> tuple[Array, Array]:
         """Return lower and upper ends of calibrated intervals of new measurements at X (n, d), shaped as the mean.
 
-        The default level is that of the constructor. Above the guaranteed level of outputs whose
+        The default level is the constructor's. Above the guaranteed level of outputs whose
         ``level`` is guaranteed, intervals are infinite, with a warning. Raises ValueError if
         ``level`` is not inside (0, 1).
         """
@@ -414,7 +406,7 @@ def _splits_of(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
 
 
 def _uses_groups(cv: Any) -> bool:
-    """Return whether a splitter uses groups: those of scikit-learn say so, and warn of unused ones."""
+    """Return whether a splitter uses groups: scikit-learn's say so, and warn of unused groups."""
     if not type(cv).__module__.startswith("sklearn."):
         return True
     return bool(cv.get_metadata_routing().split.requests.get("groups"))
@@ -430,7 +422,7 @@ def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices,
         )
     n_blocks = cv if isinstance(cv, Integral) else min(N_SPLITS, n // 3)
     warn(
-        f"Got one flight, so {n_blocks} blocks of it replace flights: the calibration holds for "
+        f"Got one flight, so {n_blocks} of its blocks replace flights: the calibration holds for "
         f"further blocks of this "
         "flight, not for other flights. Give several (column flight, or groups).",
         stacklevel=5,
@@ -461,15 +453,15 @@ def _scores(estimator: Any, X: Any, Y: Matrix) -> Matrix:
 
 
 def _units_of(tests: list[Indices], flights: Indices) -> tuple[str, Indices]:
-    """Return the exchangeable unit, the flight or, if a split cuts one, the block, and that of each held-out row.
+    """Return the exchangeable unit, flight or, if a split cuts one, block; and the unit of each held-out row.
 
     ``tests`` holds the held-out rows of each split, ``flights`` the flight of every row, from 0 on.
     """
     sizes = np.bincount(flights)
     counts = np.array([np.bincount(flights[test], minlength=len(sizes)) for test in tests])
-    whole = len(sizes) > 1 and ((counts == 0) | (counts == sizes)).all()
-    units = [flights[test] + (0 if whole else k * len(sizes)) for k, test in enumerate(tests)]
-    return "flight" if whole else "block", np.concatenate(units)
+    is_whole = len(sizes) > 1 and ((counts == 0) | (counts == sizes)).all()
+    units = [flights[test] + (0 if is_whole else k * len(sizes)) for k, test in enumerate(tests)]
+    return "flight" if is_whole else "block", np.concatenate(units)
 
 
 def unit_weights(units: Indices) -> Vector:
@@ -479,7 +471,7 @@ def unit_weights(units: Indices) -> Vector:
 
 
 def weighted_quantile(scores: Vector, weights: Vector, level: float) -> float:
-    """Return the least score for which scores up to it have a weight of ``level``; infinite if there is none."""
+    """Return the least score whose cumulative weight is ``level``; infinite if there is none."""
     order = np.argsort(scores)
     index = np.searchsorted(np.cumsum(weights[order]), level - ROUNDING)
     return float(scores[order][index]) if index < len(scores) else np.inf

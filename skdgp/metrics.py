@@ -216,8 +216,8 @@ def output_names(y: object) -> list:
 def check_scored(y_true: ArrayLike, *predicted: ArrayLike, zero_std: bool = False) -> list[Matrix]:
     """Return targets, means and deviations as (n, P) floats; deviations are positive, or 0 with ``zero_std``."""
     target = np.asarray(y_true, dtype=float)
-    found = [np.asarray(values, dtype=float) for values in predicted]
-    for name, values in zip(("y_pred", "y_std"), found, strict=False):
+    predictions = [np.asarray(values, dtype=float) for values in predicted]
+    for name, values in zip(("y_pred", "y_std"), predictions, strict=False):
         if values.size != target.size or len(values) != len(target):
             raise ValueError(
                 f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
@@ -236,9 +236,14 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike, zero_std: bool = Fals
         raise ValueError(
             "Got infinite values in y_true, but expected finite ones or NaN (not observed)."
         )
-    if len(found) == 2 and not ((found[1] > 0) | (zero_std & (found[1] == 0))).all():
-        raise ValueError(f"Got y_std down to {found[1].min():g}, but expected positive values.")
-    return [values.reshape(len(target), -1) for values in (target, *found)]
+    if (
+        len(predictions) == 2
+        and not ((predictions[1] > 0) | (zero_std & (predictions[1] == 0))).all()
+    ):
+        raise ValueError(
+            f"Got y_std down to {predictions[1].min():g}, but expected positive values."
+        )
+    return [values.reshape(len(target), -1) for values in (target, *predictions)]
 
 
 def _by_output(statistic: Callable, values: np.ndarray, y_true: Matrix) -> Vector:
@@ -259,10 +264,10 @@ def _aggregate(values: Vector, multioutput: Average) -> Score:
                 f"Got {multioutput=}, but expected 'raw_values', 'uniform_average' or weights."
             )
         multioutput = np.ones(len(values))
-    known = ~np.isnan(values)
+    scored = ~np.isnan(values)
     return (
-        float(np.average(values[known], weights=np.asarray(multioutput)[known]))
-        if known.any()
+        float(np.average(values[scored], weights=np.asarray(multioutput)[scored]))
+        if scored.any()
         else np.nan
     )
 
@@ -421,13 +426,13 @@ def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
 
 def _scores(y, *predicted) -> dict[str, dict]:
     """Return every metric that the predictions allow, by output."""
-    found: dict[str, Any] = {
+    scores: dict[str, Any] = {
         metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT
     }
     if len(predicted) > 1:
-        found |= {
+        scores |= {
             metric.__name__: metric(y, *predicted, multioutput="raw_values")
             for metric in PROBABILISTIC
         }
-    names = list(getattr(y, "columns", [])) or range(len(found[POINT[0].__name__]))
-    return {metric: dict(zip(names, values, strict=True)) for metric, values in found.items()}
+    names = list(getattr(y, "columns", [])) or range(len(scores[POINT[0].__name__]))
+    return {metric: dict(zip(names, values, strict=True)) for metric, values in scores.items()}

@@ -2,7 +2,7 @@
 
 Hold out whole flights with scikit-learn's ``LeaveOneGroupOut`` or ``GroupKFold`` on the column
 ``flight``. Neighbouring samples of one flight are nearly equal, so a random split inside a flight
-gives scores that are too good. With a single flight, ``BlockSplit`` holds out blocks of it, with a
+gives scores that are too good. With a single flight, ``BlockSplit`` holds out its blocks, with a
 gap in time.
 """
 
@@ -158,8 +158,8 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
     observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
     if n_samples < len(observed):  # the middles of equal parts stay
-        kept = observed[((np.arange(n_samples) + 0.5) * len(observed) / n_samples).astype(int)]
-        values[np.setdiff1d(np.arange(len(values)), kept)] = np.nan
+        chosen = observed[((np.arange(n_samples) + 0.5) * len(observed) / n_samples).astype(int)]
+        values[np.setdiff1d(np.arange(len(values)), chosen)] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):

@@ -15,7 +15,7 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
-from skdgp._cli import _identify
+from skdgp._cli import _learn
 from skdgp.datasets import _example_flights
 from skdgp.design import _library
 from skdgp.identification import _identification
@@ -131,7 +131,7 @@ def short_flights(monkeypatch, request):
         data.test = data.test.head(n_rows)
         return data
 
-    for module in (datasets, _identify):
+    for module in (datasets, _learn):
         monkeypatch.setattr(module, "load_example_flights", first)
 
 

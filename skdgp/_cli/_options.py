@@ -33,28 +33,28 @@ def number(
     expected: str = "a number",
     accept: Callable[[float], bool] = math.isfinite,
     kind: type = float,
-    words: tuple[str, ...] = (),
+    keywords: tuple[str, ...] = (),
 ) -> Callable[[str], float | str]:
     """Return the type of finite numbers that are accepted, or of some words."""
 
     def read(text):
-        value = text if text in words else kind(text)
+        value = text if text in keywords else kind(text)
         if value != text and not (math.isfinite(value) and accept(value)):
             raise ValueError
         return value
 
-    return checked(read, expected)
+    return checked(read, ", or ".join([expected, *keywords]))
 
 
-def at_least(lowest: int, *words: str) -> Callable[[str], float | str]:
+def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
     """Return the type of whole numbers from ``lowest`` on, or of some words."""
-    expected = ", or ".join([f"a whole number, {lowest} or more", *words])
-    return number(expected, lambda value: value >= lowest, int, words)
+    expected = f"a whole number, {lowest} or more"
+    return number(expected, lambda value: value >= lowest, int, keywords)
 
 
-def positive(unit: str, *words: str) -> Callable[[str], float | str]:
+def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:
     """Return the type of numbers > 0, or of some words."""
-    return number(", or ".join([f"{unit} > 0", *words]), lambda value: value > 0, words=words)
+    return number(f"{unit} > 0", lambda value: value > 0, keywords=keywords)
 
 
 def _table_file(text):
@@ -63,19 +63,13 @@ def _table_file(text):
     return text
 
 
-def _regressors(text) -> str | list[str]:
-    if text in REGRESSOR_SETS:
-        return text
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
 def _axis_value(text):
-    axis, _, value = text.partition("=")
+    axis, value = text.split("=")
     return axis, float(value)
 
 
 def _renaming(text):
-    old, _, new = text.partition("=")
+    old, new = text.split("=")
     if not old or new not in CHANNELS:
         raise ValueError
     return old, new
@@ -89,22 +83,27 @@ def _size(text):
 
 
 def _factors(text):
-    first, _, second = text.partition("x")
-    if not (0 < float(first) < math.inf and 0 < float(second) < math.inf):
+    first, second = map(float, text.split("x"))
+    if not (0 < first < math.inf and 0 < second < math.inf):
         raise ValueError
-    return float(first), float(second)
+    return first, second
 
 
 table_file = checked(_table_file, "a name that ends in .csv or .parquet")
-regressors = checked(_regressors, "a set of regressors, or columns")
 axis_value = checked(_axis_value, "AXIS=NUMBER such as elevator=0.4")
 renaming = checked(_renaming, "OLD=NEW, where NEW is a column of docs/notation.md")
-size = checked(_size, "a number > 0, or with its deviation such as 3.2+-0.05")
+size = checked(_size, "a number > 0, or with its standard deviation such as 3.2+-0.05")
 factors = checked(_factors, "two numbers > 0 such as 10x5")
 jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
 n_paths = number(
     "0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int
 )
+
+
+def regressors(text: str) -> str | list[str]:
+    """Return a set of regressors by its name, or a list of columns."""
+    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",")]
+
 
 LOG: dict[str, dict[str, Any]] = {
     "--servos": {
@@ -140,7 +139,7 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
     "flight": {"metavar": "FLIGHT", "nargs": "+", "help": "flights, as of identify"},
     "--aircraft": {
         "metavar": "FILE",
-        "help": "the aircraft, JSON or TOML, as with another mass (default: that of the model)",
+        "help": "the aircraft, JSON or TOML, as with another mass (default: the model's)",
     },
     "--horizons": {
         "metavar": "S",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -11,16 +10,16 @@ import re
 import secrets
 import tomllib
 from collections import Counter
-from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, TypeAlias
 
 import pandas as pd
 
 Writer: TypeAlias = "Callable[[Path], object]"
 """Fills a file."""
-LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes.
 """
@@ -62,38 +61,21 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     return path
 
 
-def write_together(
-    folder: Path, writers: dict[str, Writer], when_complete: Callable[[], object] = lambda: None
-) -> None:
-    """Write several files: all are complete beside their places before the first is put into its own.
+def write_together(folder: Path, writers: Mapping[str, Writer]) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own."""
+    (name, writer), *further = writers.items()
 
-    ``when_complete`` is called in between.
-    """
-    if not writers:
-        when_complete()
-        return
-    (name, writer), *rest = writers.items()
-
-    def write_with_rest(temporary):
+    def write_with_others(temporary):
         writer(temporary)
-        write_together(folder, dict(rest), when_complete)
+        if further:
+            write_together(folder, dict(further))
 
-    write_atomically(folder / name, write_with_rest)
+    write_atomically(folder / name, write_with_others)
 
 
 def text_writer(text: str) -> Writer:
     """Return the writer of a text in UTF-8."""
     return lambda path: path.write_text(text, encoding="utf-8")
-
-
-def sha256_of(file: BinaryIO, size: int) -> bytes:
-    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
-    digest = hashlib.sha256()
-    file.seek(0)
-    while chunk := file.read(min(size, 2**20)):
-        digest.update(chunk)
-        size -= len(chunk)
-    return digest.hexdigest().encode()
 
 
 def plain(value: Any) -> Any:
@@ -117,42 +99,30 @@ def json_text(value: Any) -> str:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be read.
 
-    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply,
-    larger than 16 MB or no regular file.
+    Raises ValueError if it is not UTF-8 or not JSON, or names a key twice.
     """
-    return parse_json(_text(path), f"{path} is not a JSON file")
+    with _refusing(f"{path} is not a JSON file"):
+        text = Path(path).read_text(encoding="utf-8-sig")
+        return json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse)
 
 
 def parse_json(text: str, refusal: str) -> Any:
     """Return the content of a JSON text; raise a ValueError that begins with ``refusal`` if it is none."""
-    return _parsed(
-        lambda: json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse), refusal
-    )
+    with _refusing(refusal):
+        return json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse)
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file; errors as of `read_json`."""
-    text = _text(path)
-    return _parsed(lambda: tomllib.loads(text), f"{path} is not a TOML file")
+    with _refusing(f"{path} is not a TOML file"):
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
 
 
-def _text(path) -> str:
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise ValueError(f"Got {path}, which is a folder or a device, but expected a file.")
-    if path.stat().st_size > LARGEST:
-        raise ValueError(
-            f"Got {path} of {path.stat().st_size / 1e6:.0f} MB, but expected a file of at most 16 "
-            f"MB."
-        )
-    return _parsed(lambda: path.read_text(encoding="utf-8-sig"), f"{path} is not a text in UTF-8")
-
-
-def _parsed(parse, refusal):
+@contextmanager
+def _refusing(refusal: str) -> Iterator[None]:
+    """Begin the message of a ValueError of the block with ``refusal``."""
     try:
-        return parse()
-    except RecursionError:
-        raise ValueError(f"{refusal}: it is nested too deeply.") from None
+        yield
     except ValueError as error:
         raise ValueError(f"{refusal}: {error}.") from error
 
@@ -171,13 +141,9 @@ def _refuse(constant):
 
 def software_versions() -> dict[str, str]:
     """Return the versions of skdgp and of the packages that its numbers depend on."""
-    versions = {"skdgp": "unknown", "python": platform.python_version()}
-    for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:  # run from a folder that was never installed
-            continue
-    return versions
+    names = ("scikit-learn", "numpy", "scipy", "pandas")
+    first = {"skdgp": version("skdgp"), "python": platform.python_version()}
+    return first | {name: version(name) for name in names}
 
 
 def column_names(y) -> list[str]:

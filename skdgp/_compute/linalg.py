@@ -16,9 +16,8 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 
 JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
-CONSTANT = (
-    1e-14  # spread of a constant column over its largest value: sums of equal numbers are rounded
-)
+# spread of a constant column over its largest value: sums of equal numbers are rounded
+CONSTANT = 1e-14
 
 
 class JitterWarning(UserWarning):
@@ -79,7 +78,7 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
         warn(
             f"The covariance matrix of {len(L)} values was not positive definite in double "
             f"precision; {jitter:g} of "
-            "its diagonal was added. The results are those of a slightly noisier model: remove "
+            "its diagonal was added. The results belong to a slightly noisier model: remove "
             "repeated samples "
             "or raise the lower bound of the noise if that matters.",
             JitterWarning,

@@ -22,18 +22,14 @@ VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
 HORIZONTAL = ("north", "east")
 POSITION = (*HORIZONTAL, "down")
-BODY_VELOCITY, EARTH_VELOCITY = (
-    ("u", "v", "w"),
-    ("v_north", "v_east", "v_down"),
-)  # velocity over the ground
+# velocity over the ground
+BODY_VELOCITY, EARTH_VELOCITY = (("u", "v", "w"), ("v_north", "v_east", "v_down"))
 EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from the body outward
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-MIXED, ELEVONS = (
-    ("elevator", "aileron"),
-    ("elevon_left", "elevon_right"),
-)  # which move as both at once
+# which move as both at once
+MIXED, ELEVONS = (("elevator", "aileron"), ("elevon_left", "elevon_right"))
 THRUST_FORCES, THRUST_MOMENTS = (
     ("thrust_x", "thrust_y", "thrust_z"),
     ("thrust_l", "thrust_m", "thrust_n"),
@@ -136,12 +132,10 @@ REGRESSOR_SETS = {
     ),
 }
 """Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`."""
-LEAST_GUST = (
-    1e-3  # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
-)
-SENSOR_GUST = (
-    0.1  # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
-)
+# values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
+LEAST_GUST = 1e-3
+# the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
+SENSOR_GUST = 0.1
 
 
 def rate_factor(name: str, length: float, airspeed: np.ndarray) -> np.ndarray:

@@ -33,18 +33,15 @@ LARGEST_ANGLE = {
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
-CLEARLY_FASTER = (
-    57.3**0.5
-)  # an angle that changes by so many times what the gyros turn is in degrees
+# an angle that changes by so many times what the gyros turn is in degrees
+CLEARLY_FASTER = 57.3**0.5
 NO_TURN = 0.1  # change in a second [rad] that needs no turn
 FASTEST_TURN = {
     "phi": 2 * np.pi,
     "psi": np.pi,
 }  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
-SLOW_TURN, MOST_TURNS = (
-    1.0,
-    10.0,
-)  # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+# of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+SLOW_TURN, MOST_TURNS = (1.0, 10.0)
 ALIASES = {
     **dict.fromkeys(("ias", "tas", "va", "vtas", "vias", "aspd"), "airspeed"),
     **dict.fromkeys(("aoa", "alfa"), "alpha"), **dict.fromkeys(("aos", "ssa", "sideslip"), "beta"),
@@ -61,11 +58,10 @@ ALIASES = {
 """Names in other programs and textbooks, in lower case."""
 MOST_NAMES = 8  # unknown columns that a message names
 HEADING_UNIT = re.compile(r"[\[(].*")
-ENOUGH = 5  # least number of changes from which an angle is judged
+ENOUGH = 5  # least number of changes to judge an angle by
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
-LARGEST_DEFLECTION = (
-    0.7  # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
-)
+# [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
+LARGEST_DEFLECTION = 0.7
 
 
 def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
@@ -95,15 +91,15 @@ def suggestions(names: Iterable[str], have: Collection[str]) -> dict[str, str]:
     {'ias': 'airspeed', 'de': 'elevator', 'trottle': 'throttle'}
     """
     free = [name for name in CHANNELS if name not in have]
-    found: dict[str, str] = {}
+    nearest: dict[str, str] = {}
     for name in map(str, names):
         word = HEADING_UNIT.sub("", name).strip().lower()
         near = [channel for channel in free if channel in (word, ALIASES.get(word))]
         if len(word) > 4:
             near += get_close_matches(word, free, n=1, cutoff=0.87)
-        if near and near[0] not in found.values():
-            found[name] = near[0]
-    return found
+        if near and near[0] not in nearest.values():
+            nearest[name] = near[0]
+    return nearest
 
 
 def unknown_columns_message(names: Collection[str], have: Collection[str]) -> str:
@@ -113,13 +109,13 @@ def unknown_columns_message(names: Collection[str], have: Collection[str]) -> st
     "'de' (did you mean 'elevator'?), and 1 other: voltage"
     """
     near = suggestions(names, have)
-    others = [name for name in names if name not in near]
-    words = ", ".join(f"{name!r} (did you mean {channel!r}?)" for name, channel in near.items())
-    if not others:
-        return words
-    shown = ", ".join(others[:MOST_NAMES]) + ", ..." * (len(others) > MOST_NAMES)
-    count = f"and {len(others)} other{'s' * (len(others) > 1)}" if near else f"{len(others)}"
-    return f"{words}{', ' * bool(near)}{count}: {shown}"
+    unlike = [name for name in names if name not in near]
+    message = ", ".join(f"{name!r} (did you mean {channel!r}?)" for name, channel in near.items())
+    if not unlike:
+        return message
+    shown = ", ".join(unlike[:MOST_NAMES]) + ", ..." * (len(unlike) > MOST_NAMES)
+    count = f"and {len(unlike)} other{'s' * (len(unlike) > 1)}" if near else f"{len(unlike)}"
+    return f"{message}{', ' * bool(near)}{count}: {shown}"
 
 
 def unknown_columns(table: pd.DataFrame) -> list[str]:
@@ -200,12 +196,12 @@ def check_numbers(name: str, values: object, *sizes: int) -> Array:
     return array
 
 
-def _lacking(needed: Iterable[str], have: list[str]) -> str:
+def _lacking(needed: Iterable[str], names: list[str]) -> str:
     """Return the missing names, each with the nearest one there is; empty if none is missing."""
     hints = []
     for name in dict.fromkeys(needed):
-        if name not in have:
-            near = get_close_matches(name, have, n=1, cutoff=0.75)
+        if name not in names:
+            near = get_close_matches(name, names, n=1, cutoff=0.75)
             hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
     return ", ".join(hints)
 
@@ -247,9 +243,9 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     if name not in GYROS or "time" not in table:
         return False
     angle = _values(table, name)
-    known = np.isfinite(angle)
+    sampled = np.isfinite(angle)
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table), int)
-    steps = np.abs(np.diff(angle[known]))[np.diff(codes[known]) == 0]
+    steps = np.abs(np.diff(angle[sampled]))[np.diff(codes[sampled]) == 0]
     change = np.abs(_over_a_second(table, angle))
     if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
         return False
@@ -261,8 +257,8 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
         return fastest <= min(
             max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name]
         )
-    begins = np.abs(angle[known][np.r_[0, 1 + np.flatnonzero(np.diff(codes[known]))]])
-    turns = np.quantile(np.abs(angle[known]), 0.99) / (2 * np.pi)
+    begins = np.abs(angle[sampled][np.r_[0, 1 + np.flatnonzero(np.diff(codes[sampled]))]])
+    turns = np.quantile(np.abs(angle[sampled]), 0.99) / (2 * np.pi)
     return bool(
         begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS
     )
@@ -356,25 +352,27 @@ def _angles(flight: pd.DataFrame) -> None:
     for name in VANES:
         values = np.abs(_values(flight, name))
         if _any_finite(values) and (middle := np.nanmedian(values)) > 0.7:
-            words = f"{middle:.2f} rad ({np.rad2deg(middle):.0f} deg)"
-            _warn(f"The median |{name}| is {words}, but expected radians: these look like degrees.")
+            angle = f"{middle:.2f} rad ({np.rad2deg(middle):.0f} deg)"
+            _warn(f"The median |{name}| is {angle}, but expected radians: these look like degrees.")
 
 
 def warn_of_commands(flight: pd.DataFrame) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
     values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES if name in flight}
-    large = {name: np.nanpercentile(each, 99) for name, each in values.items() if _any_finite(each)}
+    large = {
+        name: np.nanpercentile(angles, 99) for name, angles in values.items() if _any_finite(angles)
+    }
     large = {
         name: top
         for name, top in large.items()
         if top > LARGEST_DEFLECTION or (values[name] == 1).sum() > 1
     }
     if large:
-        found = ", ".join(
+        surfaces = ", ".join(
             f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items()
         )
         _warn(
-            f"Got surfaces up to {found}, more than most servos reach: if these are commands from "
+            f"Got surfaces up to {surfaces}, more than most servos reach: if these are commands from "
             f"-1 to 1, multiply "
             "each by its largest deflection [rad]."
         )
@@ -386,7 +384,7 @@ def _rates(flight: pd.DataFrame) -> None:
     integral = _over_a_second(flight, _values(flight, "p"), rate=True)
     good = np.isfinite(change) & np.isfinite(integral)
     turned, gyro = (
-        np.sqrt(np.mean(each[good] ** 2)) if good.any() else 0.0 for each in (change, integral)
+        np.sqrt(np.mean(turn[good] ** 2)) if good.any() else 0.0 for turn in (change, integral)
     )
     if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
         raise ValueError(
@@ -406,9 +404,11 @@ def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = Fal
         return np.full(len(time), np.nan)
     step = np.nanmedian(np.diff(time))
     lag = min(max(round(1.0 / step), 1), longest // 2)
-    whole = (codes[lag:] == codes[:-lag]) & (np.abs(time[lag:] - time[:-lag] - lag * step) < step)
+    unbroken = (codes[lag:] == codes[:-lag]) & (
+        np.abs(time[lag:] - time[:-lag] - lag * step) < step
+    )
     sums = np.convolve(values, np.ones(lag), mode="valid")[: len(time) - lag] * step
-    return np.where(whole, sums if rate else values[lag:] - values[:-lag], np.nan)
+    return np.where(unbroken, sums if rate else values[lag:] - values[:-lag], np.nan)
 
 
 def _accelerations(flight: pd.DataFrame) -> None:
@@ -445,7 +445,7 @@ def _warn(text: str) -> None:
 
 
 def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:
-    """Return columns as floats (n, k); raise ValueError with the names of those that are not numeric."""
+    """Return columns as floats (n, k); raise ValueError with the names of columns that are not numeric."""
     columns = list(columns)
     try:
         return table[columns].to_numpy(dtype=float, na_value=np.nan)
@@ -466,6 +466,6 @@ def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
     values = numeric(table, names).copy()
     for j, name in enumerate(names):
         if name in WRAPPED:
-            known = np.isfinite(values[:, j])
-            values[known, j] = np.unwrap(values[known, j])
+            sampled = np.isfinite(values[:, j])
+            values[sampled, j] = np.unwrap(values[sampled, j])
     return values

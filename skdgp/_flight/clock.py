@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 GAP = 2.5
 # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
 JITTER = 0.02
-MULTIPLE = 0.1  # parts of the shortest step by which steps are multiples of it
+MULTIPLE = 0.1  # tolerance of multiples of the shortest step, as a fraction
 # a clock that goes back after fewer samples was not restarted: the rows are in disorder
 SHORTEST_PART = 10
 

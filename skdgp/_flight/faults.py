@@ -1,8 +1,8 @@
 """Detection and removal of faults in a flight log.
 
 A sensor with noise hardly ever repeats a value. If a share p of all runs of equal values is longer
-than the usual length, a run of k times this length has the probability p^(k-1). The usual length is
-that of the channel, so a sensor that is slower than the table is not stuck. A coarsely quantised or
+than the usual length, a run of k times this length has the probability p^(k-1). Each
+channel has its own usual length, so a sensor that is slower than the table is not stuck. A coarsely quantised or
 noise-free channel has long runs without a fault: it is stuck only if it jumps after the run.
 """
 
@@ -28,19 +28,10 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
 from skdgp._flight.clock import GAP, flight_codes, true_runs
 
-SIBLINGS = (
-    VANES,
-    RATES,
-    SPECIFIC_FORCE,
-    EULER,
-    EARTH_VELOCITY,
-    BODY_VELOCITY,
-    POSITION,
-)  # of one sensor
-SENSORS = (
-    "airspeed",
-    *(name for names in SIBLINGS for name in names),
-)  # noise and motion never let them stand still
+# of one sensor
+SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
+# noise and motion never let them stand still
+SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -65,27 +56,23 @@ RARE = 0.05
 LONG_GAP = 1.0
 MOST_SHOWN = 8  # kinds of findings that a warning names
 EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
-WARNING_START = "Faults in the log"  # first words of the warning, by which it is filtered
-ENOUGH = 50  # least number of samples from which the usual length of runs is known
+WARNING_START = "Faults in the log"  # first words of the warning, for filters
+ENOUGH = 50  # least number of samples to estimate the usual length of runs
 IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
 LEAST_HOLD = 0.3  # shorter holds [s] are no fault
-FEWEST_HELD = (
-    6  # different values that are repeated, from which the resolution of a channel is seen
-)
+FEWEST_HELD = 6  # repeated values, at least, to estimate the resolution of a channel
 MOST_ON_STEP = 0.9  # fraction of such values that are multiples of the resolution
-OFF_STEP = 0.1  # parts of the resolution by which such values may be off its multiples
-LEAST_STOP = 0.5  # seconds at the extreme value from which a surface is at its stop
+OFF_STEP = 0.1  # tolerance of such multiples, as a fraction of the resolution
+LEAST_STOP = 0.5  # least time at the extreme value of a surface at its stop [s]
 STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
 FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
 # a surface held at its extremes so many times as long as it moves is not stopped, but switched
 MOST_HELD = 4.0
-SPIKE = (
-    8.0  # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
-)
+# a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
+SPIKE = 8.0
 WIDEST_SPIKE = 3
-SMOOTH = (
-    0.5  # steps that change by less than this share of themselves show no noise (with noise: 1.7)
-)
+# steps that change by less than this share of themselves show no noise (with noise: 1.7)
+SMOOTH = 0.5
 MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
 NOT_MEASURED = ("stuck", "impossible", "spike")
@@ -119,7 +106,7 @@ class Finding(NamedTuple):
     rows: np.ndarray
     description: str
     origin: float = 0.0
-    """Time [s] from which messages count: that of the first row where the clock is of the epoch."""
+    """Origin of the times in messages [s]: the first row where the clock counts from 1970."""
 
     @property
     def message(self) -> str:
@@ -130,12 +117,12 @@ class Finding(NamedTuple):
 
 
 def seconds_origin(time: np.ndarray) -> float:
-    """Return the time [s] from which messages count: 0, or the first where the clock is of the epoch."""
+    """Return the origin of the times in messages [s]: 0, or the first time where the clock counts from 1970."""
     return float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0
 
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
-    """Return the faults of each flight in a table whose time increases within each, but those of columns to ignore."""
+    """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
     ignored, time = set(ignore), table["time"].to_numpy(float)
     codes, names = flight_codes(
         table["flight"] if "flight" in table else np.full(len(table), "flight")
@@ -147,10 +134,10 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
     origin = seconds_origin(time)
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
-        here = time[first:last]
+        flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for channel, kind, rows, description in _faults_of_flight(here, part):
-            ends = float(here[rows[0]]), float(here[rows[-1]])
+        for channel, kind, rows, description in _faults_of_flight(flight_time, part):
+            ends = float(flight_time[rows[0]]), float(flight_time[rows[-1]])
             place = (*ends, first + rows)
             name = names[codes[first]]
             findings.append(Finding(name, channel, kind, *place, description, origin))
@@ -158,39 +145,43 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
 
 
 def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataFrame:
-    """Return the table with NaN for what was not measured."""
+    """Return the table with NaN for values that were not measured."""
     new: dict[str, np.ndarray] = {}
-    for each in findings:
-        if each.kind in NOT_MEASURED:
-            if each.channel not in new:
-                new[each.channel] = table[each.channel].to_numpy(float, na_value=np.nan).copy()
-            new[each.channel][each.rows] = np.nan
+    for finding in findings:
+        if finding.kind in NOT_MEASURED:
+            if finding.channel not in new:
+                new[finding.channel] = (
+                    table[finding.channel].to_numpy(float, na_value=np.nan).copy()
+                )
+            new[finding.channel][finding.rows] = np.nan
     return table.assign(**new) if new else table
 
 
 def grouped_messages(findings: Iterable[Finding]) -> list[str]:
     """Return one line for all findings of one kind in one channel: their number and the longest."""
     groups: dict[tuple[str, str], list[Finding]] = {}
-    for each in findings:
-        groups.setdefault((each.channel, each.kind), []).append(each)
+    for finding in findings:
+        groups.setdefault((finding.channel, finding.kind), []).append(finding)
     lines = []
     for group in groups.values():
-        longest = max(group, key=lambda each: len(each.rows))
+        longest = max(group, key=lambda finding: len(finding.rows))
         times = f"{len(group)} times, the longest: " if len(group) > 1 else ""
         lines.append(f"flight {longest.flight}: {times}{longest.message}")
     return lines
 
 
 def faults_message(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings that ends with what was ``done`` about them."""
+    """Return one message of many findings that ends with their treatment, ``done``."""
     lines = grouped_messages(findings)
-    more = len(lines) - MOST_SHOWN
-    rest = f"; and {more} more, see skdgp.preprocessing.inspect_flight" if more > 0 else ""
-    return f"{WARNING_START}: {'; '.join(lines[:MOST_SHOWN])}{rest}. {done}"
+    n_hidden = len(lines) - MOST_SHOWN
+    hidden = (
+        f"; and {n_hidden} more, see skdgp.preprocessing.inspect_flight" if n_hidden > 0 else ""
+    )
+    return f"{WARNING_START}: {'; '.join(lines[:MOST_SHOWN])}{hidden}. {done}"
 
 
 def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
-    """Yield channel, kind, rows and description of each fault; in the channels, what was not measured becomes NaN."""
+    """Yield channel, kind, rows and description of each fault; faulty values in the channels become NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     rows = np.flatnonzero(np.diff(time) > GAP * step)
     if rows.size:
@@ -216,13 +207,13 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
 
 def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
     """Yield the gaps of a channel that usually has values there."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not known.size:
+    sampled = np.flatnonzero(np.isfinite(values))
+    if not sampled.size:
         yield name, "missing", np.arange(len(values)), "has no value"
         return
-    spacing = np.diff(np.r_[-1, known, len(values)])
+    spacing = np.diff(np.r_[-1, sampled, len(values)])
     wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
-    before = np.r_[-1, known][wide]
+    before = np.r_[-1, sampled][wide]
     gaps = [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
     for rows in gaps:
         if len(rows) * step >= LONG_GAP:
@@ -249,8 +240,8 @@ def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:
 
 def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[Fault]:
     """Yield sensors that have one value throughout while others of their kind move."""
-    known = {name: values[np.isfinite(values)] for name, values in channels.items()}
-    spread = {name: np.ptp(values) for name, values in known.items() if len(values) >= ENOUGH}
+    sampled = {name: values[np.isfinite(values)] for name, values in channels.items()}
+    spread = {name: np.ptp(values) for name, values in sampled.items() if len(values) >= ENOUGH}
     for names in SIBLINGS:
         moving = [name for name in names if spread.get(name, 0) > 0]
         for name in names:
@@ -289,17 +280,17 @@ def equal_runs(values: np.ndarray) -> Runs:
 
 
 def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
-    """Return the rows of each run in which a sensor repeats its last value, improbably often."""
+    """Return the rows of each run where a sensor repeats its last value, improbably often."""
     rows = np.flatnonzero(np.isfinite(values))
-    seen = values[rows]
-    if len(rows) < ENOUGH or np.ptp(seen) == 0:
+    readings = values[rows]
+    if len(rows) < ENOUGH or np.ptp(readings) == 0:
         return []
-    runs = equal_runs(seen)
-    leap = np.abs(np.diff(seen[runs.start], append=np.nan))
+    runs = equal_runs(readings)
+    leap = np.abs(np.diff(readings[runs.start], append=np.nan))
     steps = leap[:-1]
-    quantum = max(np.quantile(steps, 0.01), _resolution(seen[runs.start[runs.length > 1]]))
+    quantum = max(np.quantile(steps, 0.01), _resolution(readings[runs.start[runs.length > 1]]))
     bend = (
-        np.median(np.abs(np.diff(seen[runs.start], 2))) / np.median(steps)
+        np.median(np.abs(np.diff(readings[runs.start], 2))) / np.median(steps)
         if len(steps) > 1
         else np.inf
     )
@@ -316,7 +307,7 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
 
 
 def _resolution(held: np.ndarray) -> float:
-    """Return the step of which held values are multiples, from any origin; 0 if there is none."""
+    """Return the common step of held values, from any origin; 0 if there is none."""
     levels = np.unique(held)
     if len(levels) < FEWEST_HELD:
         return 0.0
@@ -328,32 +319,32 @@ def _resolution(held: np.ndarray) -> float:
 
 def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
     """Return the rows of a few samples that leap from their neighbours and back."""
-    known = np.flatnonzero(np.isfinite(values))
-    if len(known) < ENOUGH:
+    sampled = np.flatnonzero(np.isfinite(values))
+    if len(sampled) < ENOUGH:
         return np.empty(0, int)
-    start = np.flatnonzero(np.r_[True, np.diff(values[known]) != 0])
-    fresh = values[known[start]]
-    seen = np.unwrap(fresh) if angle else fresh
-    if len(seen) < ENOUGH:
+    start = np.flatnonzero(np.r_[True, np.diff(values[sampled]) != 0])
+    fresh = values[sampled[start]]
+    readings = np.unwrap(fresh) if angle else fresh
+    if len(readings) < ENOUGH:
         return np.empty(0, int)
-    padded = np.pad(seen, 2, mode="reflect")
+    padded = np.pad(readings, 2, mode="reflect")
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-    out = np.abs(seen - around)
+    out = np.abs(readings - around)
     far = out > SPIKE * np.quantile(out, 0.995)
-    found = [
+    leaps = [
         np.arange(run.start, run.stop)
         for run in true_runs(far)
         if run.stop - run.start <= WIDEST_SPIKE
     ]
-    ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(seen) - 1)) for part in found]
+    ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(readings) - 1)) for part in leaps]
     back = [
         k
-        for k, (a, b) in zip(found, ends, strict=True)
-        if abs(seen[b] - seen[a]) < out[k].max() / 2
+        for k, (a, b) in zip(leaps, ends, strict=True)
+        if abs(readings[b] - readings[a]) < out[k].max() / 2
     ]
-    edges = np.r_[start, len(known)]
+    edges = np.r_[start, len(sampled)]
     return np.concatenate(
-        [known[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [known[:0]]
+        [sampled[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [sampled[:0]]
     )
 
 
@@ -364,12 +355,12 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     is no stop.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    seen = values[rows]
-    if len(rows) < ENOUGH or np.ptp(seen) == 0:
+    readings = values[rows]
+    if len(rows) < ENOUGH or np.ptp(readings) == 0:
         return []
-    runs = equal_runs(seen)
-    level = seen[runs.start]
-    ends = (level == seen.min()) | (level == seen.max())
+    runs = equal_runs(readings)
+    level = readings[runs.start]
+    ends = (level == readings.min()) | (level == readings.max())
     long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
     moves = ~ends & (runs.length < STANDS * np.median(runs.length))
     held, elsewhere, moving = (int(runs.length[part].sum()) for part in (long & ends, ~ends, moves))
@@ -379,11 +370,11 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
         return []
     if np.sum(long & ~ends) * 2 > np.sum(long & ends):
         return []
-    held_there = (long & (level == extreme) for extreme in (seen.min(), seen.max()))
-    return [rows[np.repeat(at, runs.length)] for at in held_there if at.any()]
+    held_there = (long & (level == extreme) for extreme in (readings.min(), readings.max()))
+    return [rows[np.repeat(held, runs.length)] for held in held_there if held.any()]
 
 
 def usual_spacing(values: np.ndarray) -> float:
     """Return how many rows lie between a sample and the next, but for a tenth of them."""
-    known = np.flatnonzero(np.isfinite(values))
-    return float(np.quantile(np.diff(known), 0.9)) if known.size > 1 else 1.0
+    sampled = np.flatnonzero(np.isfinite(values))
+    return float(np.quantile(np.diff(sampled), 0.9)) if sampled.size > 1 else 1.0

@@ -153,7 +153,7 @@ def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
     else:
         warn(
             "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are "
-            "those of still air. "
+            "relative to still air. "
             "Add wind_north, wind_east, wind_down if there was wind.",
             stacklevel=4,
         )
@@ -254,9 +254,9 @@ def unwrapped_paths(angles: np.ndarray) -> np.ndarray:
 
 def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
     """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
-    known = np.isfinite(quaternions).all(axis=1)
-    some = quaternions[known]
-    turns = np.cumsum(np.r_[0, (some[1:] * some[:-1]).sum(axis=1) < 0])
+    sampled = np.isfinite(quaternions).all(axis=1)
+    rotations = quaternions[sampled]
+    turns = np.cumsum(np.r_[0, (rotations[1:] * rotations[:-1]).sum(axis=1) < 0])
     result = quaternions.copy()
-    result[known] = some * np.where(turns % 2, -1.0, 1.0)[:, None]
+    result[sampled] = rotations * np.where(turns % 2, -1.0, 1.0)[:, None]
     return result

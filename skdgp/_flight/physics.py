@@ -20,6 +20,7 @@ therefore cause no finding.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -42,53 +43,33 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.clock import flight_rows, flight_segments
-from skdgp._flight.frames import air_velocity, euler_to_matrix
+from skdgp._flight.frames import air_data, air_velocity, euler_to_matrix
 
 RATE = 20.0  # rows are averaged to about this rate [Hz]
-LONG, SHORT = (
-    1.0,
-    0.1,
-)  # windows [s] over which kinematics, and effects of angles and surfaces, are integrated
-IMPROVEMENT, WORSE = (
-    0.5,
-    0.3,
-)  # least improvement of an agreement by a correction, and most that another may lose
-AGREES, LEAST_T = (
-    0.3,
-    4.0,
-)  # least agreement and t value after a correction; below, and at t < -4, signals contradict
-PARALLEL, MULTIPLE = (
-    0.9,
-    1.5,
-)  # signals of this cosine contradict each other if one is so many times the other
-EXTRA_CHANNEL, TIE = (
-    0.02,
-    0.01,
-)  # agreement that a correction's next channel must gain; nearer causes are as probable
+LONG = 1.0  # window [s] over which kinematics are integrated
+SHORT = 0.1  # window [s] over which effects of angles and surfaces are integrated
+IMPROVEMENT = 0.5  # least improvement of an agreement by a correction
+WORSE = 0.3  # most that another agreement may lose by it
+AGREES = 0.3  # least agreement after a correction; below, signals contradict each other
+LEAST_T = 4.0  # least t value after a correction; slopes of t < -4 contradict
+PARALLEL = 0.9  # signals of this cosine contradict each other
+MULTIPLE = 1.5  # if the larger is so many times the other
+EXTRA_CHANNEL = 0.02  # agreement that a correction must gain by each further channel
+TIE = 0.01  # causes of agreements that are nearer are as probable
 CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
 LAGS = (0.0, -0.15, -0.1, -0.05, 0.05, 0.1)  # of the surfaces [s], positive where late
-# a lag is possible that leaves less than 1.5 times the least variance unexplained, and explains more
-# than 0.75 of the largest variance
-UNEXPLAINED, EXPLAINED = 1.5, 0.75
+UNEXPLAINED = 1.5  # a lag is possible that leaves less than so many times the least variance
+EXPLAINED = 0.75  # unexplained, and explains more than this fraction of the largest variance
 ENOUGH = 40  # least number of windows
 LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
 MOST = 8  # most findings of one table
-FLYING = 0.5  # rows slower than this share of the median airspeed do not count
+FLYING = 0.5  # rows slower than this fraction of the median airspeed do not count
 
 CONTROLS = frozenset(ALL_SURFACES)
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
 """Channels that only slopes, and only equalities, depend on."""
-MOTION = (
-    *VANES,
-    *RATES,
-    *SPECIFIC_FORCE,
-    *EULER,
-    *EARTH_VELOCITY,
-    *BODY_VELOCITY,
-    *POSITION,
-    "altitude",
-)
-SIGNED = (*MOTION, *SURFACES)
+MOTION = (*VANES, *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION)
+SIGNED = (*MOTION, "altitude", *SURFACES)
 USED = ("airspeed", *SIGNED, *ELEVONS, "throttle")
 SIGNS = {
     "q r": "the gyro's axes are y left, z up",
@@ -123,8 +104,24 @@ UNITS = {
     "km/h": (1 / 3.6, ("airspeed", "v_north v_east v_down", "u v w")),
 }
 """Factor to SI, and channels that are in this unit together."""
+CLIMBS = {
+    **dict(zip(POSITION, EARTH_VELOCITY, strict=True)),
+    "altitude": "v_down",
+}
+"""Positions by velocities, which they integrate."""
+SLOPES = {
+    "CZ": ("az", "alpha q elevator", -1, "lift grows with alpha"),
+    "CY": ("ay", "beta p r aileron rudder", -1, "the side force opposes beta"),
+    "Cl": ("p", "aileron beta p r rudder", 1, "a positive aileron rolls right"),
+    "Cm": ("q", "elevator alpha q", -1, "a positive elevator pitches down"),
+    "Cn": ("r", "rudder beta p r aileron", -1, "a positive rudder yaws left"),
+    "energy": ("airspeed", "sink throttle induced", 1, "the aircraft gains airspeed in descents"),
+}
+"""Response, its regressors, and the expected sign of the slope of the first of these."""
+STAND_INS = {"alpha": "az", "beta": "ay"}  # specific forces, which grow with the angles
 
 Signals = dict[str, np.ndarray]
+Equality = tuple[str, str, np.ndarray, np.ndarray]  # name, words, y, x
 
 
 class Contradiction(NamedTuple):
@@ -141,12 +138,14 @@ class Contradiction(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """A possible fault: its channels, what is probable, what to do, and the correction of signals."""
+    """A possible fault: its channels, the finding, the remedy, and the correction of signals."""
 
     channels: tuple[str, ...]
     words: str
     remedy: str
     correct: Callable[[Signals], Signals]
+    needs: tuple[str, ...] = ()
+    """Channels that it is looked for in."""
     keeps_equalities: bool = False
     """Whether equal signals stay equal, so that only slopes show the fault."""
 
@@ -182,34 +181,38 @@ def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
     Raises ValueError if time does not increase within a flight.
     """
-    found = _of_flights(table, None)
-    rows = flight_rows(table["flight"]) if "flight" in table and not found else {}
-    if len(rows) > 1:
-        time = table["time"].to_numpy(float)
-        long = {name: here for name, here in rows.items() if np.ptp(time[here]) >= LONG_FLIGHT}
-        found = [
-            each for name, here in long.items() for each in _of_flights(table.iloc[here], name)
-        ]
-    return found
+    contradictions = _of_flights(table, None)
+    flights = flight_rows(table["flight"]) if "flight" in table else {}
+    if contradictions or len(flights) < 2:
+        return contradictions
+    time = table["time"].to_numpy(float)
+    return [
+        contradiction
+        for name, rows in flights.items()
+        if np.ptp(time[rows]) >= LONG_FLIGHT
+        for contradiction in _of_flights(table.iloc[rows], name)
+    ]
 
 
 def reversed_surfaces(table: pd.DataFrame) -> list[str]:
     """Return the surfaces whose signs all flights of a table contradict, where nothing else is as probable a cause."""
-    found = [each for each in find_contradictions(table) if each.flight is None and each.is_sign]
-    return [name for each in found for name in each.channels if name in CONTROLS]
+    return [
+        name
+        for contradiction in find_contradictions(table)
+        if contradiction.flight is None and contradiction.is_sign
+        for name in contradiction.channels
+        if name in CONTROLS
+    ]
 
 
 def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
-    found = [Contradiction(flight, *each) for each in _magnitudes(table)]
+    contradictions = [Contradiction(flight, *fault) for fault in _magnitudes(table)]
     windows, signals = _reduced(table)
-    while len(signals) and len(found) < MOST:
-        best = _most_probable(windows, signals)
-        if best is None:
-            break
+    while signals and len(contradictions) < MOST and (best := _most_probable(windows, signals)):
         cause, message, is_sign = best
-        found.append(Contradiction(flight, cause.channels, message, is_sign))
+        contradictions.append(Contradiction(flight, cause.channels, message, is_sign))
         signals = cause.correct(signals)
-    return found
+    return contradictions
 
 
 def _magnitudes(table: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -220,8 +223,8 @@ def _magnitudes(table: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], str]]:
             values = np.abs(table[name].to_numpy(float, na_value=np.nan))
             large = float(np.nanquantile(values, 0.95)) if np.isfinite(values).any() else 0.0
             if large > most:
-                words = f"{name} is probably in {unit}: convert it; 5 % of its values are beyond {large:.3g}"
-                yield (name,), f"{words} ({CHANNELS[name].unit or 'a share'} at most {most:.3g})"
+                fault = f"{name} is probably in {unit}: convert it; 5 % of its values are beyond {large:.3g}"
+                yield (name,), f"{fault} ({CHANNELS[name].unit or 'a share'} at most {most:.3g})"
 
 
 class Windows(NamedTuple):
@@ -282,17 +285,17 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
 
 
 def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    known = np.isfinite(values)
-    if not known.any():
+    sampled = np.isfinite(values)
+    if not sampled.any():
         return values
-    part = values[known]
+    part = values[sampled]
     if name in EULER:
         part = np.unwrap(part, period=360.0 if np.abs(part).max() > 2.1 * np.pi else 2 * np.pi)
-    return np.interp(time, time[known], part, left=np.nan, right=np.nan)
+    return np.interp(time, time[sampled], part, left=np.nan, right=np.nan)
 
 
 def block_means(values: np.ndarray, size: int) -> np.ndarray:
-    """Return the means of ``size`` rows each; what is left over at the end does not count."""
+    """Return the means of ``size`` rows each, without an incomplete block at the end."""
     return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
 
 
@@ -300,118 +303,131 @@ def _relations(
     windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
 ) -> dict[str, Relation]:
     """Return the relations between the channels that there are: those that depend on the changed ones."""
-    found: dict[str, Relation] = {}
+    relations: dict[str, Relation] = {}
     with np.errstate(all="ignore"):
         if not CONTROLS.issuperset(changed):
-            for name, words, y, x in _kinematics(windows, signals):
-                found[name] = _agreement(words, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
+            for name, statement, y, x in _kinematics(windows, signals):
+                least = 0.01 if name in (*EULER, *VANES) else 0.1
+                relations[name] = _agreement(statement, y, x, least)
         if not INERTIAL.issuperset(changed):
-            found |= _slopes(windows, signals)
-    return found
+            relations |= _slopes(windows, signals)
+    return relations
 
 
-def _kinematics(windows: Windows, signals: Signals) -> Iterator[tuple]:
-    """Yield name, words, y and x of signals that are equal."""
-    change, integral = windows.change, windows.integral
-
-    def get(*names):
-        return [signals[name] for name in names] if all(name in signals for name in names) else None
-
-    attitude = get(*EULER)
-    if attitude and get(*RATES):
-        phi, theta, psi = attitude
-        p, q, r = get(*RATES)
-        equal = "the change of {} and the integral of {}".format
-        turn = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
-        yield "phi", equal("phi", "p"), change(phi) - turn, integral(p)
-        yield (
-            "theta",
-            equal("theta", "q"),
-            change(theta) + integral(r * np.sin(phi)),
-            integral(q * np.cos(phi)),
+def _kinematics(windows: Windows, signals: Signals) -> list[Equality]:
+    """Return name, words, y and x of signals that are equal."""
+    equalities: list[Equality] = [
+        (
+            place,
+            f"the change of {place} and the integral of {rate}",
+            (-1.0 if place == "altitude" else 1.0) * windows.change(signals[place]),
+            windows.integral(signals[rate]),
         )
-        turn = change(psi) - integral(q * np.sin(phi) / np.cos(theta))
-        yield "psi", equal("psi", "r"), turn, integral(r * np.cos(phi) / np.cos(theta))
-    for place, rate in zip((*POSITION, "altitude"), (*EARTH_VELOCITY, "v_down"), strict=True):
-        if get(place, rate):
-            sign = -1.0 if place == "altitude" else 1.0
-            words = f"the change of {place} and the integral of {rate}"
-            yield place, words, sign * change(signals[place]), integral(signals[rate])
-    force = np.stack(get(*SPECIFIC_FORCE), axis=-1) if get(*SPECIFIC_FORCE) else None
-    earth, body = get(*EARTH_VELOCITY), get(*BODY_VELOCITY)
-    if attitude is None or not (earth or body):
-        if force is not None:
-            yield (
-                "az",
-                "az and the -9.8 m/s^2 of level flight",
-                force[:, 2],
-                np.full(len(force), -G),
+        for place, rate in CLIMBS.items()
+        if {place, rate} <= signals.keys()
+    ]
+    if {*EULER, *RATES} <= signals.keys():
+        equalities += _turns(windows, *(signals[name] for name in (*EULER, *RATES)))
+    moves = {*EARTH_VELOCITY} <= signals.keys() or {*BODY_VELOCITY} <= signals.keys()
+    if {*EULER} <= signals.keys() and moves:
+        return equalities + _motion(windows, signals)
+    if {*SPECIFIC_FORCE} <= signals.keys():
+        level = np.full(len(signals["az"]), -G)
+        equalities.append(("az", "az and the -9.8 m/s^2 of level flight", signals["az"], level))
+    return equalities
+
+
+def _turns(windows: Windows, phi, theta, psi, p, q, r) -> list[Equality]:
+    """Return the changes of attitude and the integrals of rates."""
+    change, integral = windows.change, windows.integral
+    statement = "the change of {} and the integral of {}".format
+    roll = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
+    yaw = integral(q * np.sin(phi) / np.cos(theta))
+    pitch = integral(r * np.sin(phi))
+    return [
+        ("phi", statement("phi", "p"), change(phi) - roll, integral(p)),
+        ("theta", statement("theta", "q"), change(theta) + pitch, integral(q * np.cos(phi))),
+        (
+            "psi",
+            statement("psi", "r"),
+            change(psi) - yaw,
+            integral(r * np.cos(phi) / np.cos(theta)),
+        ),
+    ]
+
+
+def _motion(windows: Windows, signals: Signals) -> list[Equality]:
+    """Return velocities, forces and air data that are equal at an attitude."""
+    equalities: list[Equality] = []
+    rotation = euler_to_matrix(*(signals[name] for name in EULER))
+    has = {
+        names: {*names} <= signals.keys()
+        for names in (EARTH_VELOCITY, BODY_VELOCITY, SPECIFIC_FORCE)
+    }
+
+    def stacked(names):
+        return np.stack([signals[name] for name in names], axis=-1)
+
+    if has[EARTH_VELOCITY]:
+        velocity = stacked(EARTH_VELOCITY)
+    else:
+        velocity = np.einsum("nij,nj->ni", rotation, stacked(BODY_VELOCITY))
+    if has[EARTH_VELOCITY] and has[BODY_VELOCITY]:
+        along = np.einsum("nji,nj->ni", rotation, velocity).T
+        equalities += [
+            (name, f"{name} and the velocity over the earth", y, signals[name])
+            for name, y in zip(BODY_VELOCITY, along, strict=True)
+        ]
+    if has[SPECIFIC_FORCE]:
+        force = stacked(SPECIFIC_FORCE)
+        parts = [windows.integral(rotation[:, :, k] * force[:, k : k + 1]) for k in range(3)]
+        missing = windows.change(velocity) - np.array([0.0, 0.0, G]) * LONG - sum(parts)
+        equalities += [
+            (
+                name,
+                f"the integral of {name} and the change of the velocity over the earth",
+                missing + part,
+                part,
             )
-        return
-    rotation = euler_to_matrix(*attitude)
-    velocity = (
-        np.stack(earth, axis=-1)
-        if earth
-        else np.einsum("nij,nj->ni", rotation, np.stack(body, axis=-1))
-    )
-    if earth and body:
-        along = np.einsum("nji,nj->ni", rotation, velocity)
-        for k, name in enumerate(BODY_VELOCITY):
-            yield name, f"{name} and the velocity over the earth", along[:, k], signals[name]
-    if force is not None:
-        parts = [integral(rotation[:, :, k] * force[:, k : k + 1]) for k in range(3)]
-        rest = change(velocity) - np.array([0.0, 0.0, G]) * LONG
-        for k, name in enumerate(SPECIFIC_FORCE):
-            words = f"the integral of {name} and the change of the velocity over the earth"
-            yield name, words, rest - sum(parts[j] for j in range(3) if j != k), parts[k]
-    if get("airspeed"):
+            for name, part in zip(SPECIFIC_FORCE, parts, strict=True)
+        ]
+    if "airspeed" in signals:
         zero = np.zeros(len(rotation))
         alpha, beta = signals.get("alpha", zero), signals.get("beta", zero)
         air = np.einsum("nij,nj->ni", rotation, air_velocity(signals["airspeed"], alpha, beta))
         wind = np.nanmean(velocity - air, axis=0) * [1.0, 1.0, 0.0]
-        yield (
-            "airspeed",
-            "the velocities through the air and over the earth",
-            (velocity - wind)[:, :2],
-            air[:, :2],
-        )
-        u, v, w = np.einsum("nji,nj->ni", rotation, velocity - wind).T
-        for name, angle in {
-            "alpha": np.arctan2(w, u),
-            "beta": np.arctan2(v, np.hypot(u, w)),
-        }.items():
-            if name in signals:
-                yield (
-                    name,
-                    f"{name} and the velocity over the earth in body axes",
-                    signals[name],
-                    angle,
-                )
+        statement = "the velocities through the air and over the earth"
+        equalities.append(("airspeed", statement, (velocity - wind)[:, :2], air[:, :2]))
+        _, *angles = air_data(np.einsum("nji,nj->ni", rotation, velocity - wind))
+        equalities += [
+            (name, f"{name} and the velocity over the earth in body axes", signals[name], angle)
+            for name, angle in zip(VANES, angles, strict=True)
+            if name in signals
+        ]
+    return equalities
 
 
 def _slopes(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    """Return the slopes of known sign, those of moments at the lag of the surfaces that explains most.
+    """Return the slopes of known sign; moments at the lag of the surfaces that explains most.
 
     Where another possible lag gives a slope of the other sign, its agreement is NaN.
     """
-    found = {name: _slope_sign(*each) for name, *each in _aerodynamics(windows, signals)}
-    candidates: dict[str, list[Relation]] = {
-        name: [found[name]] for name in CONTROL if name in found
-    }
+    slopes = {name: _slope_sign(*terms) for name, *terms in _aerodynamics(windows, signals)}
+    candidates = {name: [slopes[name]] for name in CONTROL if name in slopes}
     for lag in LAGS[1:]:
         shifted = _without_lag(windows, signals, lag)
-        for name, *each in _aerodynamics(windows, shifted, list(candidates)):
-            candidates[name].append(_slope_sign(*each))
-    for name, slopes in candidates.items():
-        best = max(slopes, key=lambda each: each.explained)
+        for name, *terms in _aerodynamics(windows, shifted, candidates):
+            candidates[name].append(_slope_sign(*terms))
+    for name, lagged in candidates.items():
+        best = max(lagged, key=lambda slope: slope.explained)
         lag_decides = any(
-            each.t * best.t < 0
-            and 1 - each.explained < UNEXPLAINED * (1 - best.explained)
-            and each.explained > EXPLAINED * best.explained
-            for each in slopes
+            slope.t * best.t < 0
+            and 1 - slope.explained < UNEXPLAINED * (1 - best.explained)
+            and slope.explained > EXPLAINED * best.explained
+            for slope in lagged
         )
-        found[name] = Relation(best.words, np.nan) if lag_decides else best
-    return found
+        slopes[name] = Relation(best.words, np.nan) if lag_decides else best
+    return slopes
 
 
 def _without_lag(windows: Windows, signals: Signals, lag: float) -> Signals:
@@ -429,109 +445,79 @@ def _without_lag(windows: Windows, signals: Signals, lag: float) -> Signals:
 
 
 def _aerodynamics(
-    windows: Windows, signals: Signals, wanted: Iterable[str] | None = None
+    windows: Windows, signals: Signals, names: Iterable[str] = SLOPES
 ) -> Iterator[tuple]:
     """Yield name, words, change of the response, its regressors, and the expected sign of the first one's slope.
 
-    Only those that are wanted, if given. Responses over V^2 are linear in angles, rates over V and
-    surfaces. Both sides are integrated, which needs no derivative of a noisy signal. Without alpha
-    or beta, az / V^2 or ay / V^2 stands for it.
+    Responses over V^2 are linear in angles, rates over V and surfaces. Both sides are integrated,
+    which needs no derivative of a noisy signal. Without alpha or beta, az / V^2 or ay / V^2 stands
+    for it.
     """
     if "airspeed" not in signals:
         return
     speed = signals["airspeed"]
-    terms = {
-        name: speed**2 * signals[name]
-        for name in (*VANES, *SURFACES, "throttle")
-        if name in signals
-    }
-    terms |= {name: speed * signals[name] for name in RATES if name in signals}
+    scaled = signals | {name: signals[name] / speed for name in RATES if name in signals}
     if {*ELEVONS} <= signals.keys():
-        left, right = (signals[name] for name in ELEVONS)
-        terms |= {
-            "elevator": speed**2 * (left + right) / 2,
-            "aileron": speed**2 * (left - right) / 2,
+        left_elevon, right_elevon = (signals[name] for name in ELEVONS)
+        scaled |= {
+            "elevator": (left_elevon + right_elevon) / 2,
+            "aileron": (left_elevon - right_elevon) / 2,
         }
-    stand_in = {"alpha": "az", "beta": "ay"}
-    terms = {angle: signals[force] for angle, force in stand_in.items() if force in signals} | terms
-    tables = (
-        ("CZ", "az", "alpha q elevator", -1, "lift grows with alpha", windows.integral),
-        (
-            "CY",
-            "ay",
-            "beta p r aileron rudder",
-            -1,
-            "the side force opposes beta",
-            windows.integral,
-        ),
-        ("Cl", "p", "aileron beta p r rudder", 1, "a positive aileron rolls right", windows.change),
-        ("Cm", "q", "elevator alpha q", -1, "a positive elevator pitches down", windows.change),
-        ("Cn", "r", "rudder beta p r aileron", -1, "a positive rudder yaws left", windows.change),
-    )
-    for name, response, regressors, sign, words, growth in tables:
-        if wanted is not None and name not in wanted:
-            continue
-        first, *others = regressors.split()
-        if response in signals and first in terms and (first not in stand_in or first in signals):
-            columns = [
-                terms[first],
-                speed**2,
-                *(terms[other] for other in others if other in terms),
-            ]
-            X = windows.integral(np.stack(columns, axis=-1), SHORT)
-            yield name, words, growth(signals[response], SHORT), X, sign
-    if wanted is None and "v_down" in signals and "throttle" in signals:
-        drag = [signals["az"] ** 2 / speed**2] if "az" in signals else []
-        X = windows.integral(
-            np.stack([signals["v_down"] / speed, speed**2, terms["throttle"], *drag], axis=-1),
-            SHORT,
-        )
-        yield (
-            "energy",
-            "the aircraft gains airspeed in descents",
-            windows.change(speed, SHORT),
-            X,
-            1,
-        )
+    scaled = {
+        angle: signals[f] / speed**2 for angle, f in STAND_INS.items() if f in signals
+    } | scaled
+    if {"v_down", "throttle"} <= signals.keys():
+        scaled["sink"] = signals["v_down"] / speed**3
+    if "az" in signals:
+        scaled["induced"] = (signals["az"] / speed**2) ** 2
+    for name in names:
+        response, regressors, sign, statement = SLOPES[name]
+        first, *further = regressors.split()
+        measured = first in scaled and (first not in STAND_INS or first in signals)
+        if response in signals and measured:
+            growth = windows.integral if response in SPECIFIC_FORCE else windows.change
+            columns = [scaled[first], np.ones(len(speed))]
+            columns += [scaled[regressor] for regressor in further if regressor in scaled]
+            X = windows.integral(speed[:, None] ** 2 * np.stack(columns, axis=-1), SHORT)
+            yield name, statement, growth(signals[response], SHORT), X, sign
 
 
-def _agreement(words: str, y: np.ndarray, x: np.ndarray, least: float) -> Relation:
+def _agreement(statement: str, y: np.ndarray, x: np.ndarray, least: float) -> Relation:
     """Return the agreement of two signals; they contradict if it is low, or if one is a multiple of the other.
 
     If the root mean squares of both are smaller than ``least`` [rad, m, m/s or m/s^2], it is NaN.
     """
-    known = np.isfinite(y) & np.isfinite(x)
-    y, x = y[known], x[known]
+    sampled = np.isfinite(y) & np.isfinite(x)
+    y, x = y[sampled], x[sampled]
     size_y, size_x = y @ y, x @ x
     if len(y) < ENOUGH or not (
         size_y > 0 and size_x > 0 and max(size_y, size_x) > len(y) * least**2
     ):
-        return Relation(words, np.nan)
+        return Relation(statement, np.nan)
     scale = np.sqrt(size_y / size_x)
     cosine = x @ y / np.sqrt(size_y * size_x)
     agreement = float(2 * (x @ y) / (size_x + size_y) * min(scale, 1 / scale))
     multiple = cosine > PARALLEL and max(scale, 1 / scale) > MULTIPLE
-    return Relation(words, agreement, bool(agreement < AGREES or multiple), pair=(y, x))
+    return Relation(statement, agreement, bool(agreement < AGREES or multiple), pair=(y, x))
 
 
-def _slope_sign(words: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation:
+def _slope_sign(statement: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation:
     """Return the agreement of the slope of the first column of X with its expected sign."""
-    known = np.isfinite(y) & np.isfinite(X).all(axis=1)
-    y, X = y[known], X[known]
+    sampled = np.isfinite(y) & np.isfinite(X).all(axis=1)
+    y, X = y[sampled], X[sampled]
     norms = np.sqrt(np.mean(X**2, axis=0)) if len(y) else np.zeros(1)
     if len(y) < ENOUGH or not norms[0] > 0:
-        return Relation(words, np.nan)
+        return Relation(statement, np.nan)
     X = X[:, norms > 0] / norms[norms > 0]
     covariance = np.linalg.pinv(X.T @ X, rcond=1e-8, hermitian=True)
-    own = (
-        X[:, 0] - X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=1e-8)[0]
-    )  # what the others do not explain
-    if own @ own < 1e-6 * len(own):
-        return Relation(words, np.nan)
+    # the part of the first regressor that the others do not explain
+    x = X[:, 0] - X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=1e-8)[0]
+    if x @ x < 1e-6 * len(x):
+        return Relation(statement, np.nan)
     residual = y - X @ (covariance @ (X.T @ y))
-    t = sign * _t_value(own @ y, own * residual)
+    t = sign * _t_value(x @ y, x * residual)
     explained = 1 - float(residual @ residual / (y @ y)) if y.any() else 0.0
-    return Relation(words, t / np.hypot(t, LEAST_T), t < -LEAST_T, t, explained=explained)
+    return Relation(statement, t / np.hypot(t, LEAST_T), t < -LEAST_T, t, explained=explained)
 
 
 def _t_value(total: float, products: np.ndarray) -> float:
@@ -546,33 +532,32 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
     None if none makes them agree clearly.
     """
     before = _relations(windows, signals)
-    contradictions = [name for name, each in before.items() if each.contradicts]
-    found: list[tuple[float, Cause, Relation, Relation]] = []
+    contradictions = [name for name, relation in before.items() if relation.contradicts]
+    probable: list[tuple[float, Cause, Relation, Relation]] = []
     for cause in _causes(signals) if contradictions else ():
         after = before | _relations(windows, cause.correct(signals), cause.channels)
-        gain = {
-            name: after[name].agreement - each.agreement
-            for name, each in before.items()
-            if each.pair is None or not cause.keeps_equalities
+        gains = {
+            name: after[name].agreement - relation.agreement
+            for name, relation in before.items()
+            if relation.pair is None or not cause.keeps_equalities
         }
-        gain = {name: value for name, value in gain.items() if np.isfinite(value)}
-        total = sum(gain.values()) - EXTRA_CHANNEL * len(cause.channels)
+        gains = {name: gain for name, gain in gains.items() if np.isfinite(gain)}
+        total = sum(gains.values()) - EXTRA_CHANNEL * len(cause.channels)
         better = [
             name
             for name in contradictions
-            if gain.get(name, 0.0) >= IMPROVEMENT and after[name].agrees
+            if gains.get(name, 0.0) >= IMPROVEMENT and after[name].agrees
         ]
-        if (
-            better
-            and total > 0
-            and all(value > -WORSE for name, value in gain.items() if name not in CONTROL)
-        ):
-            name = max(better, key=lambda name: gain[name])
-            found.append((total, cause, before[name], after[name]))
-    if not found:
+        harms = any(gain <= -WORSE for name, gain in gains.items() if name not in CONTROL)
+        if better and total > 0 and not harms:
+            name = max(better, key=lambda name: gains[name])
+            probable.append((total, cause, before[name], after[name]))
+    if not probable:
         return None
-    most, cause, now, then = max(found, key=lambda each: each[0])
-    rivals = [each.words for total, each, *_ in found if total > most - TIE and each is not cause]
+    most, cause, now, then = max(probable, key=itemgetter(0))
+    rivals = [
+        rival.words for total, rival, *_ in probable if total > most - TIE and rival is not cause
+    ]
     figures = f"{now.words} agree by {now.agreement:.2f} now, and by {then.agreement:.2f} then (equal: 1, opposite: -1)"
     if now.pair is None:
         figures = f"{now.words} by {now.t:.1f} standard errors now, and by {then.t:.1f} then"
@@ -581,65 +566,23 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
 
 
 def _causes(signals: Signals) -> Iterator[Cause]:
-    for name in SIGNED:
-        if name in signals and not (name in MIXED and {*ELEVONS} <= signals.keys()):
+    """Yield the possible faults of the channels that there are."""
+    judged = MIXED if {*ELEVONS} <= signals.keys() else ELEVONS
+    for name in (*SIGNED, *ELEVONS):
+        if name in signals and name not in judged:
             remedy = f"change it ({CHANNELS[name].meaning})"
-            yield Cause((name,), _wrong_sign((name,)), remedy, _scaled([name], -1.0))
-    for words, cause in SIGNS.items():
-        names = tuple(name for name in words.split() if name in signals)
+            yield Cause((name,), _wrong_sign((name,)), remedy, _scaled((name,), -1.0))
+    for fault, cause in SIGNS.items():
+        names = tuple(name for name in fault.split() if name in signals)
         if len(names) > 1:
             remedy = f"change the signs of {', '.join(names)}"
             yield Cause(names, f"probably {cause}", remedy, _scaled(names, -1.0))
     for unit, (factor, groups) in UNITS.items():
-        for group in groups:
-            names = tuple(group.split())
-            if all(name in signals for name in names):
-                words = (
-                    f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} probably in {unit}"
-                )
-                yield Cause(names, words, f"multiply by {factor:.5g}", _scaled(names, factor))
-    if {*ELEVONS} <= signals.keys():
-        for names in (*((name,) for name in ELEVONS), ELEVONS):
-            yield Cause(
-                names,
-                _wrong_sign(names),
-                "change it (> 0 trailing edge down)",
-                _scaled(names, -1.0),
-            )
-        sides = _exchanged(ELEVONS)
-        yield Cause(ELEVONS, "the elevons are probably exchanged", "exchange left and right", sides)
-        words, remedy = (
-            "the elevons are probably exchanged and of the wrong sign",
-            "exchange them, change their signs",
-        )
-        yield Cause(ELEVONS, words, remedy, lambda signals: sides(_scaled(ELEVONS, -1.0)(signals)))
-    if all(name in signals for name in ("v_north", "v_east")):
-        exchanged, turned = (
-            _exchanged(("v_north", "v_east")),
-            _scaled({"v_down"} & signals.keys(), -1.0),
-        )
-        words = "v_north and v_east are probably exchanged"
-        yield Cause(("v_north", "v_east"), words, "exchange them", exchanged)
-        words, remedy = (
-            "the velocity is probably east, north, up",
-            "exchange v_north and v_east, change v_down's sign",
-        )
-        yield Cause(EARTH_VELOCITY, words, remedy, lambda signals: turned(exchanged(signals)))
-    if "psi" in signals:
-        words = "psi is probably measured from east, counter-clockwise"
-        yield Cause(("psi",), words, "use pi/2 - psi", lambda s: s | {"psi": np.pi / 2 - s["psi"]})
-    if "az" in signals:
-        words, remedy = (
-            "gravity is probably removed from ax, ay, az",
-            "subtract gravity in body axes",
-        )
-        yield Cause(
-            SPECIFIC_FORCE, words, f"{remedy}: an accelerometer reads specific force", _with_gravity
-        )
-    if all(name in signals for name in (*EULER, *SPECIFIC_FORCE, "v_down")):
-        words = "the vertical axis probably points up, in attitude and positions (axes y left, z up; north, west, up)"
-        remedy = "change the axes, then compute specific force"
-        yield Cause(("theta", "psi", "v_down"), words, remedy, _turned_over, keeps_equalities=True)
+        for names in (tuple(group.split()) for group in groups):
+            if {*names} <= signals.keys():
+                fault = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} probably in {unit}"
+                yield Cause(names, fault, f"multiply by {factor:.5g}", _scaled(names, factor))
+    yield from (cause for cause in OTHERS if {*cause.needs} <= signals.keys())
 
 
 def _wrong_sign(names: tuple[str, ...]) -> str:
@@ -647,18 +590,25 @@ def _wrong_sign(names: tuple[str, ...]) -> str:
 
 
 def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
-    return lambda signals: signals | {name: factor * signals[name] for name in names}
-
-
-def _exchanged(names) -> Callable[[Signals], Signals]:
     return lambda signals: (
-        signals | dict(zip(names, [signals[name] for name in reversed(names)], strict=True))
+        signals | {name: factor * signals[name] for name in names if name in signals}
     )
+
+
+def _exchanged(first: str, second: str, factor: float = 1.0) -> Callable[[Signals], Signals]:
+    return lambda signals: (
+        signals | {first: factor * signals[second], second: factor * signals[first]}
+    )
+
+
+def _east_north_up(signals: Signals) -> Signals:
+    """Return signals with a velocity of east, north, up in the order of north, east, down."""
+    return _scaled(("v_down",), -1.0)(_exchanged("v_north", "v_east")(signals))
 
 
 def _with_gravity(signals: Signals) -> Signals:
     """Return signals with specific force of acceleration: minus gravity, which is along z in level flight."""
-    if not all(name in signals for name in (*EULER, *SPECIFIC_FORCE)):
+    if not {*EULER, *SPECIFIC_FORCE} <= signals.keys():
         return signals | {"az": signals["az"] - G}
     gravity = G * euler_to_matrix(*(signals[name] for name in EULER))[:, 2, :]
     return signals | {
@@ -669,5 +619,66 @@ def _with_gravity(signals: Signals) -> Signals:
 def _turned_over(signals: Signals) -> Signals:
     """Return signals in forward, right, down and north, east, down, whose specific force had gravity upside down."""
     names = "beta alpha q r ay az theta psi v w v_east v_down east down"
-    turned = _scaled([name for name in names.split() if name in signals], -1.0)(signals)
-    return _with_gravity(_with_gravity(turned))
+    return _with_gravity(_with_gravity(_scaled(names.split(), -1.0)(signals)))
+
+
+OTHERS = (
+    Cause(
+        ELEVONS,
+        _wrong_sign(ELEVONS),
+        "change it (> 0 trailing edge down)",
+        _scaled(ELEVONS, -1.0),
+        ELEVONS,
+    ),
+    Cause(
+        ELEVONS,
+        "the elevons are probably exchanged",
+        "exchange left and right",
+        _exchanged(*ELEVONS),
+        ELEVONS,
+    ),
+    Cause(
+        ELEVONS,
+        "the elevons are probably exchanged and of the wrong sign",
+        "exchange them, change their signs",
+        _exchanged(*ELEVONS, -1.0),
+        ELEVONS,
+    ),
+    Cause(
+        ("v_north", "v_east"),
+        "v_north and v_east are probably exchanged",
+        "exchange them",
+        _exchanged("v_north", "v_east"),
+        ("v_north", "v_east"),
+    ),
+    Cause(
+        EARTH_VELOCITY,
+        "the velocity is probably east, north, up",
+        "exchange v_north and v_east, change v_down's sign",
+        _east_north_up,
+        ("v_north", "v_east"),
+    ),
+    Cause(
+        ("psi",),
+        "psi is probably measured from east, counter-clockwise",
+        "use pi/2 - psi",
+        lambda signals: signals | {"psi": np.pi / 2 - signals["psi"]},
+        ("psi",),
+    ),
+    Cause(
+        SPECIFIC_FORCE,
+        "gravity is probably removed from ax, ay, az",
+        "subtract gravity in body axes: an accelerometer reads specific force",
+        _with_gravity,
+        ("az",),
+    ),
+    Cause(
+        ("theta", "psi", "v_down"),
+        "the vertical axis probably points up, in attitude and positions (axes y left, z up; north, west, up)",
+        "change the axes, then compute specific force",
+        _turned_over,
+        (*EULER, *SPECIFIC_FORCE, "v_down"),
+        keeps_equalities=True,
+    ),
+)
+"""Possible faults beside signs and units."""

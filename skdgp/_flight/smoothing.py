@@ -24,7 +24,7 @@ ORDER = 2
 WINDOW_SECONDS = 6.4
 SHORTEST_WINDOW = 32
 LEAST_SAMPLES = 4 * SHORTEST_WINDOW
-EVIDENCE = 2.0  # least gain in log likelihood for which a spectrum is given white noise
+EVIDENCE = 2.0  # least gain in log likelihood by white noise in a spectrum
 
 
 def smooth(
@@ -54,12 +54,12 @@ def smooth(
     """
     columns, times, codes = _checked(values, time, flight)
     if isinstance(cutoff, str | None):
-        known = cutoff in ("auto", None)
+        is_cutoff = cutoff in ("auto", None)
     else:
-        known = (
+        is_cutoff = (
             isinstance(cutoff, Real) and not isinstance(cutoff, bool) and 0 < float(cutoff) < np.inf
         )
-    if not known:
+    if not is_cutoff:
         raise ValueError(
             f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no "
             f"smoothing)."
@@ -79,7 +79,7 @@ def smooth(
 def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndarray:
     """Return the rate of change of the smoothed channels: the slope of the cubic spline through them.
 
-    Options and errors are those of `smooth`. A segment of a single sample has no rate: NaN, with a
+    Options and errors: see `smooth`. A segment of a single sample has no rate: NaN, with a
     warning.
     """
     return smooth(values, time, derivative=True, **options)
@@ -100,7 +100,7 @@ def noise_level(
     Flights are pooled by their number of samples; NaN where all are too short.
     """
     columns, times, codes = _checked(values, time, flight)
-    found = np.full((2, columns.shape[1]), np.nan)
+    std = np.full((2, columns.shape[1]), np.nan)
     for rows, channels in _same_rows(columns):
         part, levels, weights = columns[np.ix_(rows, channels)], [], []
         for runs in runs_by_flight(times[rows], codes[rows]):
@@ -112,8 +112,8 @@ def noise_level(
                 )
                 weights.append(sum(run.stop - run.start for run in runs))
         if levels:
-            found[:, channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
-    return NoiseLevel(*(found[:, 0] if np.ndim(values) == 1 else found))
+            std[:, channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
+    return NoiseLevel(*(std[:, 0] if np.ndim(values) == 1 else std))
 
 
 def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -249,7 +249,7 @@ def noise_and_gain(spectrum: Spectrum, joint: bool) -> tuple[np.ndarray, np.ndar
     """Return the white noise power N of each channel, (k,), and the smoother of each alone or of all jointly."""
     power = spectrum.channel_power
     floor = np.array(
-        [_noise_floor(spectrum.frequency, each, spectrum.averages) for each in power.T]
+        [_noise_floor(spectrum.frequency, channel, spectrum.averages) for channel in power.T]
     )
     floor = np.where(floor > spectrum.rounding, floor, 0.0)
     return floor, (_joint_gain if joint else _single_gain)(spectrum, floor)
@@ -280,14 +280,14 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     )
     size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
-    kept = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
-    gain = np.einsum("mik,mk,mjk->mij", axes, kept, axes.conj()) * (unit[:, None] / unit)
+    gains = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
+    gain = np.einsum("mik,mk,mjk->mij", axes, gains, axes.conj()) * (unit[:, None] / unit)
     gain[0] = np.eye(k)
-    seen = np.einsum(
-        "mik,mk->mi", np.abs(axes) ** 2, kept * size
+    strength = np.einsum(
+        "mik,mk->mi", np.abs(axes) ** 2, gains * size
     )  # signal found, in units of noise
-    seen[0] = np.inf
-    falling = _falling(1 / (1 + 1 / np.maximum(seen, 1e-12)))
+    strength[0] = np.inf
+    falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
     return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
 
 
@@ -307,7 +307,7 @@ def expected_error(spectrum: Spectrum, floor: np.ndarray, gain: np.ndarray) -> n
 
 
 def impulse_response(gain: np.ndarray) -> np.ndarray:
-    """Return impulse responses of gains, (2 m - 3, ...), Hann-tapered; what is constant passes unchanged."""
+    """Return impulse responses of gains, (2 m - 3, ...), Hann-tapered; constants pass unchanged."""
     size = 2 * (len(gain) - 1)
     taper = signal.windows.hann(size + 1)[1:-1].reshape(-1, *[1] * (gain.ndim - 1))
     response = np.fft.fftshift(np.fft.irfft(gain, size, axis=0), axes=0)[1:] * taper
@@ -320,11 +320,11 @@ def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
     padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
     if response.ndim == 2:
         return signal.oaconvolve(padded, response, mode="valid", axes=0)
-    each = [
+    filtered = [
         signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1)
         for part in np.moveaxis(response, 1, 0)
     ]
-    return np.stack(each, axis=1)
+    return np.stack(filtered, axis=1)
 
 
 def _falling(gain: np.ndarray) -> np.ndarray:

@@ -15,10 +15,8 @@ from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 from skdgp._flight.frames import euler_to_matrix
 
-MOST_BLOCKS, SHORTEST_BLOCK = (
-    200,
-    1.0,
-)  # a flight is averaged over so many blocks, each of so many seconds or more
+# a flight is averaged over so many blocks, each of so many seconds or more
+MOST_BLOCKS, SHORTEST_BLOCK = (200, 1.0)
 GUST_TIME, CHANGE_TIME, SPEED_TIME = 10.0, 3600.0, 15.0
 """Correlation times [s] of gusts (as of `FlightPathReconstruction`), of the mean wind, of the
 airspeed; guesses.
@@ -34,15 +32,12 @@ block; guesses."""
 LOG_STD = np.array(
     [0.7, 2.0, 2.0, 2.0]
 )  # how well these are known: gusts within a factor of two, the rest hardly
-MOST_STEPS, SETTLED = (
-    10,
-    0.02,
-)  # steps of the linearisation; it ends when the wind changes by less than this [m/s]
+# steps of the linearisation; it ends when the wind changes by less than this [m/s]
+MOST_STEPS, SETTLED = (10, 0.02)
 # sine: nearer to the horizontal, the plane of symmetry does not tell the direction of flight
 LEAST_TILT = 0.25
-LARGEST_ERROR = (
-    0.1  # relative standard deviation of airspeeds that are of use: one of dynamic pressure of 20 %
-)
+# relative standard deviation of airspeeds that are of use: one of dynamic pressure of 20 %
+LARGEST_ERROR = 0.1
 
 
 class Blocks(NamedTuple):
@@ -101,31 +96,33 @@ def airspeed_from_turns(flight: pd.DataFrame) -> pd.DataFrame:
     [15.0, 4.0, 0.0]
     """
     check_columns(check_table(flight), ["time", *EARTH_VELOCITY])
-    found = np.full((len(flight), 4), np.nan)
+    estimates = np.full((len(flight), 4), np.nan)
     rows = flight_rows(flight["flight"]) if "flight" in flight else {"": np.arange(len(flight))}
     for name, part in rows.items():
-        found[part] = _of_flight(flight.iloc[part], f"flight {name!r}" if name else "a flight")
+        estimates[part] = _of_flight(flight.iloc[part], f"flight {name!r}" if name else "a flight")
     return pd.DataFrame(
-        found, columns=["airspeed", "airspeed_std", "wind_north", "wind_east"], index=flight.index
+        estimates,
+        columns=["airspeed", "airspeed_std", "wind_north", "wind_east"],
+        index=flight.index,
     )
 
 
 def _of_flight(flight: pd.DataFrame, name: str) -> Matrix:
     names = [*EARTH_VELOCITY, *(EULER if set(EULER) <= set(flight) else ())]
     values = flight[["time", *names]].to_numpy(float, na_value=np.nan)
-    result, known = np.full((len(flight), 4), np.nan), np.isfinite(values).all(axis=1)
+    result, sampled = np.full((len(flight), 4), np.nan), np.isfinite(values).all(axis=1)
     time, velocity, sink, angles = (
-        values[known, 0],
-        values[known, 1:3],
-        values[known, 3],
-        values[known, 4:],
+        values[sampled, 0],
+        values[sampled, 1:3],
+        values[sampled, 3],
+        values[sampled, 4:],
     )
     if len(time) > 3 and np.ptp(time) > SHORTEST_BLOCK:
-        result[known] = _solved(
+        result[sampled] = _solved(
             time, velocity, sink, euler_to_matrix(*angles.T) if angles.size else None
         )
-    told = result[:, 1] < LARGEST_ERROR * result[:, 0]
-    if not told.any():
+    accurate = result[:, 1] < LARGEST_ERROR * result[:, 0]
+    if not accurate.any():
         off = np.nanmin(result[:, 1], initial=np.inf)
         raise ValueError(
             f"Got {name} without airspeed, whose velocity over the ground tells it to {off:.2g} "
@@ -133,7 +130,7 @@ def _of_flight(flight: pd.DataFrame, name: str) -> Matrix:
             "tenth of it or better: fly a circle or two (of some 30 s, any bank), or fit an "
             "airspeed sensor."
         )
-    result[~told] = np.nan
+    result[~accurate] = np.nan
     return result
 
 
@@ -149,11 +146,11 @@ def _solved(time: Vector, velocity: Matrix, sink: Vector, attitude: Matrix | Non
         if len(blocks.time) < 2:
             return np.full((len(time), 4), np.nan)
         logs, speed, winds, covariance = _posterior(blocks, speed, logs, attitude is not None)
-        wind = np.column_stack([np.interp(time, blocks.time, each) for each in winds.T])
+        wind = np.column_stack([np.interp(time, blocks.time, column) for column in winds.T])
         if np.abs(wind - before).max() < SETTLED:
             break
     of_row = np.column_stack(
-        [np.interp(time, blocks.time, each) for each in covariance.reshape(len(winds), 4).T]
+        [np.interp(time, blocks.time, column) for column in covariance.reshape(len(winds), 4).T]
     )
     variance = np.einsum("ni,nij,nj->n", along, of_row.reshape(-1, 2, 2), along)
     variance += np.mean(np.diff(velocity, 3, axis=0) ** 2) / 20  # noise of a sample; 1 + 9 + 9 + 1
@@ -178,8 +175,8 @@ def _in_symmetry(attitude: Matrix, sink: Vector) -> Matrix:
 
 
 def _blocks(time: Vector, velocity: Matrix, along: Matrix) -> Blocks:
-    known = np.isfinite(along).all(axis=1)
-    time, velocity, along = time[known], velocity[known], along[known]
+    sampled = np.isfinite(along).all(axis=1)
+    time, velocity, along = time[sampled], velocity[sampled], along[sampled]
     across = np.column_stack([-along[:, 1], along[:, 0]])
     count = min(MOST_BLOCKS, max(1, int(np.ptp(time) / SHORTEST_BLOCK)))
     number = np.minimum(count * (time - time[0]) / np.ptp(time), count - 1).astype(int)
@@ -236,7 +233,7 @@ def _posterior(
         [of_wind[:, times] * component for component in directions.T]
     )  # wind and y, (2, n, len(y))
     cross[:, :, n:] += of_gust * gust[:, : len(y) - n] * directions.T[:, None, n:]
-    inner = [cho_solve(L, each.T) for each in cross]
+    inner = [cho_solve(L, row.T) for row in cross]
     covariance = np.array([[-np.einsum("nm,mn->n", a, b) for b in inner] for a in cross])
     covariance += np.eye(2)[..., None] * (MEAN_WIND_STD**2 + CHANGE_STD**2 + of_gust)
     mean_speed = MEAN_SPEED_STD * shape[:, 0] @ weights

@@ -1,8 +1,8 @@
 """A Brumby-like UAV: cropped delta, two elevons, fin and rudder, pusher propeller; 45 kg, about 36 m/s.
 
 The aerodynamics are the sum of a few parts (wing, elevons, fin, body), each a force with its point
-of application. So the six coefficients share terms and depend on each other as those of a real
-aircraft do. The numbers are those of a plausible delta of aspect ratio 3, not measurements of any
+of application. So the six coefficients share terms and depend on each other as on a real
+aircraft. The numbers describe a plausible delta of aspect ratio 3, not measurements of any
 aircraft.
 """
 
@@ -80,10 +80,13 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     wing = potential + vortex
     heave = (1.9 * q + 0.6 * alpha_dot) * (0.5 + 0.5 * ordered)
 
-    left, right = elevator + aileron, elevator - aileron
+    left_elevon, right_elevon = elevator + aileron, elevator - aileron
     flow = 1.0 - 2.0 * s2
-    lift_left, lift_right = _soft(left, 0.28) * flow, _soft(right, 0.28) * flow
-    drag_left, drag_right = left * (0.16 * left + 0.30 * s), right * (0.16 * right + 0.30 * s)
+    lift_left, lift_right = _soft(left_elevon, 0.28) * flow, _soft(right_elevon, 0.28) * flow
+    drag_left, drag_right = (
+        left_elevon * (0.16 * left_elevon + 0.30 * s),
+        right_elevon * (0.16 * right_elevon + 0.30 * s),
+    )
     elevons = 0.36 * (lift_left + lift_right)
 
     shade = 1.0 - 1.2 * s

@@ -57,9 +57,8 @@ BANK_LIMIT, ELEVON_LIMIT, RUDDER_LIMIT = 0.70, 0.42, 0.35
 TIME_CONSTANTS = np.array(
     [0.04, 0.04, 0.04, 0.25]
 )  # of the lags of both elevons, rudder and propeller [s]
-CAPTURE_DISTANCE = (
-    170.0  # distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
-)
+# distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
+CAPTURE_DISTANCE = 170.0
 EVEN, ODD = range(12, 60, 2), range(13, 60, 2)
 FIRST, SECOND, THIRD = (range(k, 60, 3) for k in (10, 11, 12))
 TWO_ALTITUDES = Wavetrain({
@@ -84,9 +83,8 @@ LOG_STEP = 0.025  # between autopilot commands, integration steps and log rows [
 SETTLING = 8.0
 FIELD_ELEVATION = 60.0  # height of the ground, above which turbulence scales [m]
 AIRSPEED = 36.0  # at which the gusts are crossed [m/s]
-PASSES = (
-    8  # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
-)
+# of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
+PASSES = 8
 DEGREE = np.pi / 180.0
 SENSOR_NOISE = {
     "airspeed": 0.3, "alpha": 0.3 * DEGREE, "beta": 0.3 * DEGREE, **dict.fromkeys(RATES, 0.002),
@@ -251,44 +249,46 @@ class Autopilot:
         self.climb_integral, self.speed_integral, self.roll_integral = np.zeros((3, n_flights))
 
     def command(
-        self, seen: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array
+        self, sensed: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array
     ) -> Array:
-        """Return elevator, aileron, rudder and throttle (n_flights, 4) of what is ``seen``, channels by name.
+        """Return elevator, aileron, rudder and throttle (n_flights, 4) for ``sensed`` channels by name.
 
         ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn
         left.
         """
-        phi, theta, speed = seen["phi"], seen["theta"], seen["airspeed"]
-        climb = np.clip(0.35 * (altitude - seen["altitude"]), -3.0, 4.0)
+        phi, theta, speed = sensed["phi"], sensed["theta"], sensed["airspeed"]
+        climb = np.clip(0.35 * (altitude - sensed["altitude"]), -3.0, 4.0)
         elevator = self._elevator(
-            climb + seen["v_down"], climb / speed, phi, theta, seen["q"], speed
+            climb + sensed["v_down"], climb / speed, phi, theta, sensed["q"], speed
         )
-        bank_error = self._bank(seen, orbit) - phi
+        bank_error = self._bank(sensed, orbit) - phi
         self.roll_integral = np.clip(
             self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05
         )
-        aileron = np.clip(0.085 * bank_error - 0.022 * seen["p"] + self.roll_integral, -0.12, 0.12)
+        aileron = np.clip(
+            0.085 * bank_error - 0.022 * sensed["p"] + self.roll_integral, -0.12, 0.12
+        )
         turning = STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / speed
-        rudder = 0.22 * (seen["r"] - turning) - 0.10 * seen["beta"]
+        rudder = 0.22 * (sensed["r"] - turning) - 0.10 * sensed["beta"]
         self.speed_integral = np.clip(
             self.speed_integral + 0.02 * (airspeed - speed) * self.step, -0.3, 0.3
         )
         throttle = 0.08 * (airspeed - speed) + 0.06 * climb + self.speed_integral
         return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
-    def _bank(self, seen: Mapping[str, Array], orbit: Array) -> Array:
+    def _bank(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
         """Return the bank that follows the vector field around the orbit (Beard & McLain 2012, section 10.2)."""
         north, east, radius = (
-            seen["north"] - orbit[:, 0],
-            seen["east"] - orbit[:, 1],
+            sensed["north"] - orbit[:, 0],
+            sensed["east"] - orbit[:, 1],
             np.abs(orbit[:, 2]),
         )
         turn = np.sign(orbit[:, 2])
         off = (np.hypot(north, east) - radius) / CAPTURE_DISTANCE
-        course = np.arctan2(seen["v_east"], seen["v_north"])
+        course = np.arctan2(sensed["v_east"], sensed["v_north"])
         error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
-        ground_speed2 = seen["v_north"] ** 2 + seen["v_east"] ** 2
+        ground_speed2 = sensed["v_north"] ** 2 + sensed["v_east"] ** 2
         ahead = (
             turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
         )
@@ -302,9 +302,9 @@ class Autopilot:
             self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10
         )
         level = np.cos(phi)
-        wanted = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
+        pitch = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
         turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
-        return -0.30 * (wanted - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
+        return -0.30 * (pitch - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
 
 
 @validate_params(
@@ -366,7 +366,7 @@ def _flights(
     seed: int, turbulence: float, sensor_noise: float, duration: float = DURATION
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     gust_seed, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))
-    known, true = _columns(
+    logged_exactly, true = _columns(
         *fly_plans(FLIGHT_PLANS, duration, turbulence, np.random.default_rng(gust_seed))
     )
     tables = {}
@@ -374,7 +374,7 @@ def _flights(
         truth = pd.DataFrame({name + TRUTH_SUFFIX: true[name][:, k] for name in TRUTH})
         logged = measure(truth, sensor_noise, np.random.default_rng(sensor_seeds[k]))
         logged = logged.assign(
-            flight=plan.name, **{name: values[:, k] for name, values in known.items()}
+            flight=plan.name, **{name: values[:, k] for name, values in logged_exactly.items()}
         )
         tables[plan.name] = pd.concat([logged[list(MEASURED)], truth], axis=1)
     test = tables.pop(TEST_FLIGHT)
@@ -383,20 +383,20 @@ def _flights(
 
 
 def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return what is logged without noise, and the truth of what is measured: (n_times, n_flights) by name."""
-    seen = channels(record.states, record.wind)
+    """Return the channels logged without noise, and the truth of measured ones: (n_times, n_flights) by name."""
+    motion = channels(record.states, record.wind)
     thrust = propeller_loads(
-        BRUMBY, record.controls["propeller_speed"], seen["airspeed"], truth.density
+        BRUMBY, record.controls["propeller_speed"], motion["airspeed"], truth.density
     )
-    known = {"altitude": seen["altitude"], "density": truth.density, **record.controls}
-    known["time"] = np.broadcast_to(record.time[:, None], truth.density.shape)
-    true = seen | {
+    logged = {"altitude": motion["altitude"], "density": truth.density, **record.controls}
+    logged["time"] = np.broadcast_to(record.time[:, None], truth.density.shape)
+    true = motion | {
         "gravity": np.full(truth.density.shape, STANDARD_GRAVITY),
-        "psi": seen["psi"] % (2.0 * np.pi),
+        "psi": motion["psi"] % (2.0 * np.pi),
     }
     for columns, names, values in (
-        (known, THRUST_FORCES, thrust[0]),
-        (known, THRUST_MOMENTS, thrust[1]),
+        (logged, THRUST_FORCES, thrust[0]),
+        (logged, THRUST_MOMENTS, thrust[1]),
         (true, ("alpha_dot", "beta_dot"), truth.implicit),
         (true, [f"{name}_dot" for name in RATES], truth.derivative[..., -len(RATES) :]),
         (true, SPECIFIC_FORCE, truth.force / BRUMBY.mass),
@@ -404,7 +404,7 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
         (true, COEFFICIENTS, truth.coefficients),
     ):
         columns |= {name: values[..., k] for k, name in enumerate(names)}
-    return known, true
+    return logged, true
 
 
 def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.DataFrame:
@@ -462,10 +462,10 @@ def fly_plans(
     )
     log = slice(round(SETTLING / LOG_STEP), None)
     record = record.rows(log)
-    at = air(slice(2 * log.start, 2 * len(time), 2), record.states)
+    local_air = air(slice(2 * log.start, 2 * len(time), 2), record.states)
     implicit = None
     for _ in range(PASSES):
-        truth = motion.at(record.states, record.controls, at, implicit)
+        truth = motion.at(record.states, record.controls, local_air, implicit)
         implicit = truth.implicit
     return record._replace(time=time[log]), truth
 

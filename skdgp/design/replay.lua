@@ -7,15 +7,16 @@ local plan = --[[PLAN]]
 local EDGE = 1e-5 -- by which a sample may lie before a step [s]
 local signals = {}
 
+local function limited(value, low, high)
+  return math.max(low, math.min(high, value))
+end
+
 function signals.Steps(s, t)
   local value = 0.0
   for k, edge in ipairs(s.edges) do
     local after, ramp = t - edge, s.ramps[k]
     local risen = after >= -EDGE and 1.0 or 0.0
-    if ramp > 0 then
-      risen = math.max(0.0, math.min(1.0, after / ramp + 0.5))
-    end
-    value = value + risen * s.swings[k]
+    value = value + s.swings[k] * (ramp > 0 and limited(after / ramp + 0.5, 0.0, 1.0) or risen)
   end
   return value
 end
@@ -26,10 +27,6 @@ function signals.Multisine(s, t)
     value = value + s.amplitudes[k] * math.sin(2.0 * math.pi * (harmonic * t / s.duration % 1.0) + s.phases[k])
   end
   return value
-end
-
-local function limited(value, low, high)
-  return math.max(low, math.min(high, value))
 end
 
 local function planned(axis, t)
@@ -79,16 +76,17 @@ end
 
 local began, before, ready = nil, 0.0, false
 
-local FLAPERONS, AILERON = {24, 25}, 4
-local left = 1.0 -- sign of the left flaperon: aileron + flap, of later versions -aileron - flap; right: aileron - flap
+local LEFT, RIGHT, AILERON = 24, 25, 4 -- functions of the flaperons and the aileron
+local sign = 1.0 -- of the left flaperon: aileron + flap, of later versions -aileron - flap; right: aileron - flap
+
+local function output(servo)
+  return SRV_Channels:get_output_scaled(servo)
+end
 
 local function sign_of_flaperon()
-  local l, r, a = SRV_Channels:get_output_scaled(FLAPERONS[1]), SRV_Channels:get_output_scaled(FLAPERONS[2]),
-    SRV_Channels:get_output_scaled(AILERON)
-  local as_before, turned = math.abs(l + r - 2 * a), math.abs(l - r + 2 * a)
-  if as_before ~= turned then
-    left = as_before < turned and 1.0 or -1.0
-  end
+  local earlier = math.abs(output(LEFT) + output(RIGHT) - 2 * output(AILERON))
+  local later = math.abs(output(LEFT) - output(RIGHT) + 2 * output(AILERON))
+  return earlier ~= later and (earlier < later and 1.0 or -1.0) or sign
 end
 
 local function set(t)
@@ -98,12 +96,11 @@ local function set(t)
     axis.value = limited(planned(axis, t), axis.value - most, axis.value + most)
     values[k] = axis.value
   end
-  sign_of_flaperon()
+  sign = sign_of_flaperon()
   for _, surface in ipairs(plan.surfaces) do
-    local sign = surface.servo == FLAPERONS[1] and left or 1.0
-    local command = SRV_Channels:get_output_scaled(surface.servo) / surface.scale
+    local command = output(surface.servo) / surface.scale
     for k, part in ipairs(surface.parts) do
-      command = command + sign * part * values[k] / surface.full
+      command = command + (surface.servo == LEFT and sign or 1.0) * part * values[k] / surface.full
     end
     command = limited(command, surface.range and 0.0 or -1.0, 1.0)
     for _, servo in ipairs(surface.servos) do

@@ -211,8 +211,8 @@ def _array(name: str, values: Any, kind: str = "") -> str:
 def _braces(values: Array) -> str:
     if values.ndim > 1:
         return "{" + ",\n".join(_braces(row) for row in values) + "}"
-    words = [repr(value) for value in values.tolist()]
-    lines = [", ".join(words[a : a + PER_LINE]) for a in range(0, len(words), PER_LINE)]
+    numbers = [repr(value) for value in values.tolist()]
+    lines = [", ".join(numbers[a : a + PER_LINE]) for a in range(0, len(numbers), PER_LINE)]
     return "{" + ",\n".join(lines) + "}"
 
 
@@ -220,5 +220,5 @@ def _names(name: str, values: Iterable[str]) -> str:
     return _list(f"const char *const {name}", [json.dumps(value) for value in values])
 
 
-def _list(declaration: str, words: list[str], separator: str = ", ") -> str:
-    return f"{declaration}[{len(words)}] = {{{separator.join(words)}}};"
+def _list(declaration: str, items: list[str], separator: str = ", ") -> str:
+    return f"{declaration}[{len(items)}] = {{{separator.join(items)}}};"

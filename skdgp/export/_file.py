@@ -70,9 +70,9 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
             raise ValueError("its content is not what its hash says")
         model.predict(model.shift[None], return_std=True)
     except Exception as error:  # a damaged archive may raise anything
-        words = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise PortableFileError(
-            f"Got {path}, which is not a portable model of this version ({words}): copy it again, "
+            f"Got {path}, which is not a portable model of this version ({reason}): copy it again, "
             "or export the model again."
         ) from error
     return model

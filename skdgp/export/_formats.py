@@ -44,7 +44,7 @@ FORMATS: dict[str, Format] = {
 def export_model(
     folder: str | os.PathLike[str], model: Any, to: str, *, max_kb: float | None = None
 ) -> dict[str, Any]:
-    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return facts of it.
+    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
 
     Raises ValueError if there is no such format, the model is too large for it, or has no portable
     form.
@@ -74,9 +74,9 @@ def export_model(
         if not 0 < max_kb < np.inf:
             raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
         portable = reduced(portable, size, int(1024 * max_kb))
-    if (found := size(portable)) > most:
+    if (bytes_needed := size(portable)) > most:
         raise ValueError(
-            f"Got a model of {found / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
+            f"Got a model of {bytes_needed / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
             f"format {to}: give max_kb=256 (--max-kb 256), or another size."
         )
     return {

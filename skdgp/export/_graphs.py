@@ -20,17 +20,17 @@ OPSET, IR_VERSION = 17, 8
 def used_basis(part: Part) -> tuple[list[list[Term]], Vector, Matrix]:
     """Return the entries of the basis of a part that are not zero: terms, weights and rows of the root.
 
-    Terms are in the order of the basis; those of one list add up.
+    Terms are in the order of the basis; the terms of each list add up.
     """
     order = sorted(part.terms, key=attrgetter("first"))
-    terms = [list(each) for _, each in groupby(order, key=attrgetter("first"))]
+    terms = [list(group) for _, group in groupby(order, key=attrgetter("first"))]
     weights, root = part.readout.weights, part.readout.root
-    rows = np.concatenate([np.arange(0), *(np.r_[each[0].entries] for each in terms)])
+    rows = np.concatenate([np.arange(0), *(np.r_[group[0].entries] for group in terms)])
     return (terms, weights, root) if len(rows) == len(root) else (terms, weights[rows], root[rows])
 
 
 def mixer(model: PortableModel) -> Array:
-    """Return the matrix (K P, P) by which values of parts (n, K P) become those of outputs, weighted sums."""
+    """Return the matrix (K P, P) of the weighted sums that make outputs from values of parts (n, K P)."""
     return np.vstack([np.diag(weights) for weights in model.mixture])
 
 
@@ -38,7 +38,7 @@ def casadi_function(model: PortableModel) -> Any:
     """Return a ``casadi.Function`` from regressors ``x`` (d,) to ``mean`` (P,), ``std`` (P,) and ``jacobian`` (P, d).
 
     The function is named ``aero``. The regressors are in their units, in the order of
-    ``model.regressor_names``. The Jacobian is that of the mean. The function can be differentiated
+    ``model.regressor_names``. The Jacobian is the mean's. The function can be differentiated
     further, also the deviation, and be saved with its method ``save``. A reduced model
     (``export_model`` with ``max_kb``) is faster. Raises ImportError if CasADi is not installed.
     """
@@ -54,7 +54,7 @@ def casadi_function(model: PortableModel) -> Any:
     means, variances = [], []
     for part in model.parts:
         terms, weights, root = used_basis(part)
-        g = ca.vertcat(*(sum(map(functions, each)) for each in terms))
+        g = ca.vertcat(*(sum(map(functions, group)) for group in terms))
         value = ca.dot(ca.DM(part.trend_weights), p)
         half = ca.DM(part.trend_root.T) @ p
         if terms:
@@ -110,11 +110,11 @@ def onnx_model(model: PortableModel) -> Any:
         half = plane(part.trend_root)
         terms, weights, root = used_basis(part)
         if terms:
-            g = graph("Concat", *(graph("Sum", *map(functions, each)) for each in terms), axis=1)
-            left = part.trend_root.shape[1] - len(part.readout.weights)
+            g = graph("Concat", *(graph("Sum", *map(functions, group)) for group in terms), axis=1)
+            offset = part.trend_root.shape[1] - len(part.readout.weights)
             value = graph("Add", value, graph("MatMul", g, weights[:, None]))
             explained = graph("MatMul", g, root)
-            half = graph("Add", half, graph("Pad", explained, [0, left, 0, 0]))
+            half = graph("Add", half, graph("Pad", explained, [0, offset, 0, 0]))
         tau = part.trend_scale
         prior = graph.squares(graph("Mul", p, tau[1:]), 1)
         prior = graph("Add", prior, np.array(part.prior_variance + tau[0] ** 2))
@@ -178,7 +178,7 @@ class _Graph:
         self, kind: str, *inputs: str | Array | list[int], out: str | None = None, **attributes: Any
     ) -> str:
         out = out or f"v{len(self.nodes)}"
-        names = [each if isinstance(each, str) else self.constant(each) for each in inputs]
+        names = [value if isinstance(value, str) else self.constant(value) for value in inputs]
         self.nodes.append(self.onnx.helper.make_node(kind, names, [out], **attributes))
         return out
 
@@ -187,8 +187,8 @@ class _Graph:
         if id(values) not in self.names:
             self.names[id(values)] = f"c{len(self.constants)}", values
             array = np.array(values, order="C")
-            made = self.onnx.numpy_helper.from_array(array, self.names[id(values)][0])
-            self.constants.append(made)
+            tensor = self.onnx.numpy_helper.from_array(array, self.names[id(values)][0])
+            self.constants.append(tensor)
         return self.names[id(values)][0]
 
     def squares(self, values: str, axis: int) -> str:

@@ -62,7 +62,7 @@ NOTE = """
  the origin. Properties of the aerodynamics:
    aero/regressor/NAME      regressors, SI units and radians, or the unit of the control; NAME_hat: non-dimensional rate
    aero/coefficient/CX      coefficients CX CY CZ Cl Cm Cn: a constant and the effects of the regressors
-   aero/effect/CX-NAME      effect of a regressor, with mean zero over the flights; CX-joint: of all of them together
+   aero/effect/CX-NAME      effect of a regressor, with mean zero over the flights; CX-joint: of all together
  Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. A command of 1 is the largest
  deflection of the flights. Of a model with controls in parts of their full throw, -pos-rad holds these parts.
 """
@@ -183,12 +183,14 @@ def _mass(aircraft: Aircraft) -> Element:
 def _thrust(aircraft: Aircraft) -> Element:
     line, propeller = aircraft.thrust_line or ThrustLine(), aircraft.propeller
     x, y, z = map(float, line.position)
-    at = [_vector("location", (-x, y, -z), unit="M"), _vector("direction", line.direction)]
+    placement = [_vector("location", (-x, y, -z), unit="M"), _vector("direction", line.direction)]
     if propeller is None:
-        return element("external_reactions", element("force", *at, name="thrust", frame="BODY"))
+        return element(
+            "external_reactions", element("force", *placement, name="thrust", frame="BODY")
+        )
     loads = propeller.thrust_coefficients, propeller.torque_coefficients
     thrust = _propeller("propulsion/thrust-lbs", propeller, loads[0], 4, 1.0 / POUND_FORCE)
-    parts = [element("force", thrust, *at, name="thrust", frame="BODY")]
+    parts = [element("force", thrust, *placement, name="thrust", frame="BODY")]
     if loads[1]:
         torque = _propeller(
             "propulsion/torque-lbsft", propeller, loads[1], 5, -propeller.rotation / FOOT_POUND
@@ -349,13 +351,13 @@ def _effect(
 
 def element(tag: str, *content: Content, **attributes: str) -> Element:
     """Return an element of XML; numbers have all their digits."""
-    found = Element(tag, attributes)
-    for each in content:
-        if isinstance(each, Element):
-            found.append(each)
+    node = Element(tag, attributes)
+    for child in content:
+        if isinstance(child, Element):
+            node.append(child)
         else:
-            found.text = each if isinstance(each, str) else repr(float(each))
-    return found
+            node.text = child if isinstance(child, str) else repr(float(child))
+    return node
 
 
 def _apply(operator: str, *operands: Content) -> Element:

@@ -31,7 +31,7 @@ class Regressor:
     name, unit : str
         Such as ``q_hat`` and "".
     sources, factors : tuples of str and of float
-        Columns u of a flight table, and their factors c: those of the mixing for a control, else 1.
+        Columns u of a flight table, and their factors c: of the mixing for a control, else 1.
     length : float
         Reference length L [m] of a non-dimensional rate.
     power : {0, 1, 2}
@@ -192,10 +192,10 @@ class Part:
         return epsilon * np.sqrt(mean), epsilon * np.hypot(self.prior(p), explained)
 
 
-def _added(whole: Matrix, half: Matrix) -> Matrix:
+def _added(total: Matrix, half: Matrix) -> Matrix:
     """Add (n, k) to the last columns of (n, r)."""
-    whole[:, whole.shape[1] - half.shape[1] :] += half
-    return whole
+    total[:, total.shape[1] - half.shape[1] :] += half
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class PortableModel:
 
     This is the posterior of the function at exact regressors. At measured ones, whose noise has the
     covariance S (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the
-    variance, with the slopes J of the mean: on most flights the larger part of it.
+    variance, with the slopes J of the mean: on most flights the larger part.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@ from skdgp.export._model import Part, PortableModel, Readout, Term
 SIZES = np.unique((4 * 1.15 ** np.arange(36)).astype(int))  # numbers of functions that are tried
 MAX_CANDIDATES = 3000  # functions of a part to choose from
 MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
-MOVED = (0.5, 1.0, 1.5)  # standard deviations by which copies of the points to fit at are moved
+MOVED = (0.5, 1.0, 1.5)  # shifts of copies of the points to fit at, in standard deviations
 POINTS = 500  # least number of moved points
-NEGLIGIBLE = 1e-11  # what is left of a function that the others represent
+NEGLIGIBLE = 1e-11  # remainder of a function that the others represent
 
 
 @one_blas_thread()
@@ -44,7 +44,7 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
             f"Got a size of at most {most} bytes, but the smallest form of this model takes "
             f"{size(best)}: allow more."
         )
-    while growing := [j for j, each in enumerate(choices) if numbers[j] + 1 < len(each.sizes)]:
+    while growing := [j for j, choice in enumerate(choices) if numbers[j] + 1 < len(choice.sizes)]:
         worst = max(growing, key=losses.__getitem__)
         numbers[worst] += 1
         part, loss = choices[worst].fit(numbers[worst])
@@ -59,7 +59,7 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
 
 
 def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
-    """Return scaled regressors to fit and to check at: those of the flights, and around them."""
+    """Return scaled regressors to fit and to check at, of the flights and around."""
     rng = np.random.default_rng(0)
     samples = model.scaled(model.samples)
     if max(len(readout.weights) for readout in model.readouts) > MANY:
@@ -76,7 +76,7 @@ def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
     """Return root mean square changes of mean and deviation, over the deviation.
 
-    They are the larger of those at the samples, where the deviation is least, and those around them.
+    The larger of two: at the samples, where the standard deviation is least, and around.
     """
     losses = []
     for X in (model.samples, Z * model.scale + model.shift):

@@ -23,10 +23,10 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     names that would be equal get numbers.
     """
     names = list(dict.fromkeys(names))
-    found = {name: name for name in names if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)}
-    taken = RESERVED | found.keys()
+    written = {name: name for name in names if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)}
+    taken = RESERVED | written.keys()
     for name in names:
-        if name not in found:
+        if name not in written:
             letters = unicodedata.normalize("NFKD", name)
             short = re.sub(
                 r"\W+",
@@ -36,9 +36,9 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
             )
             short = f"_{short}" if short[:1].isdigit() or not short else short
             numbered = (f"{short}_{k}" if k > 1 else short for k in count(1))
-            found[name] = next(each for each in numbered if each not in taken)
-            taken.add(found[name])
-    return found
+            written[name] = next(candidate for candidate in numbered if candidate not in taken)
+            taken.add(written[name])
+    return written
 
 
 def changes_text(names: Mapping[str, str]) -> str:

@@ -59,50 +59,41 @@ def servos_for(servos: Any, *flights: Any) -> Any:
 
 def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     """Return servos in parts of the full throw, and flights, with signs of surfaces that the first flights show."""
-    names = (
-        reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True))
-        if reversed_of(servos) == ()
-        else []
-    )
+    learned = pd.concat(parts[0].values(), ignore_index=True)
+    names = reversed_surfaces(learned) if reversed_of(servos) == () else []
     if not names:
         return servos, *parts
     servos = f"{FULL_THROW}, reversed {' '.join(names)}"
     warn(
         f"The flights show that {' and '.join(names)} move the other way than the autopilot's "
-        f"parameters say, so their "
-        f'signs are turned: servos = "{servos}".',
+        f"parameters say, so their signs are turned: servos = {servos!r}.",
         FlightDataWarning,
         stacklevel=3,
     )
-    return servos, *(
+    turned = (
         {
             key: table.assign(**{name: -table[name] for name in names if name in table})
             for key, table in part.items()
         }
         for part in parts
     )
+    return servos, *turned
 
 
 def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
-    """Return the aircraft, with the deviations of full throws that a servo file gives among its own."""
-    told = read_servos(servos) if reversed_of(servos) is None else {}
-    stds = {
-        name: each.std / each.angle
-        for name, each in told.items()
-        if isinstance(each, Throw) and each.std
-    }
+    """Return the aircraft, with the standard deviations of full throws in a servo file among its deviations."""
+    entries = read_servos(servos) if reversed_of(servos) is None else {}
     factors = {
-        f"throw of the {name}": ScaleFactor(std, {name: 1.0}, "given") for name, std in stds.items()
+        f"throw of the {name}": ScaleFactor(throw.std / throw.angle, {name: 1.0}, "given")
+        for name, throw in entries.items()
+        if isinstance(throw, Throw) and throw.std
     }
     return _with_deviations(aircraft, factors)
 
 
 def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
-    return (
-        replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
-        if factors
-        else aircraft
-    )
+    deviations = {**(aircraft.deviations or {}), **factors}
+    return replace(aircraft, deviations=deviations) if factors else aircraft
 
 
 def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> Aircraft:
@@ -115,7 +106,7 @@ def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> 
 def with_thrust_errors(
     aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str
 ) -> Aircraft:
-    """Return the aircraft, with what the deviation of its propeller's thrust makes of the coefficients of flights.
+    """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
 
     If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as
     the nearest linear function of its regressors.
@@ -125,21 +116,14 @@ def with_thrust_errors(
         return aircraft
     scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
     force, moment = propulsive_loads(table, aircraft, thrust)
-    shares = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
-    known = np.isfinite(shares).all(axis=1) & np.isfinite(regressors.to_numpy()).all(axis=1)
-    shares, values = shares[known], regressors.to_numpy()[known]
-    slopes = np.linalg.lstsq(
-        values - values.mean(axis=0), shares - shares.mean(axis=0), rcond=None
-    )[0]
+    missing = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
+    X = np.column_stack([np.ones(len(regressors)), regressors])
+    sampled = np.isfinite(missing).all(axis=1) & np.isfinite(X).all(axis=1)
+    X[:, 1:] -= X[sampled, 1:].mean(axis=0)  # the intercept is the mean
+    slopes = np.linalg.lstsq(X[sampled], missing[sampled], rcond=None)[0]
     names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    effects = np.vstack([shares.mean(axis=0), slopes]).T.ravel().tolist()
-    added = dict(
-        zip(
-            [coefficient + name for coefficient in COEFFICIENTS for name in names],
-            effects,
-            strict=True,
-        )
-    )
+    effects = [coefficient + name for coefficient in COEFFICIENTS for name in names]
+    added = dict(zip(effects, slopes.T.ravel().tolist(), strict=True))
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return _with_deviations(aircraft, {"thrust": factor})
 
@@ -160,38 +144,47 @@ def control_units(servos: Any) -> dict[str, str]:
 
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
-    """Return what was assumed, and which measurements would narrow what follows from it most, in a line each."""
-    lines, deviations, full_throws = [], aircraft.deviations or {}, reversed_of(servos) is not None
-    # The sizes that are uncertain, with what errors of all causes make of them.
-    moments, sizes = dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)), []
-    for name, unit in (QUANTITIES | dict.fromkeys(MOMENTS, "kg m^2")).items():
-        if std := float(
-            np.linalg.norm([each.std * each.powers.get(name, 0.0) for each in deviations.values()])
-        ):
-            value = moments[name] if name in moments else getattr(aircraft, name)
-            sizes.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
-    if sizes:
-        lines.append(
-            f"Of the aircraft: {', '.join(sizes)}; what this makes of derivatives is std_aircraft."
-        )
-    # The rules that they were estimated by, each source with all that is from it.
+    """Return the assumptions, and the measurements that would reduce their errors most, in a line each."""
+    deviations = aircraft.deviations or {}
+    full_throws = reversed_of(servos) is not None
+    # the rules that sizes were estimated by, each source with all that is from it
     by_source: dict[str, list[str]] = {}
-    for name, each in deviations.items():
-        by_source.setdefault(each.source.rpartition(", ")[2], []).append(name)
-    if rules := [
-        f"{', '.join(names)} ({source})" for source, names in by_source.items() if source != "given"
-    ]:
-        lines.append(f"Estimated: {'; '.join(rules)}.")
-    lines += [FULL_THROWS] * full_throws + [THRUST_IN_COEFFICIENTS] * thrust_unknown
-    # What to measure, that first which lessens the errors of the coefficients most.
-    errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1) if deviations else []
+    for name, factor in deviations.items():
+        if factor.source != "given":
+            by_source.setdefault(factor.source.rpartition(", ")[2], []).append(name)
+    rules = [f"{', '.join(names)} ({source})" for source, names in by_source.items()]
+    sizes = _uncertain_sizes(aircraft)
+    lines = {
+        f"Of the aircraft: {', '.join(sizes)}; their part in errors of derivatives is std_aircraft.": sizes,
+        f"Estimated: {'; '.join(rules)}.": rules,
+        FULL_THROWS: full_throws,
+        THRUST_IN_COEFFICIENTS: thrust_unknown,
+    }
+    # what to measure, first what lessens the errors of the coefficients most
+    errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1)
     gains: dict[str, float] = {}
-    for name, error in zip(deviations, errors, strict=True):
-        if error:  # none of products of inertia and of throws, which are not of a coefficient
+    for name, error in zip(deviations, errors.tolist(), strict=True):
+        if error:  # products of inertia and throws change no coefficient
             remedy = REMEDIES.get(name, f"measure the {name}")
-            gains[remedy] = gains.get(remedy, 0.0) + float(error)
+            gains[remedy] = gains.get(remedy, 0.0) + error
     remedies = sorted(gains, key=lambda remedy: -gains[remedy])[:LISTED] + [THROWS] * full_throws
     remedies += [THRUST] * (thrust_unknown or "thrust" in deviations)
-    return (
-        [*lines, f"An hour each, most useful first: {'; '.join(remedies)}."] if remedies else lines
-    )
+    lines[f"An hour each, most useful first: {'; '.join(remedies)}."] = remedies
+    return [line for line, applies in lines.items() if applies]
+
+
+def _uncertain_sizes(aircraft: Aircraft) -> list[str]:
+    """Return the sizes of an aircraft that are uncertain, by errors of all causes together."""
+    values = {name: getattr(aircraft, name) for name in QUANTITIES}
+    values |= dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True))
+    factors = (aircraft.deviations or {}).values()
+    stds = {
+        name: float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
+        for name in values
+    }
+    return [
+        f"{name.replace('_', ' ')} {values[name]:.3g} {QUANTITIES.get(name, 'kg m^2')} ± "
+        f"{100 * std:.2g} %"
+        for name, std in stds.items()
+        if std
+    ]

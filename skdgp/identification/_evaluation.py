@@ -110,20 +110,20 @@ def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
 
 def lags_message(pipeline: Pipeline) -> str:
     """Return the lags that were found in the flights of the fit and corrected, in one line; empty without any."""
-    found = {
+    lags = {
         name: row["applied"]
         for name, row in lags_of(pipeline).items()
         if row["remark"] == "removed"
     }
-    words = [
-        f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}" for name, lag in found.items()
+    parts = [
+        f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}" for name, lag in lags.items()
     ]
     early = (
         " Surfaces that are early are commands of slower servos."
-        if found.get("surfaces", 0) < 0
+        if lags.get("surfaces", 0) < 0
         else ""
     )
-    return f"Lags against the inertial unit, corrected: {', '.join(words)}.{early}" if words else ""
+    return f"Lags against the inertial unit, corrected: {', '.join(parts)}.{early}" if parts else ""
 
 
 def reconstruction_of(pipeline) -> str | None:
@@ -159,7 +159,7 @@ class Evaluation(FlightResult):
         Errors of the replay, as of ``skdgp.dynamics.replay_errors``, against "measured" and, where
         it is known, "truth".
     regressors : ndarray (n, d)
-        What the last step of the pipeline predicted from.
+        Inputs of the last step of the pipeline.
     """
 
     rows: Indices
@@ -237,8 +237,8 @@ def fit_least_squares(
     names, values = [str(name) for name in table], table.to_numpy()
     slopes, std = {}, {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
-        seen = np.isfinite(y)
-        X, y = values[seen], y[seen]
+        observed = np.isfinite(y)
+        X, y = values[observed], y[observed]
         linear = LinearRegression().fit(X, y)
         residuals, z = y - linear.predict(X), X - X.mean(axis=0)
         blocks = np.array_split(
@@ -248,8 +248,8 @@ def fit_least_squares(
             z.T @ z
         )
         errors = np.sqrt(len(blocks) / (len(blocks) - 1) * (scores**2).sum(axis=0))
-        found = {"intercept": linear.intercept_, **dict(zip(names, linear.coef_, strict=True))}
-        slopes[coefficient] = {name: float(value) for name, value in found.items()}
+        fitted = {"intercept": linear.intercept_, **dict(zip(names, linear.coef_, strict=True))}
+        slopes[coefficient] = {name: float(value) for name, value in fitted.items()}
         std[coefficient] = dict(zip(names, map(float, errors), strict=True))
     return {"least_squares": slopes, "least_squares_std": std}
 
@@ -280,18 +280,18 @@ def _scores(evaluations, reference, std) -> pd.DataFrame:
     """Return metrics of means over all rows, and of bands over those where standard deviations were computed."""
 
     def all_rows(name):
-        return np.concatenate([getattr(one, name) for one in evaluations])
+        return np.concatenate([getattr(flight, name) for flight in evaluations])
 
     means = all_rows(reference), all_rows("mean")
     bands = [
-        np.concatenate([getattr(one, name)[one.rows] for one in evaluations])
+        np.concatenate([getattr(flight, name)[flight.rows] for flight in evaluations])
         for name in (reference, "mean", std)
     ]
     columns = {
-        of.__name__: of(*means, multioutput="raw_values")
-        for of in (median_relative_error, normalized_rmse)
+        metric.__name__: metric(*means, multioutput="raw_values")
+        for metric in (median_relative_error, normalized_rmse)
     }
-    if all(one.baseline is not None for one in evaluations):
+    if all(flight.baseline is not None for flight in evaluations):
         linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
         columns["least_squares_normalized_rmse"] = linear
     for metric in (negative_log_predictive_density, interval_coverage):
@@ -331,21 +331,21 @@ def warn_of_long_horizons(horizons: Sequence[float], name: str, table: pd.DataFr
 def sensor_noise(table: pd.DataFrame, states: Sequence[str] = STATES) -> dict[str, float]:
     """Return the white noise of the measured states, by name: how uncertain a restart from them is.
 
-    Where the spectrum of a short flight does not show it, second differences do, of which white
-    noise has 1 + 4 + 1 = 6 times its variance; with motion in them the noise is rather over- than
+    Where the spectrum of a short flight does not show it, second differences do: white
+    noise has 1 + 4 + 1 = 6 times its variance in them; with motion in them the noise is rather over- than
     understated.
     """
     names = [name for name in states if name in table]
     values, time = unwrapped(table, names), table["time"].to_numpy(float)
-    found = noise_level(values, time).measured
+    noise = noise_level(values, time).measured
     squares = (
         np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
     )
-    known = np.isfinite(squares)
+    sampled = np.isfinite(squares)
     bound = np.sqrt(
-        np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 6.0
+        np.where(sampled, squares, 0.0).sum(axis=0) / np.maximum(sampled.sum(axis=0), 1) / 6.0
     )
-    return dict(zip(names, np.where(np.isfinite(found), found, bound).tolist(), strict=True))
+    return dict(zip(names, np.where(np.isfinite(noise), noise, bound).tolist(), strict=True))
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,19 +32,13 @@ from skdgp.preprocessing import FlightCheck
 
 Flights = dict[str, pd.DataFrame]
 
-MEASURED = (
-    "airspeed",
-    "density",
-    *SPECIFIC_FORCE,
-    *RATES,
-)  # columns that the coefficients follow from
+# columns that the coefficients follow from
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
-INTERCHANGEABLE = (
-    *MIXED,
-    *ELEVONS,
-)  # elevons may stand for elevator and aileron, and the other way round
-AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables whose airspeed is that of turns
+# elevons may stand for elevator and aileron, and the other way round
+INTERCHANGEABLE = (*MIXED, *ELEVONS)
+AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables with an airspeed by turns
 
 
 def named_flights(
@@ -70,34 +63,38 @@ def named_flights(
     -------
     dict of str to DataFrame
     """
-    found: Flights = {}
-    if isinstance(flights, Mapping):
-        for name, table in flights.items():
-            parts = flights_of(check_table(table))
-            if len(parts) != 1:
-                raise ValueError(
-                    f"Got {len(parts)} flights in the table {name!r}, but expected one for each "
-                    f"name."
-                )
-            found[name] = _checked_columns(next(iter(parts.values())).assign(flight=name), needed)
-        return found
     of_tables = {"rename": reading.pop("rename", None)}
-    items = items_of(flights)
+    items = (
+        flights.items() if isinstance(flights, Mapping) else [("", x) for x in items_of(flights)]
+    )
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
-    origin: dict[str, str | os.PathLike | None] = {}
-    for number, item in enumerate(items, start=1):
+    by_name: Flights = {}
+    origin: dict[str, object] = {}
+    for number, (key, item) in enumerate(items, start=1):
         path = item if isinstance(item, str | os.PathLike) else None
         table = (
             check_table(item)
             if path is None
             else read_flight(path, **(reading if is_log(path) else of_tables))
         )
-        for name, part in flights_of(table, f"{default} {number}").items():
-            if name in found:
-                raise FlightReadError(_same_name(name, origin[name], path))
-            found[name], origin[name] = _checked_columns(part, needed, path), path
-    return found
+        parts = flights_of(table, f"{default} {number}")
+        if key and len(parts) != 1:
+            raise ValueError(
+                f"Got {len(parts)} flights in the table {key!r}, but expected one for each name."
+            )
+        for own_name, part in parts.items():
+            name = key or own_name
+            place = path or f"table {number}"
+            if name in by_name:
+                raise FlightReadError(
+                    f"Got flight {name!r} in {origin[name]} and in {place}, but expected each "
+                    f"once: name a file once, rename one of two files, change the name in the "
+                    f"column 'flight', or give a dict of names and tables."
+                )
+            by_name[name] = _checked_columns(part.assign(flight=name), needed, path)
+            origin[name] = place
+    return by_name
 
 
 def items_of(flights: Any) -> list:
@@ -112,8 +109,8 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
         return {default: table.reset_index(drop=True).assign(flight=default)}
     rows = flight_rows(table["flight"])
     return {
-        name: table.iloc[here].reset_index(drop=True).assign(flight=name)
-        for name, here in rows.items()
+        name: table.iloc[flight].reset_index(drop=True).assign(flight=name)
+        for name, flight in rows.items()
     }
 
 
@@ -131,52 +128,32 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
 
 
 def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
-    """Return a flight with the airspeed of its turns, if it has none but the velocity over the ground; warn of it."""
+    """Return a flight with the airspeed of its turns, if it has only the velocity over the ground, with a warning."""
     measured = "airspeed" in flight and flight["airspeed"].notna().any()
     if measured or not {"time", *EARTH_VELOCITY} <= set(flight):
         return flight
     try:
-        found = airspeed_from_turns(flight)
+        turns = airspeed_from_turns(flight)
     except ValueError:
         if "airspeed" in needed:
             raise
         return flight
-    error, wind = (
-        (found[["airspeed_std"]] ** 2).mean().iloc[0] ** 0.5,
-        found[["wind_north", "wind_east"]].mean(),
-    )
+    error = (turns["airspeed_std"] ** 2).mean() ** 0.5
+    wind = turns[["wind_north", "wind_east"]].mean()
     warn(
-        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: that of its turns is used, ± "
+        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: its turns give it, ± "
         f"{error:.2g} m/s, in a wind "
         f"of {np.hypot(*wind):.2g} m/s.",
         FlightDataWarning,
         stacklevel=5,
     )
-    flight = flight.assign(airspeed=found["airspeed"])
-    flight.attrs = {**flight.attrs, AIRSPEED_ERROR: float(error / found["airspeed"].mean())}
+    flight = flight.assign(airspeed=turns["airspeed"])
+    flight.attrs = {**flight.attrs, AIRSPEED_ERROR: float(error / turns["airspeed"].mean())}
     return flight
 
 
-def _same_name(name, first, second) -> str:
-    """Return the message for two flights of one name, with the remedy."""
-    if first is None or second is None:
-        return (
-            f"Got flight {name!r} twice, but expected each once: give a dict of names and tables."
-        )
-    columns = [str(path) for path in (second, first) if Path(path).stem != name]
-    if Path(first).resolve() == Path(second).resolve():
-        remedy = "name the file once"
-    elif columns:
-        remedy = f"the name stands in column 'flight' of {columns[0]}; change it there"
-    else:
-        remedy = (
-            "rename one of the files, or where a file has a column 'flight', change the name there"
-        )
-    return f"Got flight {name!r} in {first} and in {second}, but expected each once: {remedy}."
-
-
 def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:
-    """Return flights to learn from and to test on, and words for those held out where no test flight is named.
+    """Return training and test flights, and the name of the part held out where no test flight is named.
 
     Held out are the last flight of several, or the last quarter of a single one.
     """
@@ -188,29 +165,17 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
                 4,
             )
         return train, test, None
-    *others, last = train
-    if others:
-        held_out, found = f"the last flight, {last}", train
+    *earlier, last = train
+    if earlier:
+        held_out = f"the last flight, {last}"
+        learned, tested = {name: train[name] for name in earlier}, {last: train[last]}
     else:
-        held_out, split = (
-            f"the last quarter of the only flight, {last}",
-            round(0.75 * len(train[last])),
-        )
-        rows = {
-            f"{last}, first three quarters": slice(0, split),
-            f"{last}, last quarter": slice(split, None),
-        }
-        found = {
-            name: train[last].iloc[part].assign(flight=name).reset_index(drop=True)
-            for name, part in rows.items()
-        }
+        held_out = f"the last quarter of the only flight, {last}"
+        split = round(0.75 * len(train[last]))
+        learned = flights_of(train[last][:split].assign(flight=f"{last}, first three quarters"))
+        tested = flights_of(train[last][split:].assign(flight=f"{last}, last quarter"))
     _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
-    *_, last = found
-    return (
-        {name: table for name, table in found.items() if name != last},
-        {last: found[last]},
-        held_out,
-    )
+    return learned, tested, held_out
 
 
 def check_controls(flights: Flights, regressors) -> None:
@@ -224,11 +189,11 @@ def check_controls(flights: Flights, regressors) -> None:
     near = suggestions([name for name in columns if name not in CHANNELS], columns)
     meant = {name: channel for name, channel in near.items() if channel in lacking}
     if meant:
-        words = " ".join(f"{name}={channel}" for name, channel in meant.items())
+        renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
         raise ValueError(
             f"Got flights without {' and '.join(meant.values())}: did you mean "
             f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
-            f"{words} (reading={{'rename': {dict(meant)}}})."
+            f"{renaming} (reading={{'rename': {dict(meant)}}})."
         )
     if "elevator" in lacking:
         _warn(
@@ -244,32 +209,29 @@ def _names(regressors) -> Sequence[str]:
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors) -> list[str]:
     """Return the measured columns of the tables that regressors are made from."""
-    names, found = _names(regressors), list[str]()
+    names = _names(regressors)
+    columns: dict[str, None] = {}
     for table in tables:
-        needed = {"airspeed"}
-        for name in (str(name).removesuffix("_hat") for name in names):
-            needed |= {name} if name in table else {name.removesuffix("_dot")}
-        if {"elevator", "aileron"} & set(names):
-            needed |= {*ELEVONS}
-        found += [name for name in table.columns if name in needed and name not in found]
-    return found
+        bare = [str(name).removesuffix("_hat") for name in names]
+        needed = {name if name in table else name.removesuffix("_dot") for name in bare}
+        needed |= {"airspeed"} | ({*ELEVONS} if {"elevator", "aileron"} & set(names) else set())
+        columns |= dict.fromkeys(name for name in table.columns if name in needed)
+    return list(columns)
 
 
 def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flights:
     """Return flights without faults, and only rows that a model can learn from or predict.
 
     Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
-    ValueError if a flight lacks one of the columns, which the model's flights have, or no row of it
-    is left.
+    ValueError if a flight lacks one of the columns, which the model's flights have, or none of
+    its rows is left.
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     check = FlightCheck()
     checked = {name: check.fit_transform(table) for name, table in flights.items()}
-    for each in (
-        find_contradictions(pd.concat(checked.values(), ignore_index=True)) if checked else ()
-    ):
-        warn(f"Contradiction in the flights: {each}.", FlightDataWarning, stacklevel=3)
+    for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
+        warn(f"Contradiction in the flights: {contradiction}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
 
@@ -303,13 +265,13 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
             f"expected thousands: rates "
             "of change need neighbours. Is the log whole, and time in seconds?"
         )
-    kept = np.concatenate(rows)
-    if len(kept) < len(complete):
+    continuous = np.concatenate(rows)
+    if len(continuous) < len(complete):
         _warn(
-            f"Flight {flight!r}: {len(complete) - len(kept)} rows that stand alone between gaps "
+            f"Flight {flight!r}: {len(complete) - len(continuous)} rows that stand alone between gaps "
             f"are left out."
         )
-    return complete.iloc[kept].reset_index(drop=True)
+    return complete.iloc[continuous].reset_index(drop=True)
 
 
 def _warn(message, stacklevel=5):
@@ -317,14 +279,14 @@ def _warn(message, stacklevel=5):
 
 
 def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
-    """Raise ValueError if the coefficients are known at fewer than two rows, with what is missing."""
-    known = int(Y.notna().all(axis=1).sum())
-    if known < 2:
+    """Raise ValueError if the coefficients are known at fewer than two rows, with the missing columns."""
+    n_known = int(Y.notna().all(axis=1).sum())
+    if n_known < 2:
         missing = {
             name: n for name in FORCES if name in table and (n := int(table[name].isna().sum()))
         }
         raise ValueError(
-            f"Got coefficients at {known} of {len(Y)} rows of the training flights, but expected "
+            f"Got coefficients at {n_known} of {len(Y)} rows of the training flights, but expected "
             f"at least two, better "
             f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of "
             f"the others, or drop "

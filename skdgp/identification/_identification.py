@@ -48,11 +48,10 @@ MEMBERS = {"joint": "all terms", "additive": "trend and main effects", "trend": 
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
-    "none": "none subtracted: that of an engine is part of the coefficients",
+    "none": "none subtracted: an engine's is part of the coefficients",
 }
 N_WARNINGS = 3  # of the summary
 MOST_NAMED = 3  # flights whose durations are given
-MARGIN, WIDTH = 16, 11  # characters of the summary's first column, and of the others
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,21 +61,21 @@ class Identification:
     Attributes
     ----------
     pipeline, aircraft : Pipeline, Aircraft
-        Fitted: a raw flight table in, six coefficients out; and of what.
+        Fitted, a raw flight table in, six coefficients out; and its aircraft.
     settings, fit : dict
-        What was asked for or chosen; samples, likelihood, noise and time of the fit.
+        Options, given or chosen; samples, likelihood, noise and time of the fit.
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
     messages, held_out : list of str, str or None
-        Warnings that arose, and what was held out because no test flight was named.
+        Warnings, and the part held out because no test flight was named.
     supplements : sequence
         Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics,
         ``summary()``, a list of lines, and ``section()``, HTML for the report.
     assumed : list of str
-        What was assumed where flights and aircraft do not say, and what to measure; empty where all
-        was told.
+        Assumptions where flights and aircraft do not say, and measurements to make; empty without
+        assumptions.
     title, command, created : str
         Heading of the report, the command line, date and time.
     """
@@ -99,16 +98,14 @@ class Identification:
 
     @cached_property
     def mechanics(self) -> FlightMechanics:
-        """Trim, derivatives and modes in the middle of what was flown, and how long a simulation follows flights."""
-        train, test = (
-            list(self.train.values()),
-            [one.table for one in self.evaluations if one.table is not None],
-        )
+        """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights."""
+        train = list(self.train.values())
+        test = [flight.table for flight in self.evaluations if flight.table is not None]
         return flight_mechanics(self.pipeline, self.aircraft, train, test, self.settings, self.fit)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What was learned, and what it is good enough for."""
+        """Training data, and uses that the model is good enough for."""
         return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, self.messages)
 
     @cached_property
@@ -126,68 +123,60 @@ class Identification:
                 "fit": self.fit,
                 "train": {name: _extent(table) for name, table in self.train.items()},
                 "test": {
-                    one.name: {
-                        **_extent(one.table),
-                        "samples_with_std": len(one.rows),
-                        **_score_metrics([one]),
+                    flight.name: {
+                        **_extent(flight.table),
+                        "samples_with_std": len(flight.rows),
+                        **_score_metrics([flight]),
                         "states": {
                             against: table.to_dict("records")
-                            for against, table in one.states.items()
+                            for against, table in flight.states.items()
                         },
                     }
-                    for one in self.evaluations
+                    for flight in self.evaluations
                 },
                 "test_together": _score_metrics(self.evaluations),
                 "verdict": self.verdict.to_dict(),
                 "flight_mechanics": self.mechanics.to_dict(),
-                **{each.name: each.to_dict() for each in self.supplements},
+                **{part.name: part.to_dict() for part in self.supplements},
                 **({"assumed": self.assumed} if self.assumed else {}),
                 "messages": self.messages,
             }
         )
 
     def summary(self) -> str:
-        """Return what the command line prints: scores of all test flights together, and a line or table of each."""
+        """Return the text of the command line: scores of all test flights together, and a line or table of each."""
         fit, tested, verdict = self.fit, self.evaluations, self.verdict
-        first = f"{self.aircraft.name}: "
+        likelihood = f"log likelihood {fit['log_marginal_likelihood']:.1f}"
+        lines = [f"{self.aircraft.name}: {likelihood}"]
         if "seconds" in fit:
-            first += (
-                f"{'interrupted' if fit['interrupted'] else 'fitted'} in {fit['seconds']:.1f} s on "
-            )
-            first += f"{fit['samples']} of {fit['samples_available']} samples, "
-        lines = [f"{first}log likelihood {fit['log_marginal_likelihood']:.1f}"]
+            lines = [
+                f"{self.aircraft.name}: {'interrupted' if fit['interrupted'] else 'fitted'} in "
+                f"{fit['seconds']:.1f} s on {fit['samples']} of {fit['samples_available']} "
+                f"samples, {likelihood}"
+            ]
         if not fit.get("converged", True):
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
-        if len(tested) == 1:
-            lines += [
-                "",
-                f"flight {tested[0].name}",
-                *_score_table(tested),
-                "",
-                *_state_lines(tested[0]),
-            ]
-        else:
-            lines += ["", f"{len(tested)} test flights together", *_score_table(tested), ""]
-            for one in tested:
-                lines += [f"flight {one.name}", _mean_row([one], "all"), *_state_lines(one)]
+        together = f"{len(tested)} test flights together"
+        lines += ["", f"flight {tested[0].name}" if len(tested) == 1 else together]
+        lines += [_score_text(tested, [*COEFFICIENTS, "longitudinal", "lateral", "all"]), ""]
+        for flight in tested:
+            lines += [f"flight {flight.name}"] * (len(tested) > 1)
+            lines += [_score_text([flight], ["all"])] * (len(tested) > 1)
+            lines += _state_lines(flight)
+        paths = reconstruction_of(self.pipeline)
+        lines += ["", *([f"flight paths {paths}"] if paths else [])]
+        lines += [line for part in self.supplements for line in part.summary()]
         lines += [
             "",
-            *(f"flight paths {paths}" for paths in [reconstruction_of(self.pipeline)] if paths),
+            f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands",
         ]
-        lines += [line for each in self.supplements for line in each.summary()]
-        lines += [
-            "",
-            f"error {verdict.error:.3f} of the spread, {_percent(verdict.coverage)} in 95 % bands",
-        ]
-        lines += [words] if (words := verdict.compared()) else []
+        lines += [compared] if (compared := verdict.compared()) else []
         lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
-        lines += [
-            f"warning {k}: {warning}"
-            for k, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1)
-        ]
+        warnings = verdict.warnings[:N_WARNINGS]
+        lines += [f"warning {k}: {warning}" for k, warning in enumerate(warnings, start=1)]
         lines += ["", "assumed, as nothing was told:"] if self.assumed else []
-        for each in self.assumed:
-            lines += wrap(each, 110, initial_indent="  - ", subsequent_indent="    ")
+        for assumption in self.assumed:
+            lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
         return "\n".join(lines)
 
     def evaluate(self, flight: Any) -> Evaluation:
@@ -221,14 +210,14 @@ class Identification:
         notify("report")
         if find_spec("matplotlib") is None:
             warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
-        found = {
+        writers: dict[str, Callable[[Path], object]] = {
             "report.html": text_writer(render_report(self._report_content())),
             "metrics.json": text_writer(json_text(self.metrics)),
         }
         if self.train:
             model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
-            found["model.joblib"] = lambda path: _model_file.dump_model(path, model)
-        return found
+            writers["model.joblib"] = lambda path: _model_file.dump_model(path, model)
+        return writers
 
     def _model_facts(self) -> dict:
         return {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
@@ -245,7 +234,7 @@ class Identification:
             envelope=self._envelope(),
             effects=self._effects(),
             air=air_of(self.pipeline),
-            sections=[each.section() for each in self.supplements],
+            sections=[part.section() for part in self.supplements],
             assumed=self.assumed,
             units=getattr(self.pipeline, "control_units_", {}),
             messages=self.messages,
@@ -253,37 +242,43 @@ class Identification:
         )
 
     def _envelope(self) -> EnvelopeDisplay | None:
-        """Return where the data are and what the model knows around them; None of a single regressor."""
+        """Return the envelope of the data and the bands of the model around it; None for a single regressor."""
         if len(self.fit["regressors"]) < 2 or not self.train:
             return None
-        tested = [_evaluation.named(self.pipeline, one.regressors) for one in self.evaluations]
-        path = pd.concat(tested) if tested else None
+        learned = [self.pipeline[:-2].transform(table) for table in self.train.values()]
+        tested = [
+            _evaluation.named(self.pipeline, flight.regressors) for flight in self.evaluations
+        ]
         return EnvelopeDisplay.compute(
-            self.pipeline[-2:], self._training_regressors(), flight=path, n_grid=12
+            self.pipeline[-2:], pd.concat(learned), flight=pd.concat(tested), n_grid=12
         )
 
     def _effects(self) -> EffectsDisplay:
         """Return the effect of each regressor."""
         return EffectsDisplay.compute(self.pipeline[-2:])
 
-    def _training_regressors(self) -> pd.DataFrame:
-        return pd.concat([self.pipeline[:-2].transform(table) for table in self.train.values()])
-
     def _facts(self) -> dict[str, str]:
-        """Return what was done, ready to read."""
-        fit = self.fit
-        aircraft = self.aircraft
+        """Return the facts of the fit as text; empty where a fact does not apply."""
+        fit, aircraft, tested = self.fit, self.aircraft, self.evaluations
         regressor = regressor_and_scale(self.pipeline)[0]
         shared = sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands())
         coupled = "joint" in fit["weights"]
         end = " (limit reached)" * (fit["iterations"] == regressor.max_iter_)
         if not fit.get("converged", True):
             end = " (not converged: raise max_iter)"
+        tables = [*self.train.values(), *(flight.table for flight in tested)]
+        sources = _evaluation.thrust_sources(self.settings["thrust"], tables)
+        lags = {name: row["applied"] for name, row in fit.get("lags", {}).items()}
+        late = [f"{name} {lag:.3g} s" for name, lag in lags.items() if lag]
+        weights = {name: np.mean(list(part.values())) for name, part in fit["weights"].items()}
+        noise = fit["input_noise_std"]
+        step = max(-(-len(flight.time) // len(flight.rows)) for flight in tested)
+        has_record = "seconds" in fit
         facts = {
             "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area "
             f"{aircraft.wing_area:.4g} m², span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
             "Learned from": _durations(self.train),
-            "Tested on": _durations({one.name: one.table for one in self.evaluations}),
+            "Tested on": _durations({flight.name: flight.table for flight in tested}),
             "Regressors": ", ".join(fit["regressors"]),
             "Latent processes": f"{shared} shared, {len(COEFFICIENTS)} private" if coupled else "",
             "Kernel": f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "",
@@ -292,53 +287,22 @@ class Identification:
             + " (chosen by auto)" * (regressor.inference == "auto"),
             "Log likelihood": f"{fit['log_marginal_likelihood']:,.1f}",
             "Iterations": f"{fit['iterations']}{end}",
+            "Samples": f"{fit['samples']:,} of {fit['samples_available']:,}" if has_record else "",
+            "Time of the fit": f"{fit['seconds']:.1f} s" if has_record else "",
+            "Thrust": " or ".join(THRUSTS[name] for name in sources),
+            "Flight paths": reconstruction_of(self.pipeline) or "",
+            "Lags": ", ".join(late) or "none to correct" * ("lags" in fit),
+            "Average": f"{', '.join(f'{w:.0%} {MEMBERS[name]}' for name, w in weights.items())}; "
+            f"weights by blocks of the training flights, predicted from the others",
+            "Noise of the regressors": ", ".join(f"{k} {x:.2g}" for k, x in noise.items() if x > 0),
+            "Other loads": ", ".join(self.settings["external_forces"]),
+            "Bands": f"computed at one row in {step}, interpolated between" * (step > 1),
+            "Truth": "contains gusts that no sensor felt: coverage and NLPD against it are in "
+            "metrics.json" * any(flight.truth is not None for flight in tested),
+            "Fit": "interrupted; this is the best model until then" * fit.get("interrupted", False),
+            "Versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
         }
-        if "seconds" in fit:
-            facts["Samples"] = f"{fit['samples']:,} of {fit['samples_available']:,}"
-            facts["Time of the fit"] = f"{fit['seconds']:.1f} s"
-        versions = ", ".join(f"{name} {number}" for name, number in software_versions().items())
-        return facts | self._remarks() | {"Versions": versions}
-
-    def _remarks(self) -> dict[str, str]:
-        fit = self.fit
-        tables = [*self.train.values(), *(one.table for one in self.evaluations)]
-        sources = _evaluation.thrust_sources(self.settings["thrust"], tables)
-        remarks = {"Thrust": " or ".join(THRUSTS[name] for name in sources)}
-        if paths := reconstruction_of(self.pipeline):
-            remarks["Flight paths"] = paths
-        if "lags" in fit:
-            lags = [
-                f"{name} {row['applied']:.3g} s"
-                for name, row in fit["lags"].items()
-                if row["applied"]
-            ]
-            remarks["Lags"] = ", ".join(lags) or "none to correct"
-        if len(fit["weights"]) > 1:
-            shares = {
-                name: np.mean(list(by_output.values()))
-                for name, by_output in fit["weights"].items()
-            }
-            words = ", ".join(f"{share:.0%} {MEMBERS[name]}" for name, share in shares.items())
-            remarks["Average"] = (
-                f"{words}; weights by blocks of the training flights, predicted from the others"
-            )
-        if noisy := [
-            f"{name} {value:.2g}" for name, value in fit["input_noise_std"].items() if value > 0
-        ]:
-            remarks["Noise of the regressors"] = ", ".join(noisy)
-        if self.settings["external_forces"]:
-            remarks["Other loads"] = ", ".join(self.settings["external_forces"])
-        step = max(-(-len(one.time) // len(one.rows)) for one in self.evaluations)
-        if step > 1:
-            remarks["Bands"] = f"computed at one row in {step}, interpolated between"
-        if any(one.truth is not None for one in self.evaluations):
-            remarks["Truth"] = (
-                "contains gusts that no sensor felt: coverage and NLPD against it are in "
-                "metrics.json"
-            )
-        if fit.get("interrupted"):
-            remarks["Fit"] = "interrupted; this is the best model until then"
-        return remarks
+        return facts | ({"Average": ""} if len(weights) < 2 else {})
 
 
 def air_of(pipeline: Pipeline) -> str:
@@ -361,11 +325,11 @@ def _durations(flights: Mapping[str, Any]) -> str:
     """Return flights with their durations and rates; of many their number."""
     extents = {name: _extent(table) for name, table in flights.items()}
     if len(extents) > MOST_NAMED:
-        seconds = sum(each["duration"] for each in extents.values())
+        seconds = sum(extent["duration"] for extent in extents.values())
         return f"{len(extents)} flights, {seconds:.4g} s together: {', '.join(extents)}"
     return ", ".join(
-        f"{name} ({each['duration']:.4g} s at {each['sample_rate']:.3g} Hz)"
-        for name, each in extents.items()
+        f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)"
+        for name, extent in extents.items()
     )
 
 
@@ -386,50 +350,29 @@ def _score_metrics(evaluations) -> dict:
     }
 
 
-def _score_table(evaluations) -> list[str]:
-    tables = scores(evaluations)
-    above = [f"{'against measured':>{3 * WIDTH}}", f"{'against truth':>{2 * WIDTH}}"][: len(tables)]
-    lines = [" " * MARGIN + "".join(above)]
-    for words in (("median", "NRMSE", "in 95 %"), ("rel. error", "", "band")):
-        cells = [f"{word:>{WIDTH}}" for word in (*words, *words[:2] * (len(tables) - 1))]
-        lines.append(" " * MARGIN + "".join(cells).rstrip())
-    lines += [_row(name, [table.loc[name] for table in tables.values()]) for name in COEFFICIENTS]
-    return [
-        *lines,
-        "",
-        *(_mean_row(evaluations, group) for group in ("longitudinal", "lateral", "all")),
-    ]
-
-
-def _mean_row(evaluations, group) -> str:
-    return _row(group, [group_means(table).loc[group] for table in scores(evaluations).values()])
-
-
-def _row(name, rows) -> str:
+def _score_text(evaluations: Sequence[Evaluation], names: list[str]) -> str:
     """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    cells = [
-        cell
-        for row in rows
-        for cell in (_percent(row.median_relative_error), f"{row.normalized_rmse:.3f}")
-    ]
-    cells.insert(2, _percent(rows[0].interval_coverage))
-    return f"  {name:<{MARGIN - 2}}" + "".join(f"{cell:>{WIDTH}}" for cell in cells)
-
-
-def _percent(fraction) -> str:
-    return f"{100 * fraction:.1f} %" if np.isfinite(fraction) else "-"
+    tables = {key: pd.concat([x, group_means(x)]) for key, x in scores(evaluations).items()}
+    measured, truth = tables["measured"].loc[names], tables.get("truth", pd.DataFrame())
+    columns = {
+        "rel. error [%]": 100 * measured["median_relative_error"],
+        "NRMSE": measured["normalized_rmse"],
+        "in 95 % band [%]": 100 * measured["interval_coverage"],
+    }
+    if len(truth):
+        columns["rel. error of truth [%]"] = 100 * truth["median_relative_error"]
+        columns["NRMSE of truth"] = truth["normalized_rmse"]
+    form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in columns}
+    return pd.DataFrame(columns, index=names).to_string(formatters=form)
 
 
 def _state_lines(evaluation: Evaluation) -> list[str]:
-    lines = []
-    for horizon, part in (
-        evaluation.states["measured"].groupby("horizon") if evaluation.states else ()
-    ):
-        median = part.set_index("state")["median"]
-        units = {state: display_unit(state) for state in ("v_east", "p", "r") if state in median}
-        cells = [
-            f"{state} {factor * median[state]:.3g} {unit}"
-            for state, (factor, unit) in units.items()
-        ]
-        lines.append(f"  replayed over {horizon:g} s, median error: {', '.join(cells)}")
-    return lines
+    if not evaluation.states:
+        return []
+    medians = evaluation.states["measured"].pivot(index="horizon", columns="state", values="median")
+    units = {state: display_unit(state) for state in ("v_east", "p", "r") if state in medians}
+    return [
+        f"  replayed over {horizon:g} s, median error: "
+        + ", ".join(f"{name} {f * row[name]:.3g} {unit}" for name, (f, unit) in units.items())
+        for horizon, row in medians.iterrows()
+    ]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import pandas as pd
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
@@ -15,11 +17,11 @@ from skdgp._compute.progress import notify
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
 from skdgp.identification import _assumed, _evaluation, _flights
+from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline
-from skdgp.identification._prepare import PreparedFlights, as_aircraft, prepare
 from skdgp.io import reversed_of
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction
@@ -36,10 +38,9 @@ def identify(
     regressor: DependentGPRegressor | None = None,
     pipeline: Mapping[str, Any] | None = None,
     samples: int | str | None = None,
-    thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
     horizons: Sequence[float] = (2.0, 10.0),
     reading: Mapping[str, Any] | None = None,
+    **loads: Any,
 ) -> Identification:
     """Learn a model of the six coefficients from flights, and judge it on others.
 
@@ -53,7 +54,7 @@ def identify(
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
         Training flights at their full rate. A column ``flight`` separates several flights in one
-        table. Those without an airspeed get that of their turns
+        table. Flights without an airspeed get it by their turns
         (:func:`skdgp.preprocessing.airspeed_from_turns`).
     aircraft : Aircraft or path
         A path ends in .json or .toml.
@@ -68,16 +69,17 @@ def identify(
         Other options of :func:`make_identification_pipeline`, such as ``{"lags": None}``.
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
-    thrust, external_forces
-        As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or
-        the speed of the propeller among the regressors, best with the airspeed, unless the aircraft
-        glides; so does "auto" by itself where the flights have a throttle and nothing gives the
-        thrust.
     horizons : sequence of float
         Seconds from restart to restart of the replay.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
         autopilots; by default ``{"servos": "full throw"}``.
+    **loads
+        ``thrust`` ("auto") and ``external_forces`` (none), as of
+        :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the
+        speed of the propeller among the regressors, best with the airspeed, unless the aircraft
+        glides; so does "auto" by itself where the flights have a throttle and nothing gives the
+        thrust.
 
     Returns
     -------
@@ -120,11 +122,10 @@ def identify(
             test,
             aircraft,
             regressors=regressors,
-            thrust=thrust,
-            external_forces=external_forces,
             reading=reading or {},
+            **loads,
         )
-        if reversed_of(prepared.servos) is not None:
+        if prepared.has_full_throws:
             messages.ignore(UserWarning, "Got surfaces up to")
         # The steps of the pipeline meet the same faults again.
         messages.ignore(FlightDataWarning, WARNING_START)
@@ -137,21 +138,23 @@ def identify(
         model = _pipeline_for(prepared, regressors, regressor, pipeline or {})
         began = time.monotonic()
         X = model.fit_regressors(prepared.table, targets)
-        seconds = time.monotonic() - began
+        seconds = round(time.monotonic() - began, 3)
+        fit = _record(prepared, model, X, Y, targets) | {"seconds": seconds}
         if lags := _evaluation.lags_message(model):
-            _warn(lags)
+            warn(lags, stacklevel=2)
 
-        # 4: the record of the fit, and the test flights, by paper eqs 17 and 18
-        known = _with_errors_of_fit(prepared, model, X)
-        fit = _record(prepared, model, X, Y, targets) | {"seconds": round(seconds, 3)}
-        settings = {"samples": fit["samples"]} | prepared.loads
-        settings |= _evaluation.settings_of(model, horizons)
-        if reversed_of(prepared.servos) is not None:
-            settings["servos"] = prepared.servos
-        evaluations = _evaluation.evaluate_flights(prepared.test, model, known, settings, fit)
+        # 4: the test flights, by paper eqs 17 and 18
+        aircraft = _with_errors_of_fit(prepared, model, X)
+        settings = {
+            "samples": fit["samples"],
+            **prepared.loads,
+            **_evaluation.settings_of(model, horizons),
+            **({"servos": prepared.servos} if prepared.has_full_throws else {}),
+        }
+        evaluations = _evaluation.evaluate_flights(prepared.test, model, aircraft, settings, fit)
     return Identification(
-        title=f"{known.name}: aerodynamic coefficients",
-        aircraft=known,
+        title=f"{aircraft.name}: aerodynamic coefficients",
+        aircraft=aircraft,
         pipeline=model,
         settings=settings,
         fit=fit,
@@ -159,8 +162,111 @@ def identify(
         evaluations=evaluations,
         messages=messages.texts,
         held_out=prepared.held_out,
-        assumed=prepared.assumptions(known),
+        assumed=prepared.assumptions(aircraft),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedFlights:
+    """Flights of an identification.
+
+    Attributes
+    ----------
+    train, test : dict of str to DataFrame
+        Usable rows of the flights to learn from, and to be tested on.
+    held_out : str or None
+        The part tested on because no test flight was named.
+    aircraft : Aircraft
+        With the deviations that the flights leave it.
+    servos : object
+        What gave the surfaces, with the signs that the flights show.
+    loads : dict
+        ``thrust`` and ``external_forces`` of the inverse dynamics.
+    lacks_thrust : bool
+        Whether the thrust is part of the coefficients, as nothing gives it.
+    """
+
+    train: Flights
+    test: Flights
+    held_out: str | None
+    aircraft: Aircraft
+    servos: Any
+    loads: dict[str, Any]
+    lacks_thrust: bool
+
+    @property
+    def has_full_throws(self) -> bool:
+        """Whether surfaces are in parts of their full throw."""
+        return reversed_of(self.servos) is not None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The training flights in one table."""
+        return pd.concat(self.train.values(), ignore_index=True)
+
+    def coefficients(self) -> pd.DataFrame:
+        """Return the measured coefficients of the training flights, (n, 6); ValueError if hardly any is known."""
+        table = self.table
+        Y = aerodynamic_coefficients(table, self.aircraft, **self.loads)
+        _flights.check_known(Y, table)
+        return Y
+
+    def assumptions(self, aircraft: Aircraft) -> list[str]:
+        """Return the assumptions on an aircraft and its flights, in a line each."""
+        return _assumed.assumptions(aircraft, servos=self.servos, thrust_unknown=self.lacks_thrust)
+
+
+def prepare(
+    flights: Any,
+    test: Any,
+    aircraft: Aircraft | str | os.PathLike,
+    *,
+    regressors: str | Sequence[str],
+    reading: Mapping[str, Any],
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+) -> PreparedFlights:
+    """Read and check flights; parameters and errors: see `identify`.
+
+    Warns of faults, contradictions and assumptions.
+    """
+    aircraft = as_aircraft(aircraft)
+    servos = _assumed.servos_for(reading.get("servos"), flights, test)
+    aircraft = _assumed.with_throw_errors(aircraft, servos)
+    options = {**reading, "servos": servos, "needed": _flights.MEASURED}
+    train = _flights.named_flights(flights, **options)
+    _flights.check_controls(train, regressors)
+    aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
+    named = {} if test is None else _flights.named_flights(test, default="test flight", **options)
+    train, named, held_out = _flights.train_and_test(train, named)
+    servos, train, named = _assumed.with_signs_of_flights(servos, train, named)
+    columns = _flights.regressor_columns(train.values(), regressors)
+    train, named = (_flights.usable_flights(part, regressors, columns) for part in (train, named))
+    _flights.warn_of_short_flights(train, regressors)
+    lacks_thrust = _assumed.lacks_thrust(thrust, train.values(), aircraft)
+    if lacks_thrust:
+        warn(_assumed.THRUST_IN_COEFFICIENTS, stacklevel=3)
+        thrust = None
+    if thrust is None:
+        _flights.warn_of_engine(train, regressors)
+    if reversed_of(servos) is not None:
+        warn(_assumed.FULL_THROWS, stacklevel=3)
+    return PreparedFlights(
+        train=train,
+        test=named,
+        held_out=held_out,
+        aircraft=aircraft,
+        servos=servos,
+        loads={"thrust": thrust, "external_forces": list(external_forces)},
+        lacks_thrust=lacks_thrust,
+    )
+
+
+def as_aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, read from a file where a path is given."""
+    if isinstance(aircraft, str | os.PathLike):
+        return Aircraft.from_file(aircraft)
+    return check_aircraft(aircraft)
 
 
 def _checked(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
@@ -248,7 +354,7 @@ def validate(
     horizons, reading
         As of :func:`identify`; logs are read with the model's servos by default.
     **loads
-        ``thrust`` and ``external_forces``, where they differ from those of the model's fit.
+        ``thrust`` and ``external_forces``, where they differ from the model's fit.
 
     Returns
     -------
@@ -265,9 +371,10 @@ def validate(
         flights = _evaluation.usable_flights_of_model(model.pipeline, named)
         messages.ignore(FlightDataWarning, WARNING_START)  # the steps meet them again
         for name in flights.keys() & set(model.get("flights", [])):
-            _warn(
+            warn(
                 f"The model learned from a flight {name!r}: if it is this one, its errors say "
-                f"nothing about others."
+                f"nothing about others.",
+                stacklevel=2,
             )
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
@@ -282,7 +389,3 @@ def validate(
         evaluations=evaluations,
         messages=messages.texts,
     )
-
-
-def _warn(message):
-    warn(message, stacklevel=3)

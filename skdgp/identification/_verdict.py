@@ -1,4 +1,4 @@
-"""The verdict on a model: what it was learned from, its flight mechanics, what it is good enough for, and warnings."""
+"""The verdict on a model: its training data, its flight mechanics, the uses it is good enough for, and warnings."""
 
 from __future__ import annotations
 
@@ -44,24 +44,14 @@ ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for en
 N_PATHS = 200
 SHOWN_PATHS = 30  # of the simulation that the report draws
 SHOWN_STATES = ("airspeed", "alpha", "phi", "theta", "p", "q")
-STATES = (
-    "airspeed",
-    "alpha",
-    "beta",
-    "phi",
-    "theta",
-    *RATES,
-)  # depend neither on wind nor on heading
-FLIGHT_STEP = (
-    0.05  # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
-)
+STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # of no wind and no heading
+# of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
+FLIGHT_STEP = 0.05
 # time over which measured states are averaged to start from [s], so that a sample's noise is not
 # flown
 START = 0.25
-MOST_STARTS, PARTS = (
-    60,
-    20,
-)  # starts that are simulated, and parts of their time over which errors are averaged
+MOST_STARTS = 60  # starts that are simulated
+PARTS = 20  # parts of their time over which errors are averaged
 
 
 def judge(
@@ -72,21 +62,23 @@ def judge(
     messages: Sequence[str],
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
-    table, known = scores(evaluations)["measured"], list(train)
+    table, learned = scores(evaluations)["measured"], list(train)
     faults = _faults(mechanics.derivatives, fit.get("paths_not_converged", ()))
-    means = [
-        {"duration": float(np.ptp(one.time)), **scores([one])["measured"].mean()}
-        for one in evaluations
-    ]
-    flights = pd.DataFrame(means, index=[one.name for one in evaluations])
+    flights = pd.DataFrame(
+        [
+            {"duration": float(np.ptp(flight.time)), **scores([flight])["measured"].mean()}
+            for flight in evaluations
+        ],
+        index=[flight.name for flight in evaluations],
+    )
     linear = table.get("least_squares_normalized_rmse")
     ratio = pd.Series(dtype=float) if linear is None else table["normalized_rmse"] / linear
     source = (
-        f"{_amount(known)}, {fit['samples']:,} samples"
-        if known
+        f"{_amount(learned)}, {fit['samples']:,} samples"
+        if learned
         else "flights that are not part of this report"
     )
-    tested = _amount([one.table for one in evaluations if one.table is not None])
+    tested = _amount([flight.table for flight in evaluations if flight.table is not None])
     uses = (
         _prediction(table),
         _simulation(mechanics, fit["regressors"]),
@@ -124,45 +116,40 @@ def _doubted(use: Use) -> Use:
 
 def _prediction(table: pd.DataFrame) -> Use:
     lacks = {}
-    for name, row in table.iterrows():
-        error, held = row["normalized_rmse"], row["interval_coverage"]
-        far, sure = not error <= THRESHOLDS.error, not held >= THRESHOLDS.coverage
-        words = [f"error {error:.2f} of its spread"] * far + [
-            f"its 95 % band holds {100 * held:.0f} %"
-        ] * sure
-        if words:
-            lacks[str(name)] = f"{name}: {', '.join(words)}"
-    good, errors = [name for name in table.index if name not in lacks], table["normalized_rmse"]
-    reason = f"only {' '.join(good)}. " * bool(good and lacks) + "; ".join(lacks.values())
-    reason = (
-        reason
-        or f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
-    )
-    return Use("predict coefficients", "yes" if not lacks else "partly" if good else "no", reason)
+    for name, error, held in table[["normalized_rmse", "interval_coverage"]].itertuples():
+        faults = {
+            f"error {error:.2f} of its spread": not error <= THRESHOLDS.error,
+            f"its 95 % band holds {100 * held:.0f} %": not held >= THRESHOLDS.coverage,
+        }
+        if any(faults.values()):
+            lacks[name] = f"{name}: {', '.join(text for text, holds in faults.items() if holds)}"
+    good = [name for name in table.index if name not in lacks]
+    errors = table["normalized_rmse"]
+    if not lacks:
+        reason = (
+            f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
+        )
+        return Use("predict coefficients", "yes", reason)
+    reason = f"only {' '.join(good)}. " * bool(good) + "; ".join(lacks.values())
+    return Use("predict coefficients", "partly" if good else "no", reason)
 
 
 def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     purpose, table = "simulate", mechanics.simulation
-    if found := sorted(ACCELERATIONS & set(regressors)):
-        return Use(
-            purpose, "no", f"the regressors {', '.join(found)} are known only after a flight"
-        )
+    if accelerations := ", ".join(sorted(ACCELERATIONS & set(regressors))):
+        reason = f"the regressors {accelerations} are known only after a flight"
+        return Use(purpose, "no", reason)
     if table is None:
         return Use(purpose, "unknown", mechanics.simulation_note)
     ends = table["lasts"].sort_values()
     seconds, horizon = float(ends.iloc[0]), float(table["horizon"].iloc[0])
     if seconds >= horizon:
-        return Use(
-            purpose,
-            "yes",
-            f"it follows the test flights for the {horizon:.2g} s that were simulated",
-        )
+        reason = f"it follows the test flights for the {horizon:.2g} s that were simulated"
+        return Use(purpose, "yes", reason)
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
-    rest = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
-    fit = "partly" if seconds >= THRESHOLDS.seconds else "no"
-    return Use(
-        purpose, fit, f"it follows the test flights for {seconds:.2g} s: {_some(late)}{rest}"
-    )
+    steady = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
+    reason = f"it follows the test flights for {seconds:.2g} s: {_some(late)}{steady}"
+    return Use(purpose, "partly" if seconds >= THRESHOLDS.seconds else "no", reason)
 
 
 def _some(names: Sequence[str]) -> str:
@@ -171,21 +158,19 @@ def _some(names: Sequence[str]) -> str:
 
 def _faults(derivatives: pd.DataFrame, unconverged: Sequence[str]) -> dict[str, str]:
     """Return by a short name the warnings that forbid the design of a controller."""
-    found = {}
-    if unconverged:
-        found["a reconstruction did not converge"] = (
-            f"The paths of {len(unconverged)} flights of the fit did not converge: "
-            f"{_some([*map(str, unconverged)])}. Their sensors contradict one another."
-        )
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
     wrong = values[values * pd.Series(SIGNS) < 0]
-    if len(wrong):
-        each = [f"{name} {value:+.2g}" for name, value in wrong.items()]
-        found[f"wrong sign of {', '.join(map(str, wrong.index))}"] = (
-            f"Signs are not those of a conventional stable aircraft: {', '.join(each)}. Look at "
-            f"the signs of the log's surfaces and rates, and at gusts without vanes."
-        )
-    return found
+    signs = ", ".join(f"{name} {value:+.2g}" for name, value in wrong.items())
+    faults = {
+        "a reconstruction did not converge": f"The paths of {len(unconverged)} flights of the fit "
+        f"did not converge: {_some([*map(str, unconverged)])}. Their sensors contradict one "
+        f"another.",
+        f"wrong sign of {', '.join(map(str, wrong.index))}": f"Signs are not as on a "
+        f"conventional stable aircraft: {signs}. Look at the signs of the log's surfaces and "
+        f"rates, and at gusts without vanes.",
+    }
+    applies = (len(unconverged), len(wrong))
+    return {name: text for (name, text), n in zip(faults.items(), applies, strict=True) if n}
 
 
 def _control(mechanics: FlightMechanics, faults: Iterable[str] = ()) -> Use:
@@ -207,58 +192,44 @@ def _control(mechanics: FlightMechanics, faults: Iterable[str] = ()) -> Use:
     widths = {
         name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()
     }
-    if wide := {name: width for name, width in widths.items() if not width <= THRESHOLDS.band}:
-        words = (
-            f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
-            for name, width in wide.items()
-        )
-        return Use(
-            purpose, "no", f"not known well enough, half of the 95 % interval: {', '.join(words)}"
-        )
+    wide = [
+        f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
+        for name, width in widths.items()
+        if not width <= THRESHOLDS.band
+    ]
+    if wide:
+        reason = f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
+        return Use(purpose, "no", reason)
     worst = max(widths, key=lambda name: widths[name])
     reason = f"controls and fast modes are known to {100 * widths[worst]:.0f} % or better ({worst})"
-    if mechanics.trim.beyond:
-        return Use(
-            purpose,
-            "no",
-            f"the trim is beyond what was flown in {', '.join(mechanics.trim.beyond)}; {reason}",
-        )
+    if beyond := ", ".join(mechanics.trim.beyond):
+        return Use(purpose, "no", f"the trim is outside the flown range in {beyond}; {reason}")
     return Use(purpose, "yes", reason)
 
 
 def _warnings(
     table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return warnings, that which costs most first: what the scores show before what the log or the fit said."""
-    found, bad = [], flights.index[flights["normalized_rmse"] > 1]
-    if len(bad):
-        words = f"In {len(bad)} of {len(flights)} test flights a constant predicts better (error above 1)"
-        found.append(f"{words}: {_some([*map(str, bad)])}.")
-    if "least_squares_normalized_rmse" in table:
-        linear, error = table["least_squares_normalized_rmse"], table["normalized_rmse"]
-        worse = table.index[error > (1 + THRESHOLDS.tie) * linear]
-        if len(worse) >= len(table) / 2 or error.mean() > (1 + THRESHOLDS.tie) * linear.mean():
-            found.append(
-                f"Least squares is better in {len(worse)} of {len(table)} coefficients: "
-                f"{' '.join(worse)}."
-            )
-    held = table["interval_coverage"]
-    narrow = [
-        f"{name} {100 * held[name]:.0f} %"
-        for name in table.index
-        if held[name] < THRESHOLDS.coverage
-    ]
-    if narrow:
-        found.append(
-            f"95 % bands are too narrow: they hold {', '.join(narrow)} of the measured values."
-        )
-    if not fit.get("converged", True):
-        found.append("The fit has not converged: raise max_iter.")
-    return tuple(found) + grouped(messages)
+    """Return warnings, the costliest first: findings of the scores, then messages of the log and the fit."""
+    bad = flights.index[flights["normalized_rmse"] > 1]
+    error, held = table["normalized_rmse"], table["interval_coverage"]
+    linear = table.get("least_squares_normalized_rmse", np.inf * error)
+    worse = table.index[error > (1 + THRESHOLDS.tie) * linear]
+    mostly = len(worse) >= len(table) / 2 or error.mean() > (1 + THRESHOLDS.tie) * linear.mean()
+    narrow = [f"{k} {100 * x:.0f} %" for k, x in held.items() if x < THRESHOLDS.coverage]
+    findings = {
+        f"In {len(bad)} of {len(flights)} test flights a constant predicts better (error above 1): "
+        f"{_some([*map(str, bad)])}.": len(bad),
+        f"Least squares is better in {len(worse)} of {len(table)} coefficients: "
+        f"{' '.join(worse)}.": mostly,
+        f"95 % bands are too narrow: they hold {', '.join(narrow)} of the measured values.": narrow,
+        "The fit has not converged: raise max_iter.": not fit.get("converged", True),
+    }
+    return (*(text for text, applies in findings.items() if applies), *grouped(messages))
 
 
 def grouped(messages: Sequence[str]) -> tuple[str, ...]:
-    """Return messages, of those that differ only in names and numbers the first, with the number of the others.
+    """Return messages; of several that differ only in names and numbers, the first and the number of the others.
 
     Examples
     --------
@@ -269,8 +240,8 @@ def grouped(messages: Sequence[str]) -> tuple[str, ...]:
     for message in messages:
         kinds.setdefault(re.sub(r"'[^']*'|[-+]?\d[\d.]*", "", message), []).append(message)
     return tuple(
-        of[0] if len(of) == 1 else f"{of[0]} ({len(of) - 1} more of this kind)"
-        for of in kinds.values()
+        first + f" ({len(similar)} more of this kind)" * bool(similar)
+        for first, *similar in kinds.values()
     )
 
 
@@ -290,42 +261,44 @@ def flight_mechanics(
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust = _thrust(settings)
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     try:
         climb = None if thrust is None else 0.0
-        found["trim"] = trim(
+        results["trim"] = trim(
             pipeline, aircraft, float(flown["airspeed"]), climb=climb, **conditions
         )
-        at: tuple = (found["trim"],)
+        state_and_inputs: tuple = (results["trim"],)
     except ValueError:
         where = f"{flown['airspeed']:.3g} m/s"
-        found["note"] = (
+        results["note"] = (
             f"No steady flight was found at {where}: derivatives are at the median state, without "
             f"modes."
         )
         state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))  # wings level
         state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
-        at = state, {str(name): float(value) for name, value in flown.items()}
+        state_and_inputs = state, {str(name): float(value) for name, value in flown.items()}
     try:
-        found["derivatives"] = stability_derivatives(pipeline, aircraft, *at, **conditions)
+        results["derivatives"] = stability_derivatives(
+            pipeline, aircraft, *state_and_inputs, **conditions
+        )
         if "least_squares_std" in fit:
             model = _least_squares(pipeline, fit)
-            linear = stability_derivatives(model, aircraft, *at, **conditions)
-            found["least_squares"] = linear[["value", "std"]]
-        if "trim" in found:
+            linear = stability_derivatives(model, aircraft, *state_and_inputs, **conditions)
+            results["least_squares"] = linear[["value", "std"]]
+        if "trim" in results:
             n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
-            found["modes"] = linearize(
-                pipeline, aircraft, *at, n_paths=n_paths, **conditions
+            results["modes"] = linearize(
+                pipeline, aircraft, *state_and_inputs, n_paths=n_paths, **conditions
             ).modes()
     except ValueError as error:
-        found["note"] = f"No derivatives: {error}"
+        results["note"] = f"No derivatives: {error}"
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
-        found["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
-        found["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
+        results["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
+        results["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
     except ValueError as error:
-        found["simulation_note"] = str(error)
-    return FlightMechanics(**found)
+        results["simulation_note"] = str(error)
+    return FlightMechanics(**results)
 
 
 def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
@@ -353,10 +326,13 @@ def _thrust(settings: dict) -> Any:
 
 def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
     """Return the linear model of the same rows; its paths have slopes with the standard deviations of least squares."""
-    known = as_aerodynamics(pipeline)
+    aerodynamics = as_aerodynamics(pipeline)
     weights, std = (
         np.array(
-            [[fit[table][name][column] for column in known.regressors] for name in COEFFICIENTS]
+            [
+                [fit[table][name][column] for column in aerodynamics.regressors]
+                for name in COEFFICIENTS
+            ]
         )
         for table in ("least_squares", "least_squares_std")
     )
@@ -373,12 +349,12 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
 
     return Aerodynamics(
         values,
-        known.regressors,
+        aerodynamics.regressors,
         gradient=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
         sampler=sampler,
-        span=known.span,
-        chord=known.chord,
-        mixing=known.mixing,
+        span=aerodynamics.span,
+        chord=aerodynamics.chord,
+        mixing=aerodynamics.mixing,
     )
 
 
@@ -402,33 +378,16 @@ def simulation_errors(
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     starts, parts = _windows(tables, max(settings["horizons"]))
-    with without_warnings(SimulationWarning):  # an end is an error without bound
-        flown = simulate(
-            pipeline,
-            aircraft,
-            starts,
-            [
-                part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
-                for part in parts
-            ],
-            dt=FLIGHT_STEP,
-            duration=min(float(part["time"].iloc[-1]) for part in parts),
-            thrust=_thrust(settings),
-            air=_air(parts),
-        )
-    each = (
-        [flown] if "start" not in flown else [part for _, part in flown.groupby("start", sort=True)]
+    flown = _flown(pipeline, aircraft, starts, parts, settings)
+    flights = (
+        [flight for _, flight in flown.groupby("start", sort=True)] if len(parts) > 1 else [flown]
     )
-    elapsed = each[0]["time"].to_numpy()
+    elapsed = flights[0]["time"].to_numpy()
     measured = np.array(
         [[np.interp(elapsed, part["time"], part[name]) for name in STATES] for part in parts]
     )
-    squares = (
-        np.nan_to_num(
-            np.array([one[list(STATES)].to_numpy().T for one in each]) - measured, nan=np.inf
-        )
-        ** 2
-    )
+    simulated = np.array([flight[list(STATES)].to_numpy().T for flight in flights])
+    squares = np.nan_to_num(simulated - measured, nan=np.inf) ** 2  # inf where it ended
     edges = np.unique(np.arange(PARTS) * len(elapsed) // PARTS)
     counts = np.diff([*edges, len(elapsed)])
     error = np.sqrt(np.add.reduceat(squares.mean(axis=0), edges, axis=1) / counts)
@@ -452,22 +411,46 @@ def simulated_flight(
 ) -> TimeHistoryDisplay:
     """Return the simulation of the middle one of the parts of `simulation_errors`, with its band, and as flown."""
     starts, parts = _windows(tables, max(settings["horizons"]))
-    start, part = starts.iloc[len(starts) // 2], parts[len(starts) // 2]
-    options: dict[str, Any] = {"dt": FLIGHT_STEP, "thrust": _thrust(settings)}
-    options["duration"] = float(part["time"].iloc[-1])
-    air = _air([part])
-    options["air"] = air if air.wind is None else replace(air, wind=air.wind[0])
-    controls = part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
-    n_paths = SHOWN_PATHS if as_aerodynamics(pipeline).is_uncertain else None
-    with without_warnings(SimulationWarning):
-        mean = simulate(pipeline, aircraft, start, controls, **options)
-        paths = mean
-        if n_paths is not None:
-            paths = simulate(pipeline, aircraft, start, controls, n_paths=n_paths, **options)
-    columns = [name for name in SHOWN_STATES if name in part]
-    return TimeHistoryDisplay.compute_trajectories(
-        paths, part, mean=mean if n_paths is not None else None, columns=columns
-    )
+    middle = len(starts) // 2
+    flight = (pipeline, aircraft, starts[middle : middle + 1], parts[middle : middle + 1], settings)
+    mean = _flown(*flight)
+    columns = [name for name in SHOWN_STATES if name in parts[middle]]
+    options: dict[str, Any] = {"columns": columns}
+    if not as_aerodynamics(pipeline).is_uncertain:
+        return TimeHistoryDisplay.compute_trajectories(mean, parts[middle], **options)
+    paths = _flown(*flight, n_paths=SHOWN_PATHS)
+    return TimeHistoryDisplay.compute_trajectories(paths, parts[middle], mean=mean, **options)
+
+
+def _flown(
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    starts: pd.DataFrame,
+    parts: list[pd.DataFrame],
+    settings: dict,
+    **options: Any,
+) -> pd.DataFrame:
+    """Return a simulation of parts of flights with their controls, in their air."""
+    controls: Any = [
+        part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore") for part in parts
+    ]
+    air = _air(parts)
+    start: Any = starts
+    if len(parts) == 1:
+        start, controls = starts.iloc[0], controls[0]
+        air = air if air.wind is None else replace(air, wind=air.wind[0])
+    with without_warnings(SimulationWarning):  # an end is an error without bound
+        return simulate(
+            pipeline,
+            aircraft,
+            start,
+            controls,
+            dt=FLIGHT_STEP,
+            duration=min(float(part["time"].iloc[-1]) for part in parts),
+            thrust=_thrust(settings),
+            air=air,
+            **options,
+        )
 
 
 def _windows(
@@ -489,7 +472,7 @@ def _windows(
     horizon = min(
         horizon, float(np.median([np.ptp(run["time"]) for run in runs] or [0.0])) - START / 2
     )
-    found = []
+    windows = []
     for run in runs:
         time = run["time"].to_numpy(float)
         for begin in np.arange(time[0] + START / 2, time[-1] - 0.95 * horizon, horizon):
@@ -500,13 +483,13 @@ def _windows(
                 start = run.loc[np.abs(time - first) <= START / 2, names].mean()
                 if "psi" in start:
                     start["psi"] = wrapped(start["psi"])  # the flight turns more than once
-                found.append((start, part.assign(time=part["time"] - first).reset_index(drop=True)))
-    if not found or not horizon > 2 * FLIGHT_STEP:
+                windows.append(
+                    (start, part.assign(time=part["time"] - first).reset_index(drop=True))
+                )
+    if not windows or not horizon > 2 * FLIGHT_STEP:
         raise ValueError(
             f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
         )
-    chosen = np.unique(
-        np.linspace(0, len(found) - 1, min(MOST_STARTS, len(found))).round().astype(int)
-    )
-    starts, parts = zip(*(found[k] for k in chosen), strict=True)
+    spread = np.linspace(0, len(windows) - 1, min(MOST_STARTS, len(windows))).round().astype(int)
+    starts, parts = zip(*(windows[k] for k in np.unique(spread)), strict=True)
     return pd.DataFrame(starts).reset_index(drop=True), list(parts)

@@ -34,17 +34,17 @@ from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
 
-BLOCK_SIZE = 25  # messages whose median time is compared with that of the next
+BLOCK_SIZE = 25  # messages of a block, whose median time is compared with the next block's
 # a clock that goes back by more than this was restarted [s]; messages out of order are less late
 RESTART_STEP = 5.0
 STAMP_MARGIN = 5.0  # distance of valid stamps from the medians of a part [s]
 LARGEST_STEP = 60.0  # longest step between medians that widens this margin [s]
 FILTER_ORDER = 4
 CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
-LEAST_RATIO = 1.2  # ratio of rates from which a channel is low-passed
+LEAST_RATIO = 1.2  # least ratio of rates of a channel that is low-passed
 LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
 MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
-MOST_GAPS = 0.05  # fraction of steps from which gaps are the pauses between bursts; a guess
+MOST_GAPS = 0.05  # larger fractions of gaps are the pauses between bursts; a guess
 LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
@@ -52,16 +52,14 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
 """Readers of logs by suffix; another format is one more entry."""
 # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
 RATE_CUTOFF = 0.2
-AIRBORNE_SHARE, AIRBORNE_SPEED = (
-    0.7,
-    8.0,
-)  # of the slowest airspeed set, or without one this [m/s]: airborne above it
+SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")  # parameters [m/s]
+# airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
+AIRBORNE_FRACTION = 0.7
+AIRBORNE_SPEED = 8.0
 # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
 CLEAR = 0.5
-LONGEST_DIP, SHORTEST_FLIGHT = (
-    2.0,
-    5.0,
-)  # slower for less than this is still flight [s]; faster for less is none [s]
+LONGEST_DIP = 2.0  # slower for less than this is still flight [s]
+SHORTEST_FLIGHT = 5.0  # faster for less than this is none [s]
 LONGEST_EDGE = 1.0  # channels begin and end within this of each other [s]
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
 LEAST_RATE = 5.0  # a source slower than this [Hz] gives way to a faster one further down
@@ -129,56 +127,49 @@ def on_one_clock(
     _check_options(rate, airborne, imu_position)
     turned = reversed_of(servos)
     entries = read_servos(servos) if turned is None else {}
-    with np.errstate(all="ignore"):  # what is damaged may hold any number
+    with np.errstate(all="ignore"):  # damaged messages may hold any number
         log = read_log(path)
         servos = with_throws(entries, log) if turned is None else full_throws(log, turned)
         topics, remarks = clock_parts(log.topics)
-        slowest = log.slowest_airspeed
-        speed = AIRBORNE_SHARE * slowest if 0 < slowest < 200 else AIRBORNE_SPEED
-        speed = (
-            speed if isinstance(airborne, bool) else float(airborne)
-        )  # [m/s], above which it is airborne
+        speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         parts: list[Part] = []
         origin: dict[str, Origin] = {}
         useless: list[str] = []
-        found = [(some, *find_sources(log, some, servos)) for some in topics]
-        for some, sources, unused in [each for each in found if each[1]] or found[:1]:
+        logged = [(part, *find_sources(log, part, servos)) for part in topics]
+        for part, sources, unused in [entry for entry in logged if entry[1]] or logged[:1]:
             useless += unused
             clock, chosen = follow(sources, rate)
-            table, where = to_table(sources, clock, chosen)
+            table, origins = to_table(sources, clock, chosen)
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
             if not set(SPECIFIC_FORCE) & set(table):
-                table, where = with_specific_force(table, where)
-            origin |= where
-            parts.append(Part(some, sources, table, find_segments(table, log, some, speed)))
+                table, origins = with_specific_force(table, origins)
+            origin |= origins
+            parts.append(Part(part, sources, table, find_segments(table, log, part, speed)))
     remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
     return FlightLog(log, parts, origin, speed, remarks)
+
+
+def _airborne_speed(log: Log) -> float:
+    """Return the airspeed [m/s] above which an aircraft flies, by the autopilot's parameters."""
+    speeds = [log.parameters.get(name, np.nan) for name in SLOWEST_AIRSPEED]
+    set_speeds = (AIRBORNE_FRACTION * speed for speed in speeds if 0 < speed < 200)
+    return next(set_speeds, AIRBORNE_SPEED)
 
 
 def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
     """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
     if flown.log.vehicle in NOT_FLYING_ON_WINGS:
-        raise FlightReadError(
-            f"Got a log of a {flown.log.vehicle}: not for this program, which expects an aircraft "
-            f"with wings. If it is one, correct the vehicle type on the autopilot."
-        )
-    if airborne is False:
+        pieces = []
+    elif airborne is False:
         pieces = [part.table for part in flown.parts if len(part.table)]
     else:
         pieces = [trimmed(part.table.iloc[rows]) for part in flown.parts for rows in part.segments]
     if not pieces:
-        longest = max((part.table for part in flown.parts), key=len, default=pd.DataFrame())
-        why = (
-            no_flight_because(longest, flown.log, flown.speed)
-            if len(longest)
-            else "there are no samples"
-        )
         raise FlightReadError(
-            f"Got a log of {flown.log.firmware} in which no flight was found ({why}), but "
-            f"expected a fixed wing in "
-            "the air: airborne=False (--airborne all) reads all of it, airborne=6.0 (--airborne "
-            "6) all above 6 m/s."
+            f"Got a log of {flown.log.firmware} in which no flight was found "
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
+            f"(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
     names = [name, *(f"{name}#{k + 2}" for k in range(len(pieces) - 1))]
     return pd.concat(
@@ -216,7 +207,7 @@ def with_specific_force(
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g), where it has both.
 
-    It is for logs without an accelerometer of use, and carries what the velocity does: little above
+    It is for logs without an accelerometer, and has the bandwidth of the velocity: little above
     a fifth of its rate.
     """
     if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
@@ -231,10 +222,10 @@ def with_specific_force(
     change[:, 2] -= STANDARD_GRAVITY
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
-    words = Origin("velocity and attitude, as no accelerometer is of use", rate)
+    source = Origin("velocity and attitude, as no accelerometer is of use", rate)
     table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
     return table[[name for name in CHANNELS if name in table]], origin | dict.fromkeys(
-        SPECIFIC_FORCE, words
+        SPECIFIC_FORCE, source
     )
 
 
@@ -274,29 +265,31 @@ def _lift_off(table, landed, first: int, last: int) -> int:
 
 
 def trimmed(flight: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight without rows at its ends, up to a second of them, where slow channels have no value."""
-    time, known = flight["time"].to_numpy(), flight.notna().to_numpy()
-    known = known[:, known.any(axis=0)]
-    begins, ends = time[known.argmax(axis=0)], time[len(time) - 1 - known[::-1].argmax(axis=0)]
+    """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
+    time, sampled = flight["time"].to_numpy(), flight.notna().to_numpy()
+    sampled = sampled[:, sampled.any(axis=0)]
+    begins, ends = time[sampled.argmax(axis=0)], time[len(time) - 1 - sampled[::-1].argmax(axis=0)]
     begin = begins[begins <= time[0] + LONGEST_EDGE].max()
     end = ends[ends >= time[-1] - LONGEST_EDGE].min()
     return flight[(time >= begin) & (time <= end)]
 
 
-def no_flight_because(table: pd.DataFrame, log: Log, speed: float) -> str:
+def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
-    if log.vehicle in NOT_FLYING_ON_WINGS:
-        return f"{log.vehicle}: not for this program"
-    reasons = []
-    if "airspeed" not in table:
-        reasons.append("there is no valid airspeed")
-    highest = np.nanmax(_speed(table, log), initial=-np.inf)
-    if np.isfinite(highest):
-        what = "airspeed" if "airspeed" in table else "ground speed"
-        reasons.append(
-            f"{what} never stays above {speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
+    if flown.log.vehicle in NOT_FLYING_ON_WINGS:
+        return (
+            f"a {flown.log.vehicle}: not for this program; if it has wings, correct the vehicle "
+            f"type on the autopilot"
         )
-    return ", ".join(reasons)
+    table = max((part.table for part in flown.parts), key=len)
+    highest = np.nanmax(_speed(table, flown.log), initial=-np.inf)
+    measured = "airspeed" in table
+    slow = (
+        f"{'airspeed' if measured else 'ground speed'} never stays above {flown.speed:.3g} m/s in "
+        f"the air (highest {highest:.3g} m/s)"
+    )
+    reasons = {"there is no valid airspeed": not measured, slow: np.isfinite(highest)}
+    return ", ".join(reason for reason, applies in reasons.items() if applies)
 
 
 def _speed(table, log):
@@ -320,31 +313,28 @@ def _gap_remarks(parts):
     """Yield a remark on the longest gap of each topic that has some."""
     for part in parts:
         for source in {source.name.split(".")[0]: source for source in part.sources}.values():
-            if found := gaps(source.time):
-                begin, length = max(found, key=lambda gap: gap[1])
+            if pauses := gaps(source.time):
+                begin, length = max(pauses, key=itemgetter(1))
                 name = f"{source.name} ({' '.join(source.columns)})"
-                yield f"{name} has {len(found)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
+                yield f"{name} has {len(pauses)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
 
 
 def _check_options(rate, airborne, imu_position):
-    if rate is not None and not (_is_positive(rate) and rate <= 1000):
-        raise FlightReadError(
-            f"Got rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000."
+    position = np.asarray(imu_position, float) if np.ndim(imu_position) == 1 else np.empty(0)
+    checks = {
+        f"rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000": rate is None
+        or (_is_positive(rate) and rate <= 1000),
+        f"airborne={airborne!r}, but expected True, False, or an airspeed in m/s": isinstance(
+            airborne, bool
         )
-    if not isinstance(airborne, bool) and not _is_positive(airborne):
-        raise FlightReadError(
-            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
-        )
-    if imu_position is not None:
-        position = (
-            np.asarray(imu_position, dtype=float) if np.ndim(imu_position) == 1 else np.empty(0)
-        )
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise FlightReadError(
-                f"Got imu_position={imu_position!r}, but expected x, y, z from the centre of "
-                f"gravity to the "
-                "accelerometer in body axes [m]."
-            )
+        or _is_positive(airborne),
+        f"imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
+        f"accelerometer in body axes [m]": imu_position is None
+        or (position.shape == (3,) and np.isfinite(position).all()),
+    }
+    for message, is_valid in checks.items():
+        if not is_valid:
+            raise FlightReadError(f"Got {message}.")
 
 
 def _is_positive(value):
@@ -354,42 +344,41 @@ def _is_positive(value):
 def find_sources(
     log: Log, topics: dict[str, Topic], servos: Mapping[str, Servo | Mixture]
 ) -> tuple[list[Source], list[str]]:
-    """Return the source of each group of columns, and remarks on those that are of no use."""
+    """Return the source of each group of columns, and remarks on sources that are of no use."""
     part = replace(log, topics=topics)
     candidates: dict[tuple[str, ...], list[Source]] = {}
-    useless = []
+    useless: dict[str, None] = {}
     for rule in log.rules:
         source = _source(part, rule)
         if source is None:
             continue
-        low, high = zip(
-            *(POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns), strict=True
-        )
+        low, high = np.transpose([POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns])
         wrong = ((source.values < low) | (source.values > high)).any(axis=1)
         if len(source.time) < 2:
-            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
-        elif (share := wrong.mean()) > RARE:  # fewer are faults of a sensor
-            useless.append(
-                f"{source.name} cannot be {', '.join(rule.columns)}: {100 * share:.0f} % is "
-                f"impossible"
-            )
+            remark = f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})"
+            useless[remark] = None
+        elif wrong.mean() > RARE:  # fewer are faults of a sensor
+            columns = ", ".join(rule.columns)
+            remark = f"{source.name} cannot be {columns}: {100 * wrong.mean():.0f} % is impossible"
+            useless[remark] = None
         else:
             candidates.setdefault(rule.columns, []).append(source)
-    found = [
+    surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
+    useless |= {
+        f"{surface.name} sends no pulse, so there is no {surface.columns[0]}": None
+        for surface in surfaces
+        if len(surface.time) < 2
+    }
+    chosen = [
         next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
         for columns, sources in candidates.items()
         if not servos.keys() & set(columns)
     ]
-    for surface in (_surface(part, name, servo) for name, servo in servos.items()):
-        if len(surface.time) > 1:
-            found.append(surface)
-        else:
-            useless.append(f"{surface.name} sends no pulse, so there is no {surface.columns[0]}")
-    return found, list(dict.fromkeys(useless))
+    return chosen + [surface for surface in surfaces if len(surface.time) > 1], list(useless)
 
 
 def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
-    """Return the clock of the table and its rate [Hz]: those of the gyros, or the next best source."""
+    """Return the clock of the table and its rate [Hz], by the gyros or the next best source."""
     by_column = {name: source for source in sources for name in source.columns}
     leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
     leader = leader or max(sources, key=lambda source: source.rate, default=None)
@@ -417,8 +406,9 @@ def to_table(
         values = without_sign_changes(source.values) if turns else source.values
         values = resample(source.time, values, clock, rate)
         if turns:
-            known = values.any(axis=1, keepdims=True)  # a quaternion of zeros is no attitude
-            names, values = EULER, quaternion_to_euler(np.where(known, values, np.nan))
+            is_attitude = values.any(axis=1, keepdims=True)  # a quaternion of zeros is none
+            names = EULER
+            values = quaternion_to_euler(np.where(is_attitude, values, np.nan))
         for name, column in zip(names, values.T, strict=True):
             columns[name] = column
             origin[name] = Origin(
@@ -428,17 +418,13 @@ def to_table(
         columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
-        equivalent, (words, its_rate) = columns.pop(EQUIVALENT), origin.pop(EQUIVALENT)
-        dense = "density" in columns
-        columns["airspeed"] = (
-            equivalent * np.sqrt(DENSITY / columns["density"]) if dense else equivalent
-        )
-        note = (
-            "equivalent; true by density"
-            if dense
-            else "equivalent, taken for true: density unknown"
-        )
-        origin["airspeed"] = Origin(f"{words} ({note})", its_rate)
+        density = columns.get("density", DENSITY)
+        columns["airspeed"] = columns.pop(EQUIVALENT) * np.sqrt(DENSITY / density)
+        note = "equivalent; true by density"
+        if "density" not in columns:
+            note = "equivalent, taken for true: density unknown"
+        pitot, its_rate = origin.pop(EQUIVALENT)
+        origin["airspeed"] = Origin(f"{pitot} ({note})", its_rate)
     table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})
     table = table.where(np.isfinite(table))
     return table, {name: origin[name] for name in table.columns if name in origin}
@@ -450,27 +436,27 @@ def _source(log, rule: Rule) -> Source | None:
     if topic is None or not all(field in topic for field in rule.fields):
         return None
     values = rule.convert(topic.columns(rule.fields))
-    known = np.isfinite(values).all(axis=1)
+    valid = np.isfinite(values).all(axis=1)
     for field in rule.valid:
-        known &= topic[field] > 0 if field in topic else True
+        valid &= topic[field] > 0 if field in topic else True
     first, last = rule.fields[0], rule.fields[-1]
     is_array = first != last and first.endswith("[0]")
-    words = (
+    described = (
         f"{first[:-1]}..{last.split('[')[1]}" if is_array else " ".join(rule.fields)
     )  # q[0..3], GyrX GyrY GyrZ
-    return Source(rule.columns, f"{name}.{words}", topic.time[known], values[known], rule.note)
+    return Source(rule.columns, f"{name}.{described}", topic.time[valid], values[valid], rule.note)
 
 
 def _surface(log, name, servo: Servo | Mixture) -> Source:
     values = np.sum(
-        [w * each.deflection(_channel(log, name, each.channel)) for w, each in servo.parts], axis=0
+        [w * part.deflection(_channel(log, name, part.channel)) for w, part in servo.parts], axis=0
     )
-    known = np.isfinite(values)
-    largest = sum(abs(weight) * max(np.abs(each.angles)) for weight, each in servo.parts)
+    valid = np.isfinite(values)
+    largest = sum(abs(weight) * max(np.abs(part.angles)) for weight, part in servo.parts)
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    channels = [each.channel for _, each in servo.parts]
+    channels = [part.channel for _, part in servo.parts]
     time = log.topics[channels[0].partition(".")[0]].time  # parts are fields of one topic
-    return Source((name,), " ".join(channels), time[known], values[known][:, None], note)
+    return Source((name,), " ".join(channels), time[valid], values[valid][:, None], note)
 
 
 def _channel(log, name, channel: str) -> Vector:
@@ -478,14 +464,15 @@ def _channel(log, name, channel: str) -> Vector:
     topic, _, field = channel.partition(".")
     if field not in log.topics.get(topic, ()):
         fields = [
-            f"{key}.{each}"
+            f"{key}.{name}"
             for key in log.topics
             if key in log.outputs
-            for each in log.topics[key].channels()
+            for name in log.topics[key].fields
+            if name not in ("timestamp", "timestamp_sample", "TimeUS")
         ]
         raise FlightReadError(
             f"Got channel {channel!r} for {name}, but the log has no such field: expected one of "
-            f"{[each for each in fields if not each.endswith(('timestamp', 'timestamp_sample', 'TimeUS'))][:24]}."
+            f"{fields[:24]}."
         )
     return log.topics[topic][field]
 
@@ -494,46 +481,34 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
     """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
     order = np.concatenate([topic.order for topic in topics.values()])
     rows = np.argsort(order, kind="stable")
-    order, time = order[rows], np.concatenate([topic.time for topic in topics.values()])[rows]
+    order = order[rows]
+    time = np.concatenate([topic.time for topic in topics.values()])[rows]
     edges = [0, *_restarts(time), len(time)]
-    parts: list[dict[str, Topic]] = []
-    remarks: list[str] = []
-    dropped: dict[str, int] = {}
+    parts = []
+    wrong = dict.fromkeys(topics, 0)
     disordered = 0
     for first, last in pairwise(edges):
         steady = _steady(time[first:last])
         margin = STAMP_MARGIN + min(np.abs(np.diff(steady)).max(initial=0.0), LARGEST_STEP)
+        low, high = steady.min() - margin, steady.max() + margin
         part = {}
         for name, topic in topics.items():
-            inside = (topic.order >= order[first]) & (topic.order <= order[last - 1])
-            valid = (
-                inside
-                & (topic.time >= steady.min() - margin)
-                & (topic.time <= steady.max() + margin)
-            )
-            here = topic.select(valid)
-            disordered += int((np.diff(here.time) < 0).sum())
-            here = here.select(np.unique(here.time, return_index=True)[1])
-            dropped[name] = dropped.get(name, 0) + int(inside.sum() - valid.sum())
-            if len(here):
-                part[name] = here
-        parts.append(part)
-    if len(parts) > 1:
-        steps = ", ".join(
-            f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4]
-        )
-        remarks.append(
-            f"the clock was set back {len(parts) - 1} times ({steps}): what follows is a flight "
-            f"of its own"
-        )
-    if n_dropped := sum(dropped.values()):
-        most, name = max(zip(dropped.values(), dropped, strict=True), key=itemgetter(0))
-        remarks.append(
-            f"{n_dropped} of {len(time)} messages have a time that cannot be ({most} of {name})"
-        )
-    if disordered:
-        remarks.append(f"{disordered} messages stand out of order in time, and were sorted")
-    return parts, remarks
+            logged = topic.select((topic.order >= order[first]) & (topic.order <= order[last - 1]))
+            stamped = logged.select((logged.time >= low) & (logged.time <= high))
+            part[name] = stamped.select(np.unique(stamped.time, return_index=True)[1])
+            wrong[name] += len(logged) - len(stamped)
+            disordered += int((np.diff(stamped.time) < 0).sum())
+        parts.append({name: topic for name, topic in part.items() if len(topic)})
+    steps = [f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4]]
+    name, most = max(wrong.items(), key=itemgetter(1))
+    remarks = {
+        f"the clock was set back {len(parts) - 1} times ({', '.join(steps)}): each time a new "
+        f"flight begins": len(parts) > 1,
+        f"{sum(wrong.values())} of {len(time)} messages have a time that cannot be ({most} of "
+        f"{name})": most,
+        f"{disordered} messages stand out of order in time, and were sorted": disordered,
+    }
+    return parts, [remark for remark, applies in remarks.items() if applies]
 
 
 def _steady(time):
@@ -546,13 +521,14 @@ def _steady(time):
 
 
 def _restarts(time) -> list[int]:
-    """Return the messages with which a clock that was set back begins."""
-    steady, found = _steady(time), []
+    """Return the first messages of clocks that were set back."""
+    steady = _steady(time)
+    restarts = []
     for block in np.flatnonzero(np.diff(steady) < -RESTART_STEP).tolist():
         window = slice(max(block - 3, 0) * BLOCK_SIZE, (block + 5) * BLOCK_SIZE)
         later = np.where(time[window] > (steady[block] + steady[block + 1]) / 2, 1, -1)
-        found.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
-    return sorted(set(found) - {len(time)})
+        restarts.append(window.start + int(np.argmax(np.cumsum(later))) + 1)
+    return sorted(set(restarts) - {len(time)})
 
 
 def sampling_rate(time: Vector) -> float:
@@ -572,14 +548,10 @@ def usual_step(step: Vector) -> float:
 
 
 def gaps(time: Vector) -> list[tuple[float, float]]:
-    """Return beginnings and lengths [s] of the gaps between increasing times that are worth a remark."""
+    """Return beginnings and lengths [s] of the gaps between two or more increasing times."""
     step = np.diff(time)
-    if not len(step):
-        return []
-    return [
-        (float(time[i]), float(step[i]))
-        for i in np.flatnonzero(step > max(LEAST_GAP, GAP * usual_step(step)))
-    ]
+    long = step > max(LEAST_GAP, GAP * usual_step(step))
+    return list(zip(time[:-1][long].tolist(), step[long].tolist(), strict=True))
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
@@ -607,8 +579,8 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
     then it is interpolated linearly.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
-    known = np.isfinite(values).all(axis=1)
-    time, values = time[known], values[known]
+    sampled = np.isfinite(values).all(axis=1)
+    time, values = time[sampled], values[sampled]
     if len(time) < 2:
         return result
     step = np.diff(time)

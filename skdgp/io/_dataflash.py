@@ -1,15 +1,15 @@
 """Reader of ArduPilot logs (DataFlash).
 
-The format is that of https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. A
+Format: https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html. A
 message begins with two fixed bytes and a type; the formats of the types are messages too. Every
-length is checked: where no message begins, reading continues at the next two fixed bytes. The
-messages are those of https://ardupilot.org/plane/docs/logmessages.html.
+length is checked: where no message begins, reading continues at the next two fixed bytes. Messages: https://ardupilot.org/plane/docs/logmessages.html.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -34,26 +34,19 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 MARK, HEAD = b"\xa3\x95", 3
-FMT, FMT_LENGTH = 0x80, 89
+FMT = 0x80  # type of the messages that define types
+FILLING = b"\x00\xff"  # of unused pages of the memory chip
+TEXTS = ("Name", "Message", "UnitIds")
 TYPES = {
-    "a": ("<i2", (32,)), "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
+    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
-DEFINITIONS = (
-    "FMT",
-    "FMTU",
-    "UNIT",
-    "MULT",
-    "PARM",
-    "MSG",
-)  # messages that describe the log, and are no topics
-INSTANCES = (
-    "I",
-    "Instance",
-    "C",
-)  # fields that number instances, in logs that do not say which field does
+# messages that describe the log, and are no topics
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
+# fields that number instances, in logs that do not say which field does
+INSTANCES = ("I", "Instance", "C")
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -117,9 +110,6 @@ MIXES = {
 }
 """Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
 and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-LEFT_FLAPERON = (
-    24  # later versions turn its sign: whether it moves with the right one the outputs show
-)
 Outputs: TypeAlias = Topic | Mapping[str, Any]
 Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
@@ -130,24 +120,22 @@ def read_dataflash(path: Path) -> Log:
     if not data.startswith(MARK):
         raise FlightReadError(
             "Got a file that does not begin as a DataFlash log does, but expected a binary log of "
-            "ArduPilot: is it "
-            "empty, or of another kind?"
+            "ArduPilot: is it empty, or of another kind?"
         )
-    reader = _Reader(data)
-    reader.read()
-    topics = reader.topics()
+    file = _File(data)
+    topics = file.topics()
     if not topics:
         raise FlightReadError(
             f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but "
-            f"expected messages: was it "
-            "cut off, or written before 2015?"
+            f"expected messages: was it cut off, or written before 2015?"
         )
-    messages, parameters = reader.texts("MSG", "Message"), reader.parameters()
-    firmware = next((text for text in messages if text.split(" ")[0] in VEHICLES), "ArduPilot")
+    names, values = file.column("PARM", "Name"), file.column("PARM", "Value")
+    parameters = {str(name): float(x) for name, x in zip(names, values, strict=False)}
+    texts = map(str, file.column("MSG", "Message"))
+    firmware = next((text for text in texts if text.split(" ")[0] in VEHICLES), "ArduPilot")
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
-    speeds = [parameters.get(name, np.nan) for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN")]
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
@@ -155,8 +143,7 @@ def read_dataflash(path: Path) -> Log:
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=damage(reader.skipped, reader.cut),
-        slowest_airspeed=next((speed for speed in speeds if 0 < speed < 200), np.nan),
+        remarks=damage(file.skipped, file.cut),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
         servos=servos_of(topics.get("RCOU", {}), parameters),
@@ -164,184 +151,159 @@ def read_dataflash(path: Path) -> Log:
     )
 
 
-class _Format:
-    """Layout of one type of message, and the positions of its messages."""
+class _Messages:
+    """Messages of one type: name, layout, and places in the file."""
 
-    def __init__(self, name, length, codes, columns):
-        self.name, self.length = name, length
-        layout = [(column, TYPES[code]) for column, code in zip(columns, codes, strict=True)]
-        self.dtype = np.dtype(
-            [(name, *((kind,) if isinstance(kind, str) else kind)) for name, kind in layout]
-        )
-        self.names = self.dtype.names or ()
-        if self.dtype.itemsize != length - HEAD:
-            raise ValueError(
-                f"Got {name} of {length} bytes, whose fields take {self.dtype.itemsize}."
-            )
-        self.scale = {
-            column: SCALE[code]
-            for column, code in zip(columns, codes, strict=True)
-            if code in SCALE
-        }
-        small = [column for column in columns if self.dtype[column] == np.uint8]
-        self.instance = next((column for column in small if column in INSTANCES), None)
-        self.starts = []
+    def __init__(self, name: str, codes: str, columns: list[str]):
+        self.name = name
+        self.codes = dict(zip(columns, codes, strict=True))
+        self.dtype = np.dtype([(column, TYPES[code]) for column, code in self.codes.items()])
+        self.starts: list[int] = []
+
+    def read(self, data: bytes) -> np.ndarray:
+        """Return the messages as records, (n,)."""
+        size = self.dtype.itemsize
+        return np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
+
+    def is_whole_number(self, column: str) -> bool:
+        """Return whether there is a column of integers of this name."""
+        return column in self.codes and self.dtype[column].kind in "iu"
 
 
-class _Reader:
-    def __init__(self, data):
+class _File:
+    """Types of messages by number, with the places of all messages, and the damage."""
+
+    def __init__(self, data: bytes):
         self.data = data
-        self.formats = {
-            FMT: _Format(
-                "FMT", FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"]
-            )
-        }
+        columns = ["Type", "Length", "Name", "Format", "Columns"]
+        self.types = {FMT: _Messages("FMT", "BBnNZ", columns)}
         self.skipped, self.cut = 0, False
-
-    def read(self):
-        """Collect definitions and the places of all messages."""
-        data, formats, position, n = self.data, self.formats, 0, len(self.data)
+        position, n = 0, len(data)
         while position + HEAD <= n:
-            of = formats.get(data[position + 2]) if data.startswith(MARK, position) else None
-            if of is not None and position + of.length <= n:
-                of.starts.append(position + HEAD)
-                if data[position + 2] == FMT:
-                    self._define(position + HEAD)
-                position += of.length
+            messages = (
+                self.types.get(data[position + 2]) if data.startswith(MARK, position) else None
+            )
+            start = position + HEAD
+            if messages is not None and (end := start + messages.dtype.itemsize) <= n:
+                messages.starts.append(start)
+                if messages is self.types[FMT]:
+                    self._define(data[start:end])
+                position = end
                 continue
-            following = data.find(MARK, position + 1)
-            following = n if following < 0 else following
-            if of is not None and following == n:
+            following = data.find(MARK, position + 1) % (n + 1)  # -1, for none, becomes n
+            if messages is not None and following == n:
                 self.cut = True
-            elif data[position:following].strip(
-                b"\x00\xff"
-            ):  # pages of the memory chip are filled up
+            elif data[position:following].strip(FILLING):
                 self.skipped += following - position
             position = following
 
-    def _define(self, start):
-        kind, length, name, codes, columns = np.frombuffer(
-            self.data, self.formats[FMT].dtype, 1, start
-        )[0].tolist()
-        if kind in self.formats:
-            return
-        try:
-            texts = [text.decode("ascii") for text in (name, codes, columns)]
-            if re.fullmatch(r"\w+", texts[0]):
-                self.formats[kind] = _Format(
-                    texts[0], length, texts[1], texts[2].split(",") if texts[2] else []
-                )
-        except (
-            KeyError,
-            ValueError,
-            TypeError,
-        ):  # a definition that makes no sense; its messages are skipped
-            return
+    def _define(self, message: bytes) -> None:
+        """Add a type, unless its definition makes no sense: its messages are then skipped."""
+        number, length, *texts = np.frombuffer(message, self.types[FMT].dtype)[0].tolist()
+        with suppress(KeyError, ValueError, TypeError):
+            name, codes, columns = (text.decode("ascii") for text in texts)
+            new = _Messages(name, codes, columns.split(",") if columns else [])
+            if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
+                self.types.setdefault(number, new)
 
-    def records(self, name, *columns) -> np.ndarray | None:
-        """Return the messages of a name, None where it has no such columns."""
-        of = next((of for of in self.formats.values() if of.name == name), None)
-        if of is None or not {*columns} <= {*of.names}:
-            return None
-        return self._messages(of)
-
-    def _messages(self, of: _Format) -> np.ndarray:
-        """Return the messages of one type, (n,)."""
-        size = of.dtype.itemsize
-        parts = [self.data[start : start + size] for start in of.starts]
-        return np.frombuffer(b"".join(parts), of.dtype)
-
-    def texts(self, name, column) -> list[str]:
-        """Return a column of texts."""
-        records = self.records(name, column)
-        if records is None or records.dtype[column].kind != "S":
-            return []
-        return [text.decode("utf-8", "replace").strip("\x00 ") for text in records[column].tolist()]
-
-    def parameters(self) -> dict[str, float]:
-        """Return what was set on the autopilot."""
-        records = self.records("PARM", "Value")
-        values = [] if records is None else records["Value"].astype(float).tolist()
-        return dict(zip(self.texts("PARM", "Name"), values, strict=False))
+    def column(self, name: str, column: str) -> list:
+        """Return a column of the messages of a name, texts as str; empty where there is none such."""
+        kinds = "S" if column in TEXTS else "iuf"
+        kind = next(
+            (
+                kind
+                for kind in self.types.values()
+                if kind.name == name and column in kind.codes and kind.dtype[column].kind in kinds
+            ),
+            None,
+        )
+        values = [] if kind is None else kind.read(self.data)[column].tolist()
+        return [
+            value.decode("utf-8", "replace").strip("\x00 ") if kinds == "S" else value
+            for value in values
+        ]
 
     def topics(self) -> dict[str, Topic]:
-        """Return what has a time, by instance."""
-        numbered = self._numbered()
-        by_name: dict[str, Topic] = {}
-        for kind, of in self.formats.items():
-            timed = "TimeUS" in of.names and of.dtype["TimeUS"].kind in "iu"
-            if of.name in DEFINITIONS or not of.starts or not timed:
+        """Return the messages that have a time, by name and instance."""
+        units = dict(
+            zip(self.column("FMTU", "FmtType"), self.column("FMTU", "UnitIds"), strict=False)
+        )
+        topics: dict[str, Topic] = {}
+        for number, kind in self.types.items():
+            if kind.name in DEFINITIONS or not kind.starts or not kind.is_whole_number("TimeUS"):
                 continue
-            records = self._messages(of)
-            fields = numeric_fields({name: records[name] for name in of.names})
-            fields |= {name: factor * records[name] for name, factor in of.scale.items()}
-            topic = Topic(records["TimeUS"] * 1e-6, np.array(of.starts), fields)
-            instance = numbered.get(kind, of.instance)
-            numbers = np.zeros(len(records), int) if instance is None else records[instance]
-            for number in np.unique(numbers).tolist():
-                by_name.setdefault(
-                    instance_name(of.name, int(number)), topic.select(numbers == number)
-                )
-        return dict(sorted(by_name.items()))
+            records = kind.read(self.data)
+            fields = numeric_fields({name: records[name] for name in kind.codes})
+            fields |= {
+                name: SCALE[code] * records[name]
+                for name, code in kind.codes.items()
+                if code in SCALE
+            }
+            topic = Topic(records["TimeUS"] * 1e-6, np.array(kind.starts), fields)
+            instance = _instance_field(kind, units.get(number))
+            instances = np.zeros(len(records), int) if instance is None else records[instance]
+            for k in np.unique(instances).tolist():
+                topics.setdefault(instance_name(kind.name, k), topic.select(instances == k))
+        return dict(sorted(topics.items()))
 
-    def _numbered(self) -> dict[int, str | None]:
-        """Return by type the field that numbers instances, where the log says so: unit "#" of an FMTU message."""
-        records, fields = self.records("FMTU", "FmtType", "UnitIds"), {}
-        if records is None:
-            return {}
-        for kind, units in zip(
-            records["FmtType"].tolist(), self.texts("FMTU", "UnitIds"), strict=True
-        ):
-            names = self.formats[kind].names if kind in self.formats else ()
-            place = units.find("#")
-            field = names[place] if 0 <= place < len(names) else None
-            fields[kind] = field if field and self.formats[kind].dtype[field].kind in "iu" else None
-        return fields
+
+def _instance_field(kind: _Messages, units: str | None) -> str | None:
+    """Return the field that numbers instances: by the log's unit "#", or in older logs by its name."""
+    if units is None:
+        return next(
+            (name for name in kind.codes if name in INSTANCES and kind.codes[name] in "BM"), None
+        )
+    marked = [name for name, unit in zip(kind.codes, units, strict=False) if unit == "#"]
+    return next(filter(kind.is_whole_number, marked), None)
 
 
 def servos_of(
     outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, ServoChannel]:
-    """Return the servos of surfaces by SERVOn_FUNCTION, of those that are logged; ``name`` is the channel of one."""
-    channels: dict[str, ServoChannel] = {}
-    for function, n in _numbers(outputs, parameters, name):
-        if function in SERVOS:
-            surface, turned = SERVOS[function]
-            channels.setdefault(surface, _channel(name.format(n), n, parameters, turned))
-    return channels
+    """Return the servos of surfaces by SERVOn_FUNCTION; ``name`` is the channel of output n."""
+    numbers = _outputs_by_function(outputs, parameters, name)
+    return {
+        SERVOS[function][0]: _channel(name, numbers[function], parameters, SERVOS[function][1])
+        for function in numbers
+        if function in SERVOS
+    }
 
 
 def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
-    """Return elevator and rudder of a V-tail, aileron of flaperons; none where one of their servos is missing."""
-    by_function = dict(reversed(_numbers(outputs, parameters, name)))
-    found: Mixing = {}
+    """Return elevator and rudder of a V-tail, aileron of flaperons, where all their servos are logged."""
+    numbers = _outputs_by_function(outputs, parameters, name)
+    mixing: Mixing = {}
     for control, weights in MIXES.items():
-        if set(weights) <= set(by_function):
-            numbers = [by_function[each] for each in weights]
-            channels = [_channel(name.format(n), n, parameters, False) for n in numbers]
-            signs = [1.0, 1.0]
-            if LEFT_FLAPERON in weights:
-                moves = [
-                    (-1.0) ** each.turned * np.diff(outputs[each.channel.partition(".")[2]])
-                    for each in channels
-                ]
-                signs = [-1.0 if moves[0] @ moves[1] < 0 else 1.0, 1.0]
-            found[control] = tuple(
-                zip(np.multiply(signs, list(weights.values())).tolist(), channels, strict=True)
-            )
-    return found
+        if set(weights) <= set(numbers):
+            channels = [_channel(name, numbers[function], parameters) for function in weights]
+            signs = [_flaperon_sign(outputs, channels), 1.0] if control == "aileron" else [1.0, 1.0]
+            signed = np.multiply(signs, list(weights.values())).tolist()
+            mixing[control] = tuple(zip(signed, channels, strict=True))
+    return mixing
 
 
-def _numbers(outputs, parameters, name) -> list[tuple[int, int]]:
-    """Return function and number of the servos that are logged."""
+def _flaperon_sign(outputs: Outputs, channels: list[ServoChannel]) -> float:
+    """Return -1 if the left flaperon moves against the right one, as in later versions; else 1."""
+    moves_left, moves_right = (
+        (-1.0) ** channel.turned * np.diff(outputs[channel.channel.partition(".")[2]])
+        for channel in channels
+    )
+    return -1.0 if moves_left @ moves_right < 0 else 1.0
+
+
+def _outputs_by_function(outputs, parameters, name) -> dict[int, int]:
+    """Return the first logged output of each SERVOn_FUNCTION."""
     field = name.partition(".")[2]
-    numbers = [n for n in range(1, MOST_SERVOS + 1) if field.format(n) in outputs]
-    return [(whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)), n) for n in numbers]
+    return {
+        whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)): n
+        for n in range(MOST_SERVOS, 0, -1)
+        if field.format(n) in outputs
+    }
 
 
-def _channel(channel, n, parameters, turned) -> ServoChannel:
+def _channel(name, n, parameters, turned=False) -> ServoChannel:
     keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
     low, trim, high, back = (
         parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items()
     )
-    return ServoChannel(channel, low, trim, high, turned != bool(back))
+    return ServoChannel(name.format(n), low, trim, high, turned != bool(back))

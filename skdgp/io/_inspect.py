@@ -40,7 +40,7 @@ NEEDS = {
     ),
     "replay": (*EULER, "v_north or u", "v_east or v", "v_down or w"),
 }
-"""Columns that each step reads; any of those joined by "or" will do, or a step that gives them."""
+"""Columns that each step reads; alternatives are joined by "or", among them steps that compute the column."""
 ADVICE = {
     "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one "
     "to fill in)",
@@ -48,9 +48,9 @@ ADVICE = {
     "columns, or take no thrust",
     "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it "
     "from turns",
-    "alpha or reconstruction": "alpha, beta: vanes, or what the reconstruction needs",
+    "alpha or reconstruction": "alpha, beta: vanes, or the columns of the reconstruction",
 }
-COLUMN = ["source", "rate", "constant"]  # what is said of a column of the flight table
+COLUMN = ["source", "rate", "constant"]  # facts of a column of the flight table
 STEADY = 0.5  # with fewer messages than this fraction of rate times duration a topic has no rate
 SHORT = 1.0  # nor with messages over fewer seconds
 MOST_FLIGHTS = 6  # more flights are summed up in one line
@@ -103,37 +103,32 @@ class LogSummary:
             "columns": self.columns.reset_index(names="name"),
             "flights": self.flights,
         }
-        return plain(vars(self) | {name: each.to_dict("records") for name, each in tables.items()})
+        return plain(
+            vars(self) | {name: frame.to_dict("records") for name, frame in tables.items()}
+        )
 
     def __str__(self) -> str:
         vehicle = self.vehicle or "vehicle unknown"
-        lines = [
-            f"{self.path}: {self.format}, {self.firmware}, {vehicle}, {self.duration:.1f} s",
-            "",
-        ]
-        lines += [f"  {words}" for words in self._flight_lines()]
-        lines.append("")
+        title = f"{self.path}: {self.format}, {self.firmware}, {vehicle}, {self.duration:.1f} s"
+        lines = [title, "", *(f"  {line}" for line in self._flight_lines()), ""]
         kinds = self.columns.groupby(["source", "rate", "constant"], sort=False, dropna=False)
         for (source, rate, constant), rows in kinds:
-            known = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
-            lines.append(_hanging(f"{known}: {source}{' (never changes)' * bool(constant)}", 15))
+            heading = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
+            lines.append(_hanging(f"{heading}: {source}{' (never changes)' * bool(constant)}", 15))
         lines.append("")
         for step, names in self.missing.items():
-            words = f"lacks {', '.join(names)}" if names else "nothing missing"
-            lines.append(_hanging(f"{step:<18}{words}", 20))
+            line = f"lacks {', '.join(names)}" if names else "nothing missing"
+            lines.append(_hanging(f"{step:<18}{line}", 20))
         lacking = {name for names in self.missing.values() for name in names}
         if any(name.startswith(SURFACES) for name in lacking):
             lacking.add("servos")
-        lines += [f"{'':20}- {words}" for name, words in ADVICE.items() if name in lacking]
+        lines += [f"{'':20}- {advice}" for name, advice in ADVICE.items() if name in lacking]
         lines += ["", *(_hanging(f"! {remark}", 4) for remark in self.remarks)]
-        topics = [f"{name} {_often(row)}" for name, row in self.topics.iterrows()]
-        lines += ["", _hanging(f"topics: {', '.join(topics)}", 4)] if topics else []
-        return "\n".join(lines)
+        topics = ", ".join(f"{name} {_often(row)}" for name, row in self.topics.iterrows())
+        return "\n".join([*lines, *(["", _hanging(f"topics: {topics}", 4)] if topics else [])])
 
     def _flight_lines(self) -> list[str]:
         """Return a line for each flight, or one for many."""
-        if self.flights.empty:
-            return [f"no flight: {self.no_flight}"]
         seconds = self.flights["end"] - self.flights["begin"]
         speeds = self.flights["airspeed"]
         if len(self.flights) > MOST_FLIGHTS:
@@ -141,12 +136,12 @@ class LogSummary:
             return [
                 f"{len(seconds)} flights of {seconds.min():.1f} to {seconds.max():.1f} s{speed}"
             ]
-        rows = self.flights[["begin", "end", "airspeed"]].to_numpy(float)
-        return [
+        lines = [
             f"flight from {begin:.1f} s to {end:.1f} s"
             + f" at {airspeed:.1f} m/s" * bool(np.isfinite(airspeed))
-            for begin, end, airspeed in rows
+            for begin, end, airspeed in self.flights.to_numpy(float)
         ]
+        return lines or [f"no flight: {self.no_flight}"]
 
 
 def _often(topic: pd.Series) -> str:
@@ -162,7 +157,7 @@ def inspect_log(
     servos: PathLike | Mapping[str, Any] | None = None,
     rename: Mapping[str, str] | None = None,
 ) -> LogSummary:
-    r"""Return format, vehicle, topics, columns and their sources, flights, and what is missing in a log.
+    r"""Return format, vehicle, topics, columns and their sources, flights, and missing columns of a log.
 
     ``path``, ``servos`` and ``rename`` are as of :func:`read_flight`. ``print`` shows the summary. Raises
     FlightReadError if the file cannot be read (a log without a flight can), FileNotFoundError if
@@ -208,7 +203,7 @@ def inspect_log(
         columns=columns,
         missing=missing_for(columns),
         flights=_flights(tables),
-        no_flight="" if tables else no_flight_because(longest.table, log, flown.speed),
+        no_flight="" if tables else no_flight_because(flown),
         remarks=(*flown.remarks, *_contradictions(tables)),
     )
 
@@ -236,12 +231,12 @@ def names_servos(path: PathLike) -> bool:
 
 def missing_for(columns: pd.DataFrame) -> dict[str, tuple[str, ...]]:
     """Return by step the columns that are missing, or a sensor's that never change."""
-    found = set(columns.index[~(columns["constant"] & columns.index.isin(SENSORS))])
+    present = set(columns.index[~(columns["constant"] & columns.index.isin(SENSORS))])
     missing: dict[str, tuple[str, ...]] = {}
     for step, needs in NEEDS.items():
         possible = {before for before, lacking in missing.items() if not lacking}
         missing[step] = tuple(
-            need for need in needs if not set(need.split(" or ")) & (found | possible)
+            need for need in needs if not set(need.split(" or ")) & (present | possible)
         )
     return missing
 
@@ -263,8 +258,8 @@ def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
     )
     tables = [table.iloc[rows] for rows in flight_rows(table["flight"]).values()]
     flights = _flights(tables)
-    words = unknown_columns_message(unknown, table.columns)
-    remarks = [f"columns of unknown names: {words}"] if words else []
+    unknown_names = unknown_columns_message(unknown, table.columns)
+    remarks = [f"columns of unknown names: {unknown_names}"] if unknown_names else []
     remarks += grouped_messages(find_faults(table))
     return LogSummary(
         path=str(path),
@@ -311,7 +306,7 @@ def _topic(topic: Topic) -> tuple[int, float, int, float]:
     return len(topic), rate, len(lengths), max(lengths, default=0.0)
 
 
-def _hanging(words, indent) -> str:
+def _hanging(text, indent) -> str:
     return fill(
-        words, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False
+        text, WIDTH, initial_indent="  ", subsequent_indent=" " * indent, break_long_words=False
     )

@@ -25,7 +25,7 @@ class Topic:
     time : ndarray (n,)
         Time stamps [s] in the order of the file, as written: they may be wrong or out of order.
     order : ndarray (n,)
-        Place of each message in the file, by which topics are ordered.
+        Place of each message in the file, the order of all topics together.
     fields : dict of str to ndarray (n,)
         Numbers by name. Elements of arrays and nested messages are ``q[0]``, ``esc[0].esc_rpm``.
     """
@@ -40,7 +40,7 @@ class Topic:
 
         >>> import numpy as np
         >>> topic = Topic.of([0.0, 0.1], gyro=np.zeros((2, 3)), count=[1, 2])
-        >>> topic.channels()
+        >>> list(topic.fields)
         ['gyro[0]', 'gyro[1]', 'gyro[2]', 'count']
         """
         time = np.asarray(time, dtype=float)
@@ -65,14 +65,10 @@ class Topic:
         fields = {name: values[rows] for name, values in self.fields.items()}
         return Topic(self.time[rows], self.order[rows], fields)
 
-    def channels(self) -> list[str]:
-        """Return the names of all fields."""
-        return list(self.fields)
-
 
 def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     """Return the fields that hold numbers; arrays (n, k) element by element."""
-    found = {}
+    numeric = {}
     for name, values in fields.items():
         values = np.asarray(values)
         if values.dtype.kind not in "iufb":
@@ -80,8 +76,8 @@ def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
         columns = {name: values}
         if values.ndim > 1:
             columns = {f"{name}[{i}]": column for i, column in enumerate(values.T)}
-        found.update(columns)
-    return found
+        numeric.update(columns)
+    return numeric
 
 
 class Rule(NamedTuple):
@@ -143,15 +139,13 @@ class Log:
         log does not say.
     remarks : tuple of str
         Damage of the file: bytes that could not be read, where it was cut off.
-    slowest_airspeed : float
-        Slowest airspeed set on the autopilot [m/s]; NaN where none is.
     landed : tuple of (str, str, float) or None
         Topic, field, and its value while the autopilot is on the ground.
     outputs : tuple of str
-        Topics that hold what was sent to servos.
+        Topics with the outputs to servos.
     servos, mixing : dict
-        By surface, what the parameters say of its servo; by control, weights of the outputs, each
-        from -1 to 1, that make it together, such as those of a V-tail.
+        Servo of each surface by the parameters; by control, weights of the outputs, each
+        from -1 to 1, that make it together, as of a V-tail.
     """
 
     kind: str
@@ -161,7 +155,6 @@ class Log:
     firmware: str = ""
     vehicle: str | None = None
     remarks: tuple[str, ...] = ()
-    slowest_airspeed: float = np.nan
     landed: tuple[str, str, float] | None = None
     outputs: tuple[str, ...] = ()
     servos: Mapping[str, ServoChannel] = field(default_factory=dict)
@@ -186,7 +179,7 @@ def density_at(pressure: Array) -> Array:
 
 
 def whole(value: float) -> int:
-    """Return the nearest whole number, 0 of what is none."""
+    """Return the nearest whole number, 0 for NaN and infinity."""
     return round(value) if np.isfinite(value) else 0
 
 
@@ -197,7 +190,7 @@ def damage(skipped: int = 0, cut: bool = False, lost: int = 0) -> tuple[str, ...
         f"{lost} messages do not fit the definition of their topic and were skipped": lost,
         "the file ends within a message: it was cut off": cut,
     }
-    return tuple(words for words, applies in remarks.items() if applies)
+    return tuple(remark for remark, applies in remarks.items() if applies)
 
 
 def instance_name(name: str, instance: int) -> str:

@@ -18,14 +18,14 @@ from skdgp._flight.clock import check_clock, flight_codes, part_restarts
 from skdgp._flight.faults import FlightDataWarning, seconds_origin
 from skdgp._flight.frames import with_air_data
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
-from skdgp.io._csv import read_csv
-from skdgp.io._mat import read_mat
-from skdgp.io._parquet import read_parquet
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
     check_magnitudes,
     check_names,
+    read_csv,
+    read_mat,
+    read_parquet,
     reading,
     to_floats,
 )
@@ -141,18 +141,17 @@ def read_flight(
             )
         if not path.exists():
             raise FileNotFoundError(f"Got {path}, but there is no such file.")
-        given = [name for name, value in options.items() if value is not DEFAULTS[name]]
-        if given:
+        refused = [name for name, value in options.items() if value is not DEFAULTS[name]]
+        if refused:
             raise FlightReadError(
-                f"Got {given} for a table, but expected these only with logs of autopilots."
+                f"Got {refused} for a table, but expected these only with logs of autopilots."
             )
         rename = dict(rename or {})
         table = TABLES[kind](path, rename) if kind == ".csv" else TABLES[kind](path)
-        return _as_flight(
-            _renamed(table, rename),
-            path.stem if flight is None else flight,
-            overrides=flight is not None,
-        )
+        table = _renamed(table, rename)
+        if flight is not None or "flight" not in table:
+            table["flight"] = path.stem if flight is None else flight
+        return _as_flight(table)
 
 
 def read_flights(
@@ -161,7 +160,7 @@ def read_flights(
     r"""Read several logs into one table, flight after flight.
 
     ``paths`` is an iterable, or a mapping of flight identifier to path, which names the flights
-    itself; ``options`` are those of :func:`read_flight`, for all of them. The table is as of
+    itself; ``options`` are as for :func:`read_flight`, for all files. The table is as of
     :func:`read_flight`, with a new index. Columns that some files lack are NaN there, with a
     warning. Raises FlightReadError as :func:`read_flight`, or if two files hold a flight of the
     same name.
@@ -210,9 +209,7 @@ def read_flights(
 def _from_autopilot(path, flight, options):
     flown = on_one_clock(path, **options)
     name = path.stem if flight is None else flight
-    table = _as_flight(
-        flight_table(flown, name, airborne=options["airborne"]), name, overrides=False
-    )
+    table = _as_flight(flight_table(flown, name, airborne=options["airborne"]))
     table.attrs["sources"] = {
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
@@ -239,7 +236,7 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
     return table.set_axis([rename.get(name, name) for name in names], axis="columns")
 
 
-def _as_flight(table, flight, *, overrides):
+def _as_flight(table):
     """Return a raw table in the order and types of a flight table."""
     if table.empty:
         raise FlightReadError(
@@ -253,11 +250,8 @@ def _as_flight(table, flight, *, overrides):
             f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
             f"or compute it."
         )
-    if overrides or "flight" not in table:
-        table["flight"] = flight
-    table = table.assign(**_as_numbers(table))
-    table["flight"] = _flight_names(table["flight"])
-    table = _split_at_restarts(_without_repeats(table))
+    table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
+    table = _split_at_restarts(table)
     time = table["time"].to_numpy()
     if np.isnan(time).any():
         raise FlightReadError(
@@ -303,22 +297,10 @@ def _flight_names(flight):
         raise FlightReadError(
             f"{error} read_flight(path, flight='name') names all rows alike."
         ) from error
-    whole = [int(name) if isinstance(name, float) and name.is_integer() else name for name in names]
-    return np.array([str(name).strip() for name in whole], dtype=object)[codes]
-
-
-def _without_repeats(table):
-    repeated = table["time"].diff() == 0
-    repeated = repeated & table.duplicated() if repeated.any() else repeated
-    if not repeated.any():
-        return table
-    warn(
-        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row "
-        f"{int(np.argmax(repeated))}) and "
-        "are dropped.",
-        stacklevel=4,
-    )
-    return table[~repeated].reset_index(drop=True)
+    numbered = [
+        int(name) if isinstance(name, float) and name.is_integer() else name for name in names
+    ]
+    return np.array([str(name).strip() for name in numbered], dtype=object)[codes]
 
 
 def _split_at_restarts(table):
@@ -346,5 +328,5 @@ def _hint_at_names(table):
     """Warn once of unknown columns that look like a missing name of a flight table."""
     unknown = unknown_columns(table)
     if suggestions(unknown, table.columns):
-        words = unknown_columns_message(unknown, table.columns)
-        warn(f"Unknown columns are kept as they are: {words}.", stacklevel=4)
+        unknown_names = unknown_columns_message(unknown, table.columns)
+        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=4)

@@ -54,7 +54,7 @@ class Servo(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Servos of one topic whose weighted deflections add up to a control, such as those of a V-tail."""
+    """Servos of one topic whose weighted deflections add up to a control, as of a V-tail."""
 
     parts: tuple[tuple[float, Servo], ...]
 
@@ -97,20 +97,20 @@ def read_servos(
                 f"Got {servos} as the servo file, but expected TOML: {error}"
             ) from error
     weights = _weights(servos.get(MIXING, {}))
-    found = {}
     mixed = {name for parts in weights.values() for name in parts}
-    each = {
+    entries = {
         name: _servo(name, entry, (*MOVED, *mixed))
         for name, entry in servos.items()
         if name != MIXING
     }
+    mixtures = {}
     for control, parts in weights.items():
         mixture = [
             (weight, servo)
             for name, weight in parts.items()
-            if isinstance(servo := each.get(name), Servo)
+            if isinstance(servo := entries.get(name), Servo)
         ]
-        if len(mixture) < len(parts) or control in each:
+        if len(mixture) < len(parts) or control in entries:
             raise FlightReadError(
                 f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of "
                 f"these in the servo "
@@ -118,29 +118,27 @@ def read_servos(
             )
         if len({servo.channel.partition(".")[0] for _, servo in mixture}) > 1:
             raise FlightReadError(
-                f"Got channels of several topics for the {control}, but expected those of one."
+                f"Got channels of several topics for the {control}, but expected one topic."
             )
-        found[control] = Mixture(tuple(mixture))
-    return {name: servo for name, servo in each.items() if name not in mixed} | found
+        mixtures[control] = Mixture(tuple(mixture))
+    return {name: servo for name, servo in entries.items() if name not in mixed} | mixtures
 
 
 def _weights(mixing: Any) -> dict[str, dict[str, float]]:
     """Return the weights of surfaces in the controls that they make."""
-    if not isinstance(mixing, Mapping) or not all(
-        control in SURFACES
-        and isinstance(parts, Mapping)
-        and parts
-        and all(map(_is_number, parts.values()))
-        for control, parts in mixing.items()
-    ):
+    try:
+        weights = {
+            control: {name: float(weight) for name, weight in parts.items()}
+            for control, parts in mixing.items()
+        }
+    except (AttributeError, TypeError, ValueError):
+        weights = {"": {}}
+    if not set(weights) <= set(SURFACES) or not all(weights.values()):
         raise FlightReadError(
             f"Got mixing = {mixing!r}, but expected weights of surfaces for some of "
             f"{list(SURFACES)}, as in rudder = {{fin = 0.5, nose = -0.5}}."
         )
-    return {
-        control: {name: float(weight) for name, weight in parts.items()}
-        for control, parts in mixing.items()
-    }
+    return weights
 
 
 def reversed_of(servos: Any) -> tuple[str, ...] | None:
@@ -172,26 +170,23 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mix
     """
     if not log.mixing:
         _check_names_servos(log)
-    own = {
-        name: each for name, each in log.servos.items() if not (log.mixing and name in ELEVONS)
-    }  # these are mixed
-    found: dict[str, Servo | Mixture] = {
-        name: _full_throw(name, channel) for name, channel in own.items()
+    servos: dict[str, Servo | Mixture] = {
+        name: _full_throw(name, channel)
+        for name, channel in log.servos.items()
+        if not (log.mixing and name in ELEVONS)  # these are mixed
     }
-    for name, parts in log.mixing.items():
-        found[name] = Mixture(
-            tuple((weight, _full_throw(name, channel)) for weight, channel in parts)
-        )
-    return {
-        name: _scaled(servo, -1.0) if name in turned else servo for name, servo in found.items()
+    servos |= {
+        name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
+        for name, parts in log.mixing.items()
     }
+    return {name: _scaled(servo, -1.0 if name in turned else 1.0) for name, servo in servos.items()}
 
 
 def with_throws(
     servos: Mapping[str, Servo | Throw | Mixture], log: Log
 ) -> dict[str, Servo | Mixture]:
-    """Return the servos, those of a throw by the parameters of the autopilot; FlightReadError if these lack one."""
-    throws = {name: each.angle for name, each in servos.items() if isinstance(each, Throw)}
+    """Return the servos, throws by the parameters of the autopilot; FlightReadError if these lack a servo."""
+    throws = {name: entry.angle for name, entry in servos.items() if isinstance(entry, Throw)}
     named = full_throws(log) if throws else {}
     if lacking := sorted(set(throws) - set(named)):
         raise FlightReadError(
@@ -199,14 +194,14 @@ def with_throws(
             f"log name, "
             f"{sorted(named)}: give the channel of the others."
         )
-    found = {name: each for name, each in servos.items() if not isinstance(each, Throw)}
-    return found | {name: _scaled(named[name], angle) for name, angle in throws.items()}
+    measured = {name: entry for name, entry in servos.items() if not isinstance(entry, Throw)}
+    return measured | {name: _scaled(named[name], angle) for name, angle in throws.items()}
 
 
 def _scaled(servo: Servo | Mixture, angle: float) -> Servo | Mixture:
     if isinstance(servo, Mixture):
-        return Mixture(tuple((angle * weight, each) for weight, each in servo.parts))
-    return servo._replace(angles=tuple(angle * each for each in servo.angles))
+        return Mixture(tuple((angle * weight, part) for weight, part in servo.parts))
+    return servo._replace(angles=tuple(angle * x for x in servo.angles))
 
 
 def _full_throw(name: str, servo: ServoChannel) -> Servo:
@@ -220,8 +215,8 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
     return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
-def _servo(name, entry, known) -> Servo | Throw:
-    if name not in known:
+def _servo(name, entry, surfaces) -> Servo | Throw:
+    if name not in surfaces:
         raise FlightReadError(
             f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, or a name with "
             f"its weight in mixing."
@@ -238,9 +233,7 @@ def _servo(name, entry, known) -> Servo | Throw:
         )
     if not isinstance(turned := entry.get("reversed", False), bool):
         raise FlightReadError(f"Got reversed = {turned!r} for {name}, but expected true or false.")
-    pairs = np.array(
-        sorted(_points(name, entry) if "points" in entry else _ends(name, entry)), dtype=float
-    )
+    pairs = _pairs(name, entry)
     if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
         raise FlightReadError(
             f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each "
@@ -258,6 +251,26 @@ def _servo(name, entry, known) -> Servo | Throw:
     )
 
 
+def _pairs(name: str, entry: dict) -> np.ndarray:
+    """Return values of the channel, increasing, and angles [rad] there, (n, 2)."""
+    try:
+        points = entry.get("points")
+        if points is None:
+            deflection = entry["deflection"]
+            first, last = deflection if isinstance(deflection, list) else (-deflection, deflection)
+            points = [(entry["min"], first), (entry["trim"], 0.0), (entry["max"], last)]
+        pairs = np.array(sorted([float(value), float(angle)] for value, angle in points))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        pairs = np.empty((0, 2))
+    if len(pairs) < 2:
+        raise FlightReadError(
+            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] "
+            f"(one number, or two: at min and at max), or points, pairs of numbers as in "
+            f"[[1100, -0.35], [1900, 0.35]]."
+        )
+    return pairs
+
+
 def _throw(name, text) -> Throw:
     match = THROW.fullmatch(text.strip())
     unit = {"deg": np.pi / 180, "rad": 1.0}[match[3]] if match else np.nan
@@ -265,51 +278,14 @@ def _throw(name, text) -> Throw:
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
             f"Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as "
-            f'in {name} = "25 deg" '
-            'or "25 +- 2 deg".'
+            f'in {name} = "25 deg" or "25 +- 2 deg".'
         )
     if std > 0 and name in ELEVONS:
         raise FlightReadError(
-            f"Got {name} = {text!r}, but expected a deviation of elevator or aileron alone: an "
-            f"error of one elevon is "
-            "of both controls."
+            f"Got {name} = {text!r}, but expected a standard deviation of elevator or aileron "
+            f"alone: an error of one elevon is of both controls."
         )
     return Throw(angle, std)
-
-
-def _points(name, entry):
-    points = entry["points"]
-    pairs = (
-        isinstance(points, list)
-        and len(points) > 1
-        and all(isinstance(p, list) and len(p) == 2 for p in points)
-    )
-    if not pairs or not all(_is_number(value) for pair in points for value in pair):
-        raise FlightReadError(
-            f"Got points = {points!r} for {name}, but expected pairs of numbers, as in [[1100, "
-            f"-0.35], [1900, 0.35]]."
-        )
-    return points
-
-
-def _ends(name, entry):
-    ends, deflection = [entry.get(key) for key in ("min", "trim", "max")], entry.get("deflection")
-    angles = [-deflection, deflection] if _is_number(deflection) else deflection
-    if not (
-        isinstance(angles, list) and len(angles) == 2 and all(map(_is_number, [*ends, *angles]))
-    ):
-        raise FlightReadError(
-            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] "
-            f"(one number, or two: "
-            "at min and at max), or points."
-        )
-    return list(zip(ends, [angles[0], 0.0, angles[1]], strict=True))
-
-
-def _is_number(value):
-    return (
-        isinstance(value, (int, float)) and not isinstance(value, bool) and not abs(value) > 1e300
-    )  # no float
 
 
 def template(log: Log) -> str:

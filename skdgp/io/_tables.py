@@ -1,23 +1,34 @@
-"""What all readers of tables check: size, names, units, magnitudes; FlightReadError, which names the file."""
+"""Tables: what their readers check, and the readers of CSV, Parquet and MATLAB files."""
 
 from __future__ import annotations
 
+import csv
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator
+import pickle
+import re
+import subprocess
+import sys
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.files import unguarded
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX
 from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
+from skdgp._flight.faults import FlightDataWarning
+from skdgp.io import _mat_script
 
 MOST_COLUMNS = 10_000
-ROOM, ROOM_PER_BYTE = (
-    2**28,
-    100,
-)  # bytes that any file may take when unpacked, and bytes more for each byte of it
+# bytes that any file may take when unpacked, and bytes more for each byte of it
+ROOM, ROOM_PER_BYTE = (2**28, 100)
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
@@ -41,9 +52,8 @@ LIMITS = {
     **dict.fromkeys(RATES, 20.0),
 }
 LONGEST_STEP = 5.0  # s
-LARGEST_MIDDLE = (
-    30.0  # median of the size of an angle in degrees, but for roll and heading; a guess
-)
+# median of the size of an angle in degrees, but for roll and heading; a guess
+LARGEST_MIDDLE = 30.0
 
 
 class FlightReadError(ValueError):
@@ -81,7 +91,7 @@ def room_for(n_bytes: int) -> int:
 
 
 def check_room(needed: int, room: int) -> None:
-    """Raise a FlightReadError if what is unpacked takes more bytes than there is room for."""
+    """Raise a FlightReadError if unpacked data take more bytes than there is room for."""
     if needed > room:
         raise FlightReadError(
             f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most "
@@ -210,3 +220,308 @@ def _typical_maximum(table, name) -> float:
     values = np.abs(table[name].to_numpy(float))
     values = values[np.isfinite(values)]
     return float(np.percentile(values, 99)) if values.size else 0.0
+
+
+HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
+ABOVE = re.compile(
+    r"\s*(#|sep=.\s*$)", re.IGNORECASE
+)  # above the header: remarks, and Excel's separator
+DECIMAL = {
+    mark: re.compile(rf"\s*[+-]?\d*{re.escape(mark)}\d+(?:[eE][+-]?\d+)?\s*") for mark in ",."
+}
+
+
+def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
+    """Return the table of a CSV with a header of ``name`` or ``name [unit]``.
+
+    ``rename`` replaces names in the header.
+
+    Empty lines and remarks (#) before the header and columns without a name are left out; a last
+    row that is shorter too, with a FlightDataWarning. Raise FlightReadError if it is no such table.
+    """
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            return _csv_table(file, path.name, rename)
+    except UnicodeDecodeError as error:
+        raise FlightReadError(
+            f"Got a file that is not text ({error.reason}), but expected a CSV in UTF-8: save it "
+            f"so, if it is one."
+        ) from error
+    except (csv.Error, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise FlightReadError(
+            f"Got a file that is not a CSV table ({error}), but expected one."
+        ) from error
+
+
+def _csv_table(file, file_name, rename):
+    header = (
+        number
+        for number, line in enumerate(file)
+        if line.strip(" \t\r\n,;") and not ABOVE.match(line)
+    )
+    if (above := next(header, None)) is None:
+        expected = "a header line, and a row for each sample under it"
+        raise FlightReadError(f"Got a file that is empty, but expected {expected}.")
+    separator = _separator(file, above)
+    records = _records(file, above, separator)
+    names, units = _split_headings(next(records), rename)
+    check_width(len(names))
+    check_names(name for name in names if name)
+    below = above + records.line_num
+    n_rows, cut, decimal = _check_rows(_records(file, below, separator), names, separator, below)
+    _forward(file, below)
+    table = pd.read_csv(
+        file,
+        sep=separator,
+        decimal=decimal,
+        header=None,
+        names=[name for name in names if name],
+        usecols=[place for place, name in enumerate(names) if name],
+        dtype={"flight": str} if "flight" in names else None,
+        index_col=False,
+        skipinitialspace=True,
+        low_memory=False,
+    ).copy()  # one piece of memory instead of one for each column
+    if len(table) != n_rows:
+        raise FlightReadError(
+            f"Got {n_rows} or {len(table)} rows, by how quotes are read, but expected one number."
+        )
+    if cut:
+        warn(
+            f"{file_name}: {cut}, so it was cut off and is left out.",
+            FlightDataWarning,
+            stacklevel=4,
+        )
+        table = table.iloc[:-1]
+    texts = {
+        str(name): column.map(unguarded)
+        for name, column in table.select_dtypes(exclude="number").items()
+    }
+    return to_si(table.assign(**texts), units)
+
+
+def _forward(file, n_lines):
+    """Skip lines from the begin of the file."""
+    file.seek(0)
+    deque(islice(file, n_lines), maxlen=0)
+
+
+def _records(file, n_lines, separator):
+    _forward(file, n_lines)
+    return csv.reader(file, delimiter=separator, skipinitialspace=True)
+
+
+def _separator(file, above) -> str:
+    """Return the separator that gives the header most names of the vocabulary, then most names."""
+
+    def n_names(separator):
+        try:
+            names, _ = _split_headings(next(_records(file, above, separator)))
+        except csv.Error:  # a wide header without this separator is one long cell
+            return 0, 0
+        return sum(base_name(name) in CHANNELS for name in names), len(names)
+
+    return max(",;\t", key=n_names)
+
+
+def _split_headings(headings, rename=MappingProxyType({})):
+    """Return names, and units by name of a flight table; other headings stay as they are."""
+    names, units = [], {}
+    for heading in map(unguarded, map(str.strip, headings)):
+        match = HEADING.fullmatch(heading)
+        name = match[1].strip() if match else heading
+        name = rename.get(heading, rename.get(name, name))
+        is_known = base_name(name) in CHANNELS
+        if match and is_known:
+            units[name] = match[2]
+        names.append(name if is_known else heading)
+    return names, units
+
+
+def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
+    """Return the number of rows, a remark if the last one is cut off, and the decimal mark."""
+    width = len(names)
+    needed = max((place + 1 for place, name in enumerate(names) if name), default=0)
+    numbers = [
+        place
+        for place, name in enumerate(names)
+        if base_name(name) in CHANNELS and name != "flight"
+    ]
+    n_rows, cut, examples, marks = 0, "", {}, "" if separator == "," else ",."
+    for cells in records:
+        if len(cells) < 2 and not "".join(cells).strip():
+            continue
+        if cut:
+            raise _uneven(cut, width, separator)
+        n_rows += 1
+        if len(cells) != width:
+            remark = f"line {above + records.line_num} has {len(cells)} cells"
+            if any(cell.strip() for cell in cells[width:]):
+                raise _uneven(remark, width, separator)
+            cut = remark if len(cells) < needed else ""
+        for mark in marks:
+            if mark in "".join(cells):
+                cell = next(
+                    (
+                        cells[k]
+                        for k in numbers
+                        if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])
+                    ),
+                    None,
+                )
+                if cell is not None:
+                    examples[mark], marks = cell, marks.replace(mark, "")
+    if len(examples) == 2:
+        raise FlightReadError(
+            f"Got {examples[',']!r} with a decimal comma and {examples['.']!r} with a decimal "
+            f"point, but expected one "
+            "kind: write all with a point, and no separators of thousands."
+        )
+    return n_rows, cut, "," if "," in examples else "."
+
+
+def _uneven(remark, width, separator):
+    hint = " (decimal commas need another one)" if separator == "," else ""
+    return FlightReadError(
+        f"Got rows of unequal length ({remark}, the header has {width}), but expected a cell for "
+        f"each name: quote cells "
+        f"that hold the separator {separator!r}{hint}, and leave missing values empty between "
+        f"separators."
+    )
+
+
+INDEX = "__index_level_"  # begin of the name that pandas gives to an index without one
+
+
+def read_parquet(path: Path) -> pd.DataFrame:
+    """Return the table of a Parquet file; an index that pandas wrote into it is a column if it has a name.
+
+    Raise FlightReadError if it is damaged, too wide, or takes far more memory than its size,
+    ImportError without pyarrow. Columns of lists, structs and bytes are left out, with a
+    FlightDataWarning.
+    """
+    try:
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ImportError(
+            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]', "
+            "or write a CSV."
+        ) from error
+    try:
+        return _parquet_table(path, pyarrow)
+    except (FlightReadError, Warning):
+        raise
+    except Exception as error:  # a damaged file makes pyarrow raise nearly anything
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise FlightReadError(
+            f"Got a file that is not a whole parquet file ({reason}), but expected one: copy or "
+            f"export it again."
+        ) from error
+
+
+def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
+    with pyarrow.parquet.ParquetFile(path) as file:
+        schema, size = file.schema_arrow, file.metadata
+        check_width(len(schema.names))
+        check_names(name.strip() for name in schema.names)
+        fields = [field for field in schema if not field.name.startswith(INDEX)]
+        columns = [field.name for field in fields if _has_one_value(field.type, pyarrow.types)]
+        left_out = {field.name: str(field.type) for field in fields if field.name not in columns}
+        for name, kind in left_out.items():
+            if base_name(name.strip()) in CHANNELS:
+                raise FlightReadError(
+                    f"Got column {name!r} of type {kind}, but expected one value in each row: "
+                    f"write one column for each value."
+                )
+        if left_out:
+            warn(
+                f"{path.name}: columns that hold neither numbers, texts nor times are left out: "
+                f"{left_out}.",
+                FlightDataWarning,
+                stacklevel=4,
+            )
+        packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
+        check_room(max(8 * size.num_rows * len(columns), packed), room_for(path.stat().st_size))
+        table = file.read(columns=columns).replace_schema_metadata(None)
+    return table.to_pandas()
+
+
+def _has_one_value(kind: Any, types: Any) -> bool:
+    """Return whether a cell of this type is a number, a text or a time."""
+    kind = kind.value_type if types.is_dictionary(kind) else kind
+    tests = (
+        types.is_primitive,
+        types.is_null,
+        types.is_decimal,
+        types.is_string,
+        types.is_large_string,
+    )
+    return any(test(kind) for test in tests)
+
+
+HDF5 = b"MATLAB 7.3"
+HEADER_SIZE = 128
+BYTE_ORDERS = (b"IM", b"MI")  # last bytes of the header
+TIMEOUT = 60  # seconds for one file; 100 MiB take a second
+
+
+def read_mat(path: Path) -> pd.DataFrame:
+    """Return the table of a MATLAB file; raise FlightReadError if it is damaged or holds no table with ``time``.
+
+    ``scipy.io.loadmat`` trusts types and sizes in a file: of 3000 damaged files 18 end the process
+    (SciPy 1.17.1; https://github.com/scipy/scipy/issues/6072). So it runs in a process of its own.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEADER_SIZE)
+    if head.startswith(HDF5):
+        raise FlightReadError(
+            "Got a file of MATLAB's version 7.3 (HDF5), but expected version 7 or earlier: "
+            "save('flight.mat', '-v7', ...) in MATLAB, or writetable(..., 'flight.csv')."
+        )
+    if head[-2:] not in BYTE_ORDERS:
+        raise _refusal("it does not begin as one of these versions does")
+    room = str(room_for(path.stat().st_size))
+    command = [sys.executable, "-P", _mat_script.__file__, str(path), room]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    try:
+        process = subprocess.run(command, capture_output=True, timeout=TIMEOUT, env=environment)
+    except subprocess.TimeoutExpired as error:
+        raise _refusal(f"it takes more than {TIMEOUT} s") from error
+    if process.returncode:
+        *_, reason = process.stderr.decode(errors="replace").splitlines() or ["SciPy fails on it"]
+        raise _refusal(reason)
+    return _mat_table(pickle.loads(process.stdout))
+
+
+def _refusal(reason: str) -> FlightReadError:
+    return FlightReadError(
+        f"Got a file that is not a whole MATLAB file ({reason}), but expected one of version 5 "
+        f"to 7: save it again, with '-v7'."
+    )
+
+
+def _mat_table(vectors: dict[str, np.ndarray]) -> pd.DataFrame:
+    """Return the only table with ``time`` among vectors, named ``struct.field`` or ``name``."""
+    check_width(len(vectors))
+    tables: dict[str, dict[str, np.ndarray]] = {}
+    for place, vector in vectors.items():
+        struct, _, name = place.rpartition(".")
+        tables.setdefault(struct, {})[name] = vector
+    timed = {name: columns for name, columns in tables.items() if "time" in columns}
+    if len(timed) != 1:
+        names = [name or "loose vectors" for name in timed]
+        lacking = f"no vector 'time' among {sorted(vectors)[:12]}"
+        raise FlightReadError(
+            f"Got {f'several tables, {names}' if names else lacking}, but expected one: vectors "
+            "of equal length, loose or in one struct (of a MATLAB table: table2struct(T, "
+            "'ToScalar', true))."
+        )
+    (columns,) = timed.values()
+    n = len(columns["time"])
+    lengths = {name: len(vector) for name, vector in columns.items() if len(vector) != n}
+    uneven = {name: length for name, length in lengths.items() if base_name(name) in CHANNELS}
+    if uneven:
+        raise FlightReadError(
+            f"Got vectors of lengths {uneven}, but expected {n}, as many values as time has."
+        )
+    return pd.DataFrame({name: column for name, column in columns.items() if len(column) == n})

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -111,40 +110,35 @@ def read_tlog(path: Path) -> Log:
             "the autopilot itself."
         ) from error
     messages, skipped = _messages(path.read_bytes(), mavlink)
-    systems = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
+    systems = Counter(
+        message.get_srcSystem() for message in messages if message.get_type() == "ATTITUDE"
+    )
     if not systems:
         raise FlightReadError(
             "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an "
-            "aircraft: is it empty, "
-            "or of another kind?"
+            "aircraft: is it empty, or of another kind?"
         )
     system = systems.most_common(1)[0][0]
     by_name: dict[str, dict[int, Any]] = {}
-    for place, each in enumerate(messages):
-        if each.get_srcSystem() == system:
-            number = getattr(each, NUMBERED.get(each.get_type(), ""), 0)
-            name = instance_name(each.get_type(), int(number))
-            by_name.setdefault(name, {})[place] = each
-    beats = list(by_name.pop("HEARTBEAT", {}).values())
-    px4 = any(each.autopilot == PX4 for each in beats)
-    parameters = dict(_parameter(each, px4) for each in by_name.pop("PARAM_VALUE", {}).values())
-    attitude = _clocks(by_name["ATTITUDE"])
+    for place, message in enumerate(messages):
+        if message.get_srcSystem() == system:
+            number = getattr(message, NUMBERED.get(message.get_type(), ""), 0)
+            name = instance_name(message.get_type(), int(number))
+            by_name.setdefault(name, {})[place] = message
+    beats = by_name.pop("HEARTBEAT", {}).values()
+    px4 = any(beat.autopilot == PX4 for beat in beats)
+    settings = by_name.pop("PARAM_VALUE", {}).values()
+    parameters = {message.param_id: _parameter(message, px4) for message in settings}
+    attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
-    vehicle = next((MAV_TYPES[each.type] for each in beats if each.type in MAV_TYPES), None)
-    speeds = [
-        parameters[name]
-        for name in ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-        if name in parameters
-    ]
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
         rules=RULES,
         parameters=parameters,
         firmware="PX4" if px4 else "ArduPilot",
-        vehicle=vehicle,
+        vehicle=next((MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES), None),
         remarks=damage(skipped),
-        slowest_airspeed=next(iter(speeds), np.nan),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         servos=servos_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
@@ -152,67 +146,49 @@ def read_tlog(path: Path) -> Log:
     )
 
 
-def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
-    """Return a topic; a message whose clock is not the one of the attitude was sent between its neighbours."""
-    clock = _clocks(messages)
-    places = clock.index.to_numpy(float)
-    by_place = np.interp(places, attitude.index, attitude)
-    time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
-    fields = pd.DataFrame([each.to_dict() for each in messages.values()])
-    return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
-
-
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
-    """Return the messages that are of use, and how many bytes are none."""
-    decoder, known = mavlink.MAVLink(None), mavlink.mavlink_map
+    """Return the messages to read, and the number of bytes that belong to none."""
+    decoder = mavlink.MAVLink(None)
     messages: list[Any] = []
     position = skipped = 0
     while position + STAMP + min(OVERHEAD.values()) <= len(data):
         start = position + STAMP
         size = data[start + 1] + OVERHEAD.get(data[start], len(data))
-        if data[start] == 0xFD and data[start + 2] & 1:
-            size += SIGNATURE
-        message = None
-        if start + size <= len(data):
-            number = (
-                data[start + 5]
-                if data[start] == 0xFE
-                else int.from_bytes(data[start + 7 : start + 10], "little")
-            )
-            if number in known and known[number].msgname not in READ:
-                position = start + size
-                continue
-            with suppress(mavlink.MAVError, struct.error, UnicodeDecodeError):
-                message = decoder.decode(bytearray(data[start : start + size]))
-        if message is None:
-            position, skipped = position + 1, skipped + 1
-            continue
-        position = start + size
-        if message.get_type() in READ:  # not a message that this version of pymavlink does not know
-            messages.append(message)
-    return messages, skipped
+        size += SIGNATURE * (data[start] == 0xFD and data[start + 2] & 1)
+        frame = data[start : start + size]
+        numbers = frame[5:6] if data[start] == 0xFE else frame[7:10]
+        kind = mavlink.mavlink_map.get(int.from_bytes(numbers, "little"))
+        try:
+            if kind is None or kind.msgname in READ or len(frame) < size:
+                messages.append(decoder.decode(bytearray(frame)))
+            position = start + size
+        except (mavlink.MAVError, struct.error, UnicodeDecodeError):
+            position += 1
+            skipped += 1
+    return [message for message in messages if message.get_type() in READ], skipped
 
 
-def _parameter(message: Any, px4: bool) -> tuple[str, float]:
-    bits = struct.pack("<f", message.param_value)
-    is_whole = px4 and message.param_type == INT32
-    return message.param_id, float(
-        struct.unpack("<i", bits)[0] if is_whole else message.param_value
-    )
+def _clock(messages: dict[int, Any]) -> pd.Series:
+    """Return the vehicle's clock [s] by place in the file, NaN of messages without one."""
+
+    def clock(message):
+        times = (factor * getattr(message, name, np.nan) for name, factor in CLOCKS.items())
+        return next((time for time in times if np.isfinite(time)), np.nan)
+
+    return pd.Series({place: clock(message) for place, message in messages.items()})
 
 
-def _clocks(messages: dict[int, Any]) -> pd.Series:
-    """Return the clock of the vehicle [s] by place in the file, NaN of messages without one."""
-    return pd.Series(
-        {
-            place: next(
-                (
-                    factor * getattr(each, name)
-                    for name, factor in CLOCKS.items()
-                    if hasattr(each, name)
-                ),
-                np.nan,
-            )
-            for place, each in messages.items()
-        }
-    )
+def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
+    """Return a topic; a message off the clock of the attitude was sent between its neighbours."""
+    clock = _clock(messages)
+    places = clock.index.to_numpy(float)
+    by_place = np.interp(places, attitude.index, attitude)
+    time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
+    fields = pd.DataFrame([message.to_dict() for message in messages.values()])
+    return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
+
+
+def _parameter(message: Any, px4: bool) -> float:
+    """Return the value of a parameter; PX4 sends the bits of whole numbers."""
+    form = "<i" if px4 and message.param_type == INT32 else "<f"
+    return float(struct.unpack(form, struct.pack("<f", message.param_value))[0])

@@ -1,6 +1,6 @@
 """Reader of PX4 logs (ULog) by pyulog.
 
-The topics are those of https://docs.px4.io/main/en/msg_docs. What pyulog skips of a damaged file is
+Topics: https://docs.px4.io/main/en/msg_docs. Bytes of a damaged file that pyulog skips are
 counted, and definitions that ask for far more fields than a message can hold are refused.
 """
 
@@ -40,7 +40,7 @@ SHORT_MESSAGES = (  # classes of pyulog that may raise struct.error, which ends 
     *("_MessageInfo", "_MessageParameterDefault", "MessageLogging", "MessageLoggingTagged"),
     "MessageDropout",
 )
-# the last byte of a version from which it is an alpha, beta or release, not a state of development
+# least last byte of a version that is an alpha, beta or release, not a state of development
 RELEASED = 64
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
@@ -100,13 +100,8 @@ RULES = (
     Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
-OUTPUTS = (
-    "actuator_servos",
-    "actuator_outputs",
-    "actuator_outputs#1",
-    "actuator_controls_0",
-    "actuator_controls_1",
-)
+FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
+OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
 """By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 against our signs.
@@ -115,7 +110,7 @@ MIXED_TYPES = (*range(1, 9), *range(12, 16))
 """Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No flaps, airbrakes,
 wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp)."""
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
-"""Torques CA_SV_CSn_TRQ_ by which the autopilot allocates a control, and the sign of ours at a
+"""Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a
 positive torque.
 """
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
@@ -146,10 +141,11 @@ def read_ulog(path: Path) -> Log:
     except (ULogException, EOFError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
     topics = {}
-    for each in log.data_list:
-        fields = numeric_fields(each.data)
-        time = _sampled(each.name, fields) * 1e-6
-        topics[instance_name(each.name, each.multi_id)] = Topic(time, order[each.msg_id], fields)
+    for data_set in log.data_list:
+        fields = numeric_fields(data_set.data)
+        time = _sampled(data_set.name, fields) * 1e-6
+        name = instance_name(data_set.name, data_set.multi_id)
+        topics[name] = Topic(time, order[data_set.msg_id], fields)
     if not topics:
         raise FlightReadError(
             f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut "
@@ -159,7 +155,8 @@ def read_ulog(path: Path) -> Log:
     if log.file_corruption and not remarks:
         remarks = ("parts of the file could not be read and were skipped",)
     changed = {name: value for _, name, value in log.changed_parameters}
-    parameters = _numbers(log.initial_parameters | changed)
+    settings = log.initial_parameters | changed
+    parameters = {key: float(x) for key, x in settings.items() if type(x) in (int, float)}
     return Log(
         kind="PX4 ULog",
         topics=topics,
@@ -168,7 +165,6 @@ def read_ulog(path: Path) -> Log:
         firmware=_firmware(log.msg_info_dict),
         vehicle=_vehicle(topics, parameters),
         remarks=remarks,
-        slowest_airspeed=parameters.get("FW_AIRSPD_MIN", np.nan),
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         servos=_servos(topics, parameters),
@@ -186,11 +182,11 @@ class _Bytes(io.BytesIO):
         self.reads += 1
         if self.reads > self.getbuffer().nbytes + SPARE_READS:
             raise EOFError("most of it is damaged")
-        found = super().read(size)
-        wanted = size or 0
-        self.cut = len(found) < wanted and (bool(found) or wanted != HEAD_SIZE)
+        content = super().read(size)
+        expected = size or 0
+        self.cut = len(content) < expected and (bool(content) or expected != HEAD_SIZE)
         self.end = self.tell()
-        return found
+        return content
 
 
 def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
@@ -198,7 +194,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
     from pyulog import ULog
 
     places: dict[int, list[int]] = {}
-    known: dict[str, int] = {}
+    counts: dict[str, int] = {}
     n_lost = n_fields = 0
     most = min(MOST_FIELDS_IN_ALL, file.getbuffer().nbytes)
 
@@ -208,7 +204,7 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
                 nonlocal n_fields
                 if len(data) < 4:
                     raise ValueError("no topic is named")
-                n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, known)
+                n_fields += _n_fields(bytes(data[3:]).decode("latin-1"), formats, counts)
                 if n_fields > most:
                     raise ValueError("the topics have too many fields")
                 super().__init__(data, header, formats)
@@ -228,11 +224,11 @@ def _parsed(file: _Bytes) -> tuple[Any, dict[int, Vector], int]:
     for name in SHORT_MESSAGES:
         setattr(Reader, name, _forgiving(getattr(ULog, name)))
     log = Reader(file)
-    return log, {number: np.array(each, float) for number, each in places.items()}, n_lost
+    return log, {number: np.array(ends, float) for number, ends in places.items()}, n_lost
 
 
 def _forgiving(message: type) -> type:
-    """Return a class of messages of pyulog of which one that is too short does not end the reading."""
+    """Return a class of pyulog's messages whose instance, if too short, does not end the reading."""
 
     class Message(message):
         def __init__(self, *args, **options):
@@ -244,19 +240,17 @@ def _forgiving(message: type) -> type:
     return Message
 
 
-def _n_fields(name: str, formats: Mapping[str, Any], known: dict[str, int]) -> int:
+def _n_fields(name: str, formats: Mapping[str, Any], counts: dict[str, int]) -> int:
     """Return how many fields a message has; raise ValueError if it holds itself, or too many."""
-    if name not in known:
-        known[name] = (
-            MOST_FIELDS + 1
-        )  # until it is counted: a message that holds itself has too many
-        known[name] = sum(
-            max(n, 1) * (_n_fields(kind, formats, known) if kind in formats else 1)
+    if name not in counts:
+        counts[name] = MOST_FIELDS + 1  # of a message that holds itself
+        counts[name] = sum(
+            max(n, 1) * (_n_fields(kind, formats, counts) if kind in formats else 1)
             for kind, n, _ in formats[name].fields
         )
-    if known[name] > MOST_FIELDS:
+    if counts[name] > MOST_FIELDS:
         raise ValueError(f"{name} has more fields than a message can hold")
-    return known[name]
+    return counts[name]
 
 
 def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
@@ -267,10 +261,6 @@ def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     sampled = fields["timestamp_sample"]
     believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
     return np.where(believed, sampled, published)
-
-
-def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
-    return {key: float(value) for key, value in values.items() if type(value) in (int, float)}
 
 
 def _firmware(information: Mapping[str, Any]) -> str:
@@ -284,17 +274,20 @@ def _firmware(information: Mapping[str, Any]) -> str:
 
 
 def _vehicle(topics, parameters) -> str | None:
+    """Return the kind of vehicle by its status, or by a parameter of ground stations."""
     status = topics.get("vehicle_status", {})
     if "is_vtol" in status and status["is_vtol"].any():
         return "VTOL"
-    for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
-        if field in status and (found := names.get(whole(np.median(status[field])))):
-            return found
-    return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
+    kinds = [
+        names.get(whole(np.median(status[field])))
+        for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES))
+        if field in status
+    ]
+    return next(filter(None, [*kinds, MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))]), None)
 
 
 def _surface_types(topics, parameters) -> dict[int, int]:
-    """Return the type of each surface of control allocation whose output is logged, by its number."""
+    """Return the type of each surface of control allocation whose output is logged."""
     outputs = topics.get("actuator_servos", ())
     return {
         n: whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
@@ -304,22 +297,17 @@ def _surface_types(topics, parameters) -> dict[int, int]:
 
 
 def _servos(topics, parameters) -> dict[str, ServoChannel]:
-    """Return the servos of control allocation, else those of a plane mixed by fixed rules."""
-    channels: dict[str, ServoChannel] = {}
-    for n, kind in _surface_types(topics, parameters).items():
-        if kind in SURFACES:
-            channels.setdefault(
-                SURFACES[kind], ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True)
-            )
-    if channels:
-        return channels
-    name = (
-        "actuator_controls_1" if "actuator_controls_1" in topics else "actuator_controls_0"
-    )  # 1: a VTOL's wings
-    if name not in topics or "control[2]" not in topics[name]:
-        return {}
-    return {
+    """Return the servos of control allocation, else of a plane mixed by fixed rules."""
+    types = _surface_types(topics, parameters)
+    channels = {
+        SURFACES[types[n]]: ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True)
+        for n in sorted(types, reverse=True)  # the first output of a type counts
+        if types[n] in SURFACES
+    }
+    mixed = [name for name in FIXED_MIXERS if "control[2]" in topics.get(name, ())]
+    return channels or {
         key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned)
+        for name in mixed[:1]
         for key, (n, turned) in CONTROLS.items()
     }
 
@@ -327,14 +315,14 @@ def _servos(topics, parameters) -> dict[str, ServoChannel]:
 def _mixing(topics, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
     """Return the controls by the torques of control allocation: any number of surfaces, mixed in any way."""
     mixed = [n for n, kind in _surface_types(topics, parameters).items() if kind in MIXED_TYPES]
-    found = {}
+    mixing = {}
     for control, (axis, sign) in TORQUES.items():
         torques = {n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0) for n in mixed}
         total = sum(map(abs, torques.values()))
         if 0 < total < np.inf:
-            found[control] = tuple(
+            mixing[control] = tuple(
                 (sign * torque / total, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
                 for n, torque in torques.items()
                 if torque
             )
-    return found
+    return mixing

@@ -143,7 +143,7 @@ class TestHeldOut:
             model.fit(table, thin_targets(Y, 60))
         else:
             with pytest.warns(
-                UserWarning, match=r"Got one flight, so [45] blocks of it replace flights"
+                UserWarning, match=r"Got one flight, so [45] of its blocks replace flights"
             ):
                 model.fit(table, thin_targets(Y, 60))
         assert model.unit_ == "block"

@@ -67,7 +67,7 @@ def test_straight_flight_does_not_tell(columns):
 
 
 def test_identification_takes_it_and_carries_its_deviation():
-    with pytest.warns(FlightDataWarning, match="has no airspeed: that of its turns is used"):
+    with pytest.warns(FlightDataWarning, match="has no airspeed: its turns give it"):
         (flight,) = named_flights(circling(), needed=["airspeed"]).values()
     expected = airspeed_from_turns(circling())
     assert flight["airspeed"].equals(expected["airspeed"])

@@ -243,7 +243,7 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
     for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
         wrong = pd.concat([table, pd.DataFrame({"value": [value], "std": [0.01]}, index=[name])])
         found = verdict(mechanics_=mechanics(derivatives=wrong), messages=["A gap."])
-        assert "not those of a conventional stable aircraft" in found.warnings[0]
+        assert "not as on a conventional stable aircraft" in found.warnings[0]
         assert f"{name} {value:+.2g}" in found.warnings[0]
         assert use(found, "design a controller") == ("no", f"wrong sign of {name}")
         right = wrong.assign(value=wrong["value"].mask(wrong.index == name, -value))

@@ -60,9 +60,9 @@ class TestSummary:
         assert "alpha or reconstruction" in missing["regressors"]
 
     def test_a_multicopter_is_called_one(self, quad):
-        assert inspect_log(quad).no_flight == "multicopter: not for this program"
+        assert "multicopter: not for this program" in inspect_log(quad).no_flight
         for airborne in (True, False):
-            with pytest.raises(FlightReadError, match="log of a multicopter: not for this program"):
+            with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
                 read_flight(quad, airborne=airborne)
 
     def test_a_sensor_that_never_changes_is_missing(self, tmp_path, ulog):

@@ -61,7 +61,7 @@ class TestRefusals:
             (
                 "rudder",
                 {"channel": "a.b", "points": [[1100, 0.1], [10**400, 0.2]]},
-                "expected pairs of numbers",
+                "pairs of numbers as in",
             ),
         ],
     )

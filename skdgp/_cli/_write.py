@@ -1,17 +1,18 @@
-"""The command ``plan``: manoeuvres for the next flight."""
+"""Commands that write for others: the plan of the next flight, and exports of a model."""
 
 from __future__ import annotations
 
-import argparse
+import shutil
+import tempfile
 from functools import partial
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
+from skdgp._cli._fly import read_model, read_model_to_fly
 from skdgp._cli._output import Run, table_writer
-from skdgp._cli._predict import read_model_to_fly
 from skdgp._compute.files import Writer, text_writer
 from skdgp._compute.messages import warn
 from skdgp._compute.progress import listening
@@ -26,6 +27,7 @@ from skdgp.design import (
 )
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import trim
+from skdgp.export import FORMATS, export_model, load_portable
 
 RATE = 50.0  # of the rows of tables, and of the script [Hz]
 
@@ -34,52 +36,53 @@ def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
     Doublets, 3-2-1-1s and multisines are simulated from trims of the model. Each that is chosen is
-    flown by aircraft drawn from its posterior, in gusts as those of its training flights, and is
+    flown by aircraft drawn from its posterior, in gusts as in its training flights, and is
     made smaller or left out if it leaves the limits too often. These are the range of the training
-    flights, with --growth, but for those that are given. The controls are open loop during a
-    manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with the best of
-    what has been checked, if anything has.
+    flights, with --growth, unless given. The controls are open loop during a
+    manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with the best
+    manoeuvre checked so far, if any.
 
     Writes into DIR, all or none, and removes tables and scripts there that an earlier plan wrote
     and this one does not:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz; plan_1.csv,
                      plan_2.csv ... of several airspeeds
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
-      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, what it promises
+      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, promised errors
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
       plan.json      trims, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
-                     with those of a model learned from this flight too
+                     with a model learned from this flight too
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
       skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
-    options = run.options
-    console = run.console
+    options, console = run.options, run.console
     axes = list(dict.fromkeys(options.axes))
-    full = dict(options.full)
-    limits = _limits(options)
+    limits, full = _limits(options), dict(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    asked: dict[str, Any] = {
+    limits_of_envelope = {
         name: getattr(options, option[2:].replace("-", "_"))
         for name, option in Envelope.command_options.items()
     }
-    asked |= {"growth": float(options.growth), "risk": options.risk, "margin": options.margin}
-    envelope = Envelope(**asked, n_paths=options.paths, gusts=opt.none_of(options.gusts))
+    limits_of_envelope |= {
+        "growth": float(options.growth),
+        "risk": options.risk,
+        "margin": options.margin,
+    }
+    envelope = Envelope(
+        **limits_of_envelope, n_paths=options.paths, gusts=opt.none_of(options.gusts)
+    )
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
-    altitude = options.altitude
-    if altitude is None:  # the highest that was flown
-        altitude = envelope.altitudes(model.pipeline)[1]
-    climb = None if thrust is None else 0.0
+    highest = envelope.altitudes(model.pipeline)[1]  # of the training flights
     trims = trim(
         model.pipeline,
         model.aircraft,
         sorted(set(options.airspeed)),
-        altitude=altitude,
-        climb=climb,
+        altitude=highest if options.altitude is None else options.altitude,
+        climb=None if thrust is None else 0.0,
         thrust=thrust,
     )
     with listening(console.progress), console.counting_interrupts():
@@ -97,13 +100,12 @@ def plan(run: Run) -> None:
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     earlier = r"plan(_\d+)?\.(csv|lua)"
-    files = run.write_record("plan.json", numbers, _writers(options, planned), earlier)
+    files = run.write(_writers(options, planned), "plan.json", numbers, earlier)
     run.print(_text(planned, options, files), numbers)
 
 
-def _limits(options: argparse.Namespace) -> dict[str, Limits]:
-    amplitudes = dict(options.limits)
-    rates = dict(options.rates)
+def _limits(options) -> dict[str, Limits]:
+    amplitudes, rates = dict(options.limits), dict(options.rates)
     if lacking := sorted({*rates} - {*amplitudes}):
         raise ValueError(
             f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add "
@@ -112,7 +114,7 @@ def _limits(options: argparse.Namespace) -> dict[str, Limits]:
     return {axis: Limits(size, rates.get(axis, np.inf)) for axis, size in amplitudes.items()}
 
 
-def _writers(options: argparse.Namespace, planned: Plan) -> dict[str, Writer]:
+def _writers(options, planned: Plan) -> dict[str, Writer]:
     files: dict[str, Writer] = {}
     full = dict(options.full)
     for number, train in enumerate(planned.trains, start=1):
@@ -129,7 +131,7 @@ def _writers(options: argparse.Namespace, planned: Plan) -> dict[str, Writer]:
     }
 
 
-def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
+def _text(planned: Plan, options, files: list) -> str:
     """Return trims, manoeuvres, limits and standard deviations as tables."""
     lines = []
     for number, point in enumerate(planned.trims):
@@ -149,7 +151,7 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
         until = (
             f"up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
         )
-        lines += ["", f"limits, and what is expected {until}, SI units"]
+        lines += ["", f"limits, and expected extremes {until}, SI units"]
         lines.append(_table(limits.join(expected, rsuffix=" expected")))
     lines += ["", "standard deviations", _table(planned.errors)]
     if not options.full:
@@ -159,6 +161,56 @@ def _text(planned: Plan, options: argparse.Namespace, files: list) -> str:
 
 def _table(table: pd.DataFrame) -> str:
     return table.to_string(float_format="{:.3g}".format)
+
+
+def export(run: Run) -> None:
+    """Write a model in a form that other programs read, without Python or without pickle.
+
+    portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
+    c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
+    jsbsim    aircraft/NAME/NAME.xml: an aircraft whose coefficients are the sums of their effects
+    casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
+    onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+
+    MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the model gets
+    fewer basis functions; the loss is printed in standard deviations of the posterior. All files
+    are written into DIR, or none.
+
+    For example:
+      skdgp export results/model.joblib --to portable -o portable
+      skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
+    """
+    options = run.options
+    run.console.stage("reading")
+    if Path(options.model).suffix != ".npz":
+        model = read_model(options)
+    elif options.aircraft is not None:
+        raise ValueError(
+            "Got --aircraft with a portable model, but expected model.joblib: a portable model "
+            "has its own."
+        )
+    else:
+        model = load_portable(options.model)
+    run.console.stage(f"exporting to {options.to}")
+    with tempfile.TemporaryDirectory() as temporary:
+        facts = export_model(temporary, model, options.to, max_kb=options.max_kb)
+        files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
+        sizes = {name: path.stat().st_size for name, path in files.items()}
+        for name in files:
+            Path(options.output, name).parent.mkdir(parents=True, exist_ok=True)
+        run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
+    numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
+    run.print(_export_text(options.output, numbers), numbers)
+
+
+def _export_text(folder, numbers) -> str:
+    width = max(map(len, numbers["files"])) + 2
+    lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
+    if loss := numbers.get("loss"):
+        lines += ["", "loss, root mean square, in posterior deviations"]
+        lines += [f"{'':6}{'mean':>12}{'std':>12}"]
+        lines += [f"{name:6}{row['mean']:>12.2g}{row['std']:>12.2g}" for name, row in loss.items()]
+    return "\n".join([*lines, "", f"written into {folder}"])
 
 
 COMMANDS: opt.Commands = {
@@ -191,7 +243,7 @@ COMMANDS: opt.Commands = {
         },
         "limits": {
             "--limits": opt.AXIS_VALUES
-            | {"help": "largest deviations from trim [rad] (default: what was flown)"},
+            | {"help": "largest deviations from trim [rad] (default: as flown)"},
             "--rates": opt.AXIS_VALUES
             | {"help": "largest rates of change [rad/s] of axes with --limits (default: none)"},
             "--max-bank": {"metavar": "RAD", "type": opt.positive("rad"), "help": "to either side"},
@@ -203,11 +255,11 @@ COMMANDS: opt.Commands = {
             "--growth": {
                 "metavar": "X",
                 "type": opt.number(
-                    "a number, 0 or more, or inf", lambda value: value >= 0, words=("inf",)
+                    "a number, 0 or more, or inf", lambda value: value >= 0, keywords=("inf",)
                 ),
                 "default": 0.2,
                 "help": (
-                    "part of its range by which a quantity may leave what was flown; inf: no "
+                    "part of its range by which a quantity may leave its range in training; inf: no "
                     "limit (default: 0.2)"
                 ),
             },
@@ -254,6 +306,22 @@ COMMANDS: opt.Commands = {
                 "type": opt.number(),
                 "nargs": 2,
                 "help": "[m/s]",
+            },
+        },
+    },
+    export: {
+        "": {
+            "model": opt.SHARED["model"]
+            | {
+                "help": f"the model.joblib that identify wrote ({opt.TRUST}), or a portable model.npz"
+            },
+            "--aircraft": opt.SHARED["--aircraft"],
+            "--output": opt.SHARED["--output"] | {"required": True},
+            "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},
+            "--max-kb": {
+                "metavar": "KB",
+                "type": opt.positive("kB"),
+                "help": "largest size of the code, or of the portable form (default: whole model)",
             },
         },
     },

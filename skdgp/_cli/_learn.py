@@ -1,4 +1,4 @@
-"""The commands ``identify`` and ``demo``: learn a model from flights and judge it on others."""
+"""Commands that read flights: inspect a log, learn a model from flights, and judge it on others."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from skdgp._cli import _options as opt
+from skdgp._cli._fly import read_model
 from skdgp._cli._output import Run
+from skdgp._compute.files import text_writer, write_atomically
+from skdgp._compute.messages import without_warnings
 from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
+from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
+from skdgp.identification import validate as judge
+from skdgp.io import inspect_log, read_flight, servo_template
+from skdgp.preprocessing import LagCorrector
 
 SIZES = {
     "mass": "[kg]",
@@ -32,11 +40,53 @@ ENGINE = {
     "was not logged",
 }
 INCH = 0.0254
-CONTENTS = {
-    "report.html": "report",
-    "metrics.json": "numbers",
-    "model.joblib": "model",
-}
+CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model"}
+
+
+def inspect(run: Run) -> None:
+    """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
+
+    And the columns missing for coefficients, reconstruction, regressors, replay; which channels
+    contradict physics (a wrong sign, unit or axis); and how late air data, surfaces, attitude and
+    GPS are against the inertial unit (identify corrects them).
+
+    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
+
+    For example:
+      skdgp inspect log.ulg
+      skdgp inspect log.bin --servo-template servo.toml
+    """
+    options = run.options
+    run.console.stage("reading")
+    summary = inspect_log(options.log, servos=options.servos, rename=dict(options.rename))
+    if options.servo_template is not None:
+        path, text = Path(options.servo_template), servo_template(options.log)
+        if path.exists():
+            raise FileExistsError(
+                f"Got {str(path)!r} for the servo template, but it is there already: name another "
+                f"one."
+            )
+        write_atomically(path, text_writer(text))
+    run.console.stage("estimating lags")
+    lags, why = (
+        _lags(options) if len(summary.flights) else (None, "not estimated: there is no flight")
+    )
+    lines = [f"  {'lags':<18}{why}"]
+    for name, row in {} if lags is None else lags.iterrows():
+        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s" if np.isfinite(row["std"]) else ""
+        lines.append(f"    {name:<16}{value:20}{row['remark']}")
+    numbers = summary.to_dict() | {"lags": None if lags is None else lags.to_dict("index")}
+    run.print("\n".join([str(summary), "", *lines]), numbers)
+
+
+def _lags(options) -> tuple[pd.DataFrame | None, str]:
+    """Return the lags of a log and their unit, or None and why they cannot be estimated."""
+    with without_warnings():  # the summary shows them
+        try:
+            table = read_flight(options.log, servos=options.servos, rename=dict(options.rename))
+            return LagCorrector().fit(table).lags_, "seconds, positive where late"
+        except ValueError as error:
+            return None, f"not estimated: {error}"
 
 
 def identify(run: Run) -> None:
@@ -81,13 +131,13 @@ def identify(run: Run) -> None:
       skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
     """
     options = run.options
-    known = {"thrust": opt.none_of(options.thrust), "external_forces": options.external_forces}
     _learn(
         run,
         options.train,
         _aircraft(run),
         options.test,
-        **known,
+        thrust=opt.none_of(options.thrust),
+        external_forces=options.external_forces,
         reading=opt.reading(options),
     )
 
@@ -96,11 +146,13 @@ def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
     names = ("aircraft", *SIZES, "kind", *ENGINE)
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
-    if [*given] == ["aircraft"]:
+    sizes_and_engine = {
+        name: value for name in names if (value := getattr(options, name)) is not None
+    }
+    if [*sizes_and_engine] == ["aircraft"]:
         return options.aircraft
-    if "aircraft" in given or not {"mass", "span"} <= set(given):
-        got = " ".join(f"--{name.replace('_', '-')}" for name in given) or "no aircraft"
+    if "aircraft" in sizes_and_engine or not {"mass", "span"} <= set(sizes_and_engine):
+        got = " ".join(f"--{name.replace('_', '-')}" for name in sizes_and_engine) or "no aircraft"
         options.parser.error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
             f"estimated"
@@ -109,18 +161,17 @@ def _aircraft(run: Run) -> Aircraft | str:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    known: dict = {name: value for name, value in given.items() if name in (*SIZES, "kind")}
+    sizes: dict = {
+        name: value for name, value in sizes_and_engine.items() if name in (*SIZES, "kind")
+    }
     if options.propeller:
         motor: dict = {}
         if options.motor:
             rpm_per_volt, voltage = options.motor
-            motor = {
-                "motor_constant": rpm_per_volt * np.pi / 30,
-                "voltage": voltage,
-            }  # rad/s of rpm
-        size = [INCH * value for value in options.propeller]
-        known["propeller"] = Propeller.from_size(*size, **motor)
-    return Aircraft.estimate(**known, name=Path(options.train[0]).stem)
+            motor = {"motor_constant": rpm_per_volt * np.pi / 30, "voltage": voltage}
+        diameter, pitch = (INCH * inches for inches in options.propeller)
+        sizes["propeller"] = Propeller.from_size(diameter, pitch, **motor)
+    return Aircraft.estimate(**sizes, name=Path(options.train[0]).stem)
 
 
 def demo(run: Run) -> None:
@@ -140,13 +191,9 @@ def demo(run: Run) -> None:
     )
 
 
-def _learn(run, train, aircraft, test, title=None, **known):
+def _learn(run, train, aircraft, test, title=None, **loads):
     options, console = run.options, run.console
-    given = {
-        "n_latent": options.latents,
-        "max_iter": options.max_iter,
-        "n_inducing": options.inducing,
-    }
+    parameters = {"n_latent": "latents", "max_iter": "max_iter", "n_inducing": "inducing"}
     regressor = DependentGPRegressor(
         structure=options.structure,
         trend=opt.none_of(options.trend),
@@ -154,11 +201,13 @@ def _learn(run, train, aircraft, test, title=None, **known):
         input_noise=opt.none_of(options.input_noise),
         n_jobs=options.n_jobs,
         random_state=options.seed,
-        **{name: value for name, value in given.items() if value is not None},
+        **{
+            k: getattr(options, v) for k, v in parameters.items() if getattr(options, v) is not None
+        },
     )
     steps = {
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
-        "lags": None if options.lags == "none" else "auto",
+        "lags": opt.none_of(options.lags),
     }
     with listening(console.progress):
         with console.counting_interrupts():
@@ -171,16 +220,50 @@ def _learn(run, train, aircraft, test, title=None, **known):
                 pipeline=steps,
                 samples=options.samples,
                 horizons=options.horizons,
-                **known,
+                **loads,
             )
-        finish(run, replace(result, command=run.command_line, title=title or result.title))
+        _finish(run, replace(result, title=title or result.title))
 
 
-def finish(run: Run, result: Identification) -> None:
+def _finish(run: Run, result: Identification) -> None:
     """Write the outputs, where a folder is named, and print the summary."""
-    files = run.write(result.writers()) if run.folder is not None else []
+    result = replace(result, command=run.command_line)
+    files = run.write(result.writers() if run.folder else {})
     lines = [f"{CONTENTS[path.name]:<9}{path}" for path in files]
     run.print("\n".join([result.summary(), "", *lines]).rstrip(), result.metrics)
+
+
+def validate(run: Run) -> None:
+    """Judge a model on flights that it has not seen, as identify does on its test flights.
+
+    Its coefficients are compared with the measured ones and replayed: integrated from the measured
+    state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html
+    and metrics.json into DIR, all or none. With --plan also the standard deviations of derivatives that the
+    plan promised, beside this model's, which learned from its flight.
+
+    For example:
+      skdgp validate results/model.joblib thursday.csv
+      skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      skdgp validate both/model.joblib thursday.csv --plan next/plan.json -o validation
+      skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
+    """
+    options = run.options
+    names = ("thrust", "external_forces")
+    loads = {
+        name: opt.none_of(value) for name in names if (value := getattr(options, name)) is not None
+    }
+    with listening(run.console.progress):
+        model = read_model(options)
+        result = judge(
+            model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
+        )
+        if options.plan is not None:
+            thrust = None if result.settings["thrust"] in (None, "none") else "auto"
+            check = PlanCheck.from_file(
+                options.plan, model.pipeline, result.aircraft, thrust=thrust
+            )
+            result = replace(result, supplements=[check])
+        _finish(run, result)
 
 
 LEARNING: dict[str, dict[str, Any]] = {
@@ -264,6 +347,17 @@ LEARNING: dict[str, dict[str, Any]] = {
     },
 }
 COMMANDS: opt.Commands = {
+    inspect: {
+        "": {
+            "log": {"metavar": "LOG", "help": "the log"},
+            "--servos": opt.SHARED["--servos"],
+            "--rename": opt.SHARED["--rename"],
+            "--servo-template": {
+                "metavar": "FILE",
+                "help": "write such a file for this log, to be filled in with the angles",
+            },
+        },
+    },
     demo: {
         "": {
             "--horizons": opt.SHARED["--horizons"],
@@ -297,12 +391,12 @@ COMMANDS: opt.Commands = {
                 "help": "folder for the outputs (default: skdgp-results)",
             },
             **{
-                f"--{name.replace('_', '-')}": {"metavar": "X", "type": opt.size, "help": words}
-                for name, words in SIZES.items()
+                f"--{name.replace('_', '-')}": {"metavar": "X", "type": opt.size, "help": text}
+                for name, text in SIZES.items()
             },
             **{
-                f"--{name}": {"metavar": "AxB", "type": opt.factors, "help": words}
-                for name, words in ENGINE.items()
+                f"--{name}": {"metavar": "AxB", "type": opt.factors, "help": text}
+                for name, text in ENGINE.items()
             },
         },
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
@@ -313,6 +407,24 @@ COMMANDS: opt.Commands = {
         },
         "model": {
             **LEARNING,
+        },
+    },
+    validate: {
+        "": {
+            "model": opt.SHARED["model"],
+            "flight": opt.SHARED["flight"],
+            "--aircraft": opt.SHARED["--aircraft"],
+            **opt.LOG,
+            "--horizons": opt.SHARED["--horizons"],
+            "--output": opt.SHARED["--output"],
+            "--plan": {
+                "metavar": "FILE",
+                "help": (
+                    "plan.json of a flight that the model learned from: compares its promises with this model"
+                ),
+            },
+            "--thrust": opt.SHARED["--thrust"],
+            "--external-forces": opt.SHARED["--external-forces"],
         },
     },
 }

@@ -147,7 +147,9 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     units = pd.DataFrame(in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor.scale_
     columns = posterior.kernel.term_regressors()
-    terms = {_name(some, names): CentredTerm(posterior, some, rows) for some in columns}
+    terms = {
+        _name(regressors, names): CentredTerm(posterior, regressors, rows) for regressors in columns
+    }
     intercept = sum(term.values.mean(axis=0) for term in terms.values())
     terms.pop("", None)  # the constant
     curves = {}

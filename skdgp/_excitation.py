@@ -295,16 +295,16 @@ class Multisine(Signal):
     phases: Sequence[float]
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.harmonics)
-        is_whole = len(given) > 0 and bool((given == given.astype(int)).all())
-        if not (is_whole and given.min() > 0 and given.max() <= MOST_PERIODS):
+        harmonics = np.asarray(self.harmonics)
+        is_whole = len(harmonics) > 0 and bool((harmonics == harmonics.astype(int)).all())
+        if not (is_whole and harmonics.min() > 0 and harmonics.max() <= MOST_PERIODS):
             raise ValueError(
                 f"Got harmonics {list(self.harmonics)}, but expected integers from 1 to "
                 f"{MOST_PERIODS}: choose a shorter signal or lower frequencies."
             )
         numbers = np.array([self.duration, *self.amplitudes, *self.phases])
-        n = len({*given})
-        is_complete = n == len(given) == len(self.amplitudes) == len(self.phases)
+        n = len({*harmonics})
+        is_complete = n == len(harmonics) == len(self.amplitudes) == len(self.phases)
         if not (is_complete and np.isfinite(numbers).all() and self.duration > 0):
             raise ValueError(
                 f"Got duration {self.duration}, amplitudes {self.amplitudes} and phases "
@@ -362,12 +362,12 @@ class Multisine(Signal):
         following = np.roll(signal, -1)
         is_crossing = (signal > 0) != (following > 0)
         k = int(np.argmin(np.where(is_crossing, np.abs(following - signal), np.inf)))
-        at = newton(
-            lambda at: np.sin(turn * at + phases) @ self.amplitudes,
+        shift = newton(
+            lambda shift: np.sin(turn * shift + phases) @ self.amplitudes,
             k / len(signal),
-            lambda at: (turn * np.cos(turn * at + phases)) @ self.amplitudes,
+            lambda shift: (turn * np.cos(turn * shift + phases)) @ self.amplitudes,
         )
-        return replace(self, phases=np.mod(phases + turn * at, 2.0 * np.pi).tolist())
+        return replace(self, phases=np.mod(phases + turn * shift, 2.0 * np.pi).tolist())
 
 
 def multisine(
@@ -449,16 +449,16 @@ def orthogonal_multisines(
             f"expected an axis, 0 < lowest < highest and at most {MOST_PERIODS} periods."
         )
     first = int(np.ceil(low * duration - ROUNDING))
-    found = np.arange(first, int(np.floor(high * duration + ROUNDING)) + 1)
-    n_each = len(found) // len(limits) if n_tones is None else n_tones
-    if n_each < 1 or n_each * len(limits) > len(found):
+    available = np.arange(first, int(np.floor(high * duration + ROUNDING)) + 1)
+    n_each = len(available) // len(limits) if n_tones is None else n_tones
+    if n_each < 1 or n_each * len(limits) > len(available):
         raise ValueError(
             f"Got {len(limits)} axes with {n_tones or 'at least 1'} tones each, but there are "
-            f"{len(found)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
+            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
             f"fly longer, widen the band or use fewer tones."
         )
     inputs = {}
-    for axis, harmonics in zip(limits, _dealt(found, len(limits), n_each), strict=True):
+    for axis, harmonics in zip(limits, _dealt(available, len(limits), n_each), strict=True):
         signal = multisine(duration, harmonics.tolist(), rms=1.0).optimized()
         inputs[axis] = as_limits(limits[axis]).largest(signal)
     return inputs

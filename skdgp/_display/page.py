@@ -61,12 +61,12 @@ def table(
     """Return a table of ready HTML cells: the first of each row names it; a row of one cell heads a group."""
     heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
     body = ""
-    for first, *rest in rows:
-        cells = "".join(f"<td>{cell}</td>" for cell in rest)
+    for first, *cells_of_row in rows:
+        cells = "".join(f"<td>{cell}</td>" for cell in cells_of_row)
         group = f'<tr class="group"><th colspan="{len(head)}" scope="colgroup">{first}</th></tr>'
-        body += f'<tr><th scope="row">{first}</th>{cells}</tr>' if rest else group
-    words = f"<caption>{caption}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>"
-    return f'<div class="scroll"><table class="{classes}">{words}</table></div>'
+        body += f'<tr><th scope="row">{first}</th>{cells}</tr>' if cells_of_row else group
+    content = f"<caption>{caption}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="scroll"><table class="{classes}">{content}</table></div>'
 
 
 def figure(
@@ -95,8 +95,8 @@ def figure(
 
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> str:
     """Return the document; title and kind are text, the rest is HTML."""
-    words = {"kind": text(kind), "title": text(title), "meta": meta, "body": body}
-    return PAGE.substitute(words, colophon=colophon, style=STYLE)
+    fields = {"kind": text(kind), "title": text(title), "meta": meta, "body": body}
+    return PAGE.substitute(fields, colophon=colophon, style=STYLE)
 
 
 def can_draw() -> bool:
@@ -160,5 +160,5 @@ def _shortened(match: re.Match) -> str:
     """Return an attribute with coordinates rounded to what a screen resolves, without letters that SVG implies."""
     name, value = match.groups()
     digits = 1 if len(value) > 1000 else 2
-    value = re.sub(r"-?\d+\.\d+", lambda found: f"{float(found[0]):.{digits}f}", value)
+    value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}", value)
     return f'{name}="{value if set("CQ") & set(value) else value.replace(" L ", " ")}"'

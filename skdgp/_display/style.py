@@ -131,14 +131,16 @@ def draw_curve(
 
 def mark_samples(ax: Any, values: Vector) -> None:
     """Mark quantiles of samples at the lower edge."""
-    at = np.quantile(values, np.linspace(0.02, 0.98, 25))
+    quantiles = np.quantile(values, np.linspace(0.02, 0.98, 25))
     style = {
         "color": ROLES["measured"],
         "markersize": 4,
         "markeredgewidth": 0.5,
         "label": "samples",
     }
-    ax.plot(at, np.full(len(at), 0.03), "|", transform=ax.get_xaxis_transform(), **style)
+    ax.plot(
+        quantiles, np.full(len(quantiles), 0.03), "|", transform=ax.get_xaxis_transform(), **style
+    )
 
 
 def legend_above(ax: Any) -> None:

@@ -123,12 +123,12 @@ def _go(plan: Plan) -> str:
 
 def _entry(plan: Plan) -> str:
     states = ("airspeed", "altitude", "phi", "alpha", "theta")
-    axes = list(dict.fromkeys(axis for one in plan.trims for axis in one.controls))
+    axes = list(dict.fromkeys(axis for trim in plan.trims for axis in trim.controls))
     rows = []
     pauses = plan.manoeuvres.groupby("train")["start"].first()
-    for k, one in enumerate(plan.trims):
-        values = [shown(name, getattr(one, name)) for name in states]
-        values += [shown(axis, one.controls.get(axis, np.nan)) for axis in axes]
+    for k, trim in enumerate(plan.trims):
+        values = [shown(name, getattr(trim, name)) for name in states]
+        values += [shown(axis, trim.controls.get(axis, np.nan)) for axis in axes]
         rows.append([_train(plan, k), *values, number(pauses[k], ".1f")])
     caption = (
         "Trim, as the model expects it; deflections of the controls are positions, not deviations."
@@ -166,7 +166,7 @@ def _order(plan: Plan) -> str:
 def _limits(plan: Plan) -> str:
     """Return the limits, and the responses that are expected of the flight."""
     limits = plan.abort_limits
-    words = (
+    instruction = (
         "<p><b>At any of these limits: inputs off, and back to the trim by hand.</b></p>"
         if len(limits)
         else "<p><b>Nothing limits this flight, not even a floor.</b> Agree before the flight when "
@@ -186,7 +186,7 @@ def _limits(plan: Plan) -> str:
         f"{_drawn(plan)}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held; the "
         f"risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
-    return _section("Abort limits", words + table(head, rows, caption=caption))
+    return _section("Abort limits", instruction + table(head, rows, caption=caption))
 
 
 def _promise(plan: Plan) -> str:
@@ -194,9 +194,9 @@ def _promise(plan: Plan) -> str:
     errors = plan.errors
     rows = []
     for name, row in errors.iterrows():
-        left = percent(row["promised"] / row["before"], ".0f")
+        remaining = percent(row["promised"] / row["before"], ".0f")
         rows.append(
-            [text(name), number(row["before"], ".2g"), number(row["promised"], ".2g"), left]
+            [text(name), number(row["before"], ".2g"), number(row["promised"], ".2g"), remaining]
         )
     caption = (
         f"Standard deviations of derivatives at the trims, as <code>derivatives</code> states "

@@ -110,26 +110,26 @@ class Envelope:
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
-        given: dict[str, Any] = {
+        limits: dict[str, Any] = {
             name: value for name in QUANTITIES if (value := getattr(self, name)) is not None
         }
-        if "bank" in given:
-            given["bank"] = (-given["bank"], given["bank"])
-        if "altitude" in given:
-            given["altitude"] = (given["altitude"], np.inf)
-        found = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | given
+        if "bank" in limits:
+            limits["bank"] = (-limits["bank"], limits["bank"])
+        if "altitude" in limits:
+            limits["altitude"] = (limits["altitude"], np.inf)
+        bounds = dict.fromkeys(QUANTITIES, (-np.inf, np.inf)) | limits
         if np.isfinite(self.growth):
             ranges = {
-                name: pair for name, pair in flown_quantities(model).items() if name not in given
+                name: pair for name, pair in flown_quantities(model).items() if name not in limits
             }
             if model.limits is not None:
                 ranges |= dict(zip(model.regressors, model.limits.T, strict=True))
             for name, (low, high) in ranges.items():
-                more = 0.5 * self.growth * (high - low)
+                growth = 0.5 * self.growth * (high - low)
                 least, most = WHOLE_RANGE.get(name, (-np.inf, np.inf))
-                grown = (low, np.inf) if name == "altitude" else (low - more, high + more)
-                found[GROWTH + name] = max(least, grown[0]), min(most, grown[1])
-        return found
+                grown = (low, np.inf) if name == "altitude" else (low - growth, high + growth)
+                bounds[GROWTH + name] = max(least, grown[0]), min(most, grown[1])
+        return bounds
 
     def altitudes(self, model: Aerodynamics | BaseEstimator) -> tuple[float, float]:
         """Return the lowest and the highest altitude that a model was learned from [m], 0 and 100 if unknown."""
@@ -159,11 +159,11 @@ class Envelope:
         flight: pd.DataFrame,
         aircraft: Aircraft,
         model: Aerodynamics,
-        more: Matrix | float = 0.0,
+        margin: Matrix | float = 0.0,
     ) -> pd.DataFrame:
         """Return which limits each row of a flight leaves, with ``more`` (n, c) added; ``ended``: it ended early."""
         low, high = np.array([*self.bounds(model).values()]).T
-        values = self.channels(flight, aircraft, model) + more
+        values = self.channels(flight, aircraft, model) + margin
         return ((values < low) | (values > high)).assign(ended=flight["ended"].to_numpy() != "")
 
 

@@ -50,25 +50,27 @@ def slope_variances(fisher: Matrix) -> Vector:
 def derivative_names(model: Aerodynamics) -> dict[str, int]:
     """Return the number of the regressor of each derivative of the model, such as ``Cm_q``."""
     short = [name.removesuffix(HAT) for name in model.regressors]
-    return {f"{one}_{name}": k for one in COEFFICIENTS for k, name in enumerate(short)}
+    return {
+        f"{coefficient}_{name}": k for coefficient in COEFFICIENTS for k, name in enumerate(short)
+    }
 
 
 def check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> tuple[str, ...]:
     """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of one."""
-    known = derivative_names(model)
-    names = (goal,) if isinstance(goal, str) else tuple(known if goal is None else goal)
-    lacking = [name for name in names if name not in known]
+    derivatives = derivative_names(model)
+    names = (goal,) if isinstance(goal, str) else tuple(derivatives if goal is None else goal)
+    lacking = [name for name in names if name not in derivatives]
     if lacking or not names or isinstance(goal, str):
         raise ValueError(
             f"Got the goal {lacking or goal!r}, but the model has the regressors "
-            f"{list(model.regressors)}: give a list of derivatives such as {next(iter(known))!r}, "
+            f"{list(model.regressors)}: give a list of derivatives such as {next(iter(derivatives))!r}, "
             f"or learn a model with that regressor."
         )
     if model.limits is not None:
         still = np.ptp(model.limits, axis=0) == 0
-        if unmoved := [name for name in goal or () if still[known[name]]]:
+        if unmoved := [name for name in goal or () if still[derivatives[name]]]:
             raise ValueError(
-                f"Got the goal {unmoved}, but {model.regressors[known[unmoved[0]]]} did not move "
+                f"Got the goal {unmoved}, but {model.regressors[derivatives[unmoved[0]]]} did not move "
                 f"in the flights that the model was learned from: learn from a flight in which it "
                 f"moves, or ask for another goal."
             )

@@ -113,19 +113,19 @@ class Plan:
         low = pd.concat([table["low"] for table in tables.values()], axis=1).max(axis=1)
         high = pd.concat([table["high"] for table in tables.values()], axis=1).min(axis=1)
         low["airspeed"] = low["airspeed"] if low["airspeed"] > 0 else -np.inf
-        found = pd.DataFrame({"low": low, "high": high})
-        finite = found.where(np.isfinite(found))
+        limits = pd.DataFrame({"low": low, "high": high})
+        finite = limits.where(np.isfinite(limits))
         is_of = {word: finite.eq(table).any(axis=1) for word, table in tables.items()}
-        found["source"] = [
+        limits["source"] = [
             ", ".join(word for word in sources if is_of[word][name]) for name in QUANTITIES
         ]
-        return found[found["source"] != ""]
+        return limits[limits["source"] != ""]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, SI units and radians."""
         return {
             "aircraft": self.aircraft.name,
-            "trims": [{name: plain(getattr(one, name)) for name in TRIM} for one in self.trims],
+            "trims": [{name: plain(getattr(trim, name)) for name in TRIM} for trim in self.trims],
             "manoeuvres": self.manoeuvres.to_dict("records"),
             "risk": self.risk,
             "gusts": self.gusts,
@@ -145,13 +145,15 @@ def std_at(
 
     Trims have "state" and "controls". The result is empty for a model without a posterior.
     """
-    states = np.array([one["state"] for one in trims], dtype=float)
+    states = np.array([trim["state"] for trim in trims], dtype=float)
     names = trims[0]["controls"]
-    controls = {name: np.array([one["controls"][name] for one in trims]) for name in names}
-    found = stability_derivatives(model, aircraft, states, controls, thrust=thrust, added=added)
-    if "std" not in found:
+    controls = {name: np.array([trim["controls"][name] for trim in trims]) for name in names}
+    derivatives = stability_derivatives(
+        model, aircraft, states, controls, thrust=thrust, added=added
+    )
+    if "std" not in derivatives:
         return pd.Series(dtype=float)
-    return np.sqrt((found["std"] ** 2).groupby(level=1).mean())
+    return np.sqrt((derivatives["std"] ** 2).groupby(level=1).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,18 +200,18 @@ class PlanCheck:
             columns = ["before", "promised"]
             rows = [[float(row[name]) for name in columns] for row in plan["errors"].values()]
             errors = pd.DataFrame(rows, index=list(plan["errors"]), columns=columns)
-            found = std_at(model, aircraft, plan["trims"], thrust)
+            std = std_at(model, aircraft, plan["trims"], thrust)
         except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError):
             raise ValueError(
                 f"Got {path} as the plan, but expected the plan.json that skdgp plan "
                 f"writes: copy it again, or plan again."
             ) from None
-        if lacking := [name for name in errors.index if name not in found]:
+        if lacking := [name for name in errors.index if name not in std]:
             raise ValueError(
                 f"Got a plan for {lacking}, but the model has no standard deviations of them: "
                 f"judge a model with the regressors that the plan was made with."
             )
-        return cls(errors.assign(found=found.reindex(errors.index)))
+        return cls(errors.assign(found=std.reindex(errors.index)))
 
     @property
     def remaining(self) -> dict[str, float]:
@@ -219,8 +221,8 @@ class PlanCheck:
 
     def summary(self) -> list[str]:
         """Return what was promised and found, in one line."""
-        words = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
-        return [f"standard deviations of the plan's goal, of those before it: {words}"]
+        ratios = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
+        return [f"standard deviations of the plan's goal, of those before it: {ratios}"]
 
     def section(self) -> str:
         """Return its section of the report, HTML."""
@@ -228,11 +230,11 @@ class PlanCheck:
             [text(name), *(number(value, ".2g") for value in row)]
             for name, row in self.errors.iterrows()
         ]
-        words = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
+        ratios = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
         caption = (
             f"Standard deviations of derivatives at the trims of the plan: before its flight, "
             f"promised by the plan, and found in this model. Geometric mean, of those before: "
-            f"{words}."
+            f"{ratios}."
         )
         shown = table(["derivative", *self.errors], rows, caption=caption, classes="narrow")
         return f"<section><h2>The plan and this model</h2>{shown}</section>"

@@ -232,14 +232,16 @@ class _Planner:
             )
             for point in self.trims
         ]  # fmt: skip
-        self.library = {one.name: one for at in range(len(self.trims)) for one in self._library(at)}
+        self.library = {
+            item.name: item for k in range(len(self.trims)) for item in self._library(k)
+        }
         if not self.library:
-            pause = min(one.pause for one in self.rehearsals)
+            pause = min(item.pause for item in self.rehearsals)
             raise ValueError(
                 f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that "
                 f"short and can be flown: give more seconds or smaller limits."
             )
-        peak = np.max([np.diag(one.information) for one in self.library.values()], axis=0)
+        peak = np.max([np.diag(item.information) for item in self.library.values()], axis=0)
         self.known = VAGUE * np.diag(np.maximum(peak, UNMOVED))
         if self.learned is not None:
             self.known += information(self.learned)
@@ -272,15 +274,15 @@ class _Planner:
 
     def _checked_limits(self, axes: Sequence[str], limits: Mapping) -> dict[str, Limits]:
         """Return the limits of the axes, by default what the model was learned from; the throttle ends at 0 and 1."""
-        found = {}
+        checked = {}
         for axis in axes:
-            found[axis] = as_limits(limits[axis] if axis in limits else self._flown(axis))
+            checked[axis] = as_limits(limits[axis] if axis in limits else self._flown(axis))
             if axis in WHOLE_RANGE:
                 room = self._room(
                     axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes"
                 )
-                found[axis] = replace(found[axis], amplitude=min(found[axis].amplitude, room))
-        return found
+                checked[axis] = replace(checked[axis], amplitude=min(checked[axis].amplitude, room))
+        return checked
 
     def _flown(self, axis: str) -> float:
         """Return the largest deviation from the trims that was flown to both sides."""
@@ -310,15 +312,15 @@ class _Planner:
         """Return the regressors (n, d) of a simulated flight at the rate of the model's own rows."""
         X = regressors_of(flight, self.aircraft, self.aerodynamics.regressors)
         time = flight["time"].to_numpy(float)
-        at = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
-        return np.column_stack([np.interp(at, time, column) for column in X.T])
+        times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
+        return np.column_stack([np.interp(times, time, column) for column in X.T])
 
-    def _library(self, at: int) -> list[_Manoeuvre]:
+    def _library(self, k: int) -> list[_Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
-        rehearsal = self.rehearsals[at]
-        point = self.trims[at]
+        rehearsal = self.rehearsals[k]
+        point = self.trims[k]
         label = f"{point.airspeed:g} m/s: " if len(self.trims) > 1 else ""
-        if len({round(one.phi, 3) for one in self.trims}) > 1:
+        if len({round(item.phi, 3) for item in self.trims}) > 1:
             label += f"bank {np.rad2deg(point.phi):.0f} deg: "
         notify(f"planning: {label}library", 0, 0.0)
         linear = linearize(
@@ -326,60 +328,66 @@ class _Planner:
         )
         most = self.seconds - rehearsal.pause - rehearsal.response
         named = {
-            name: one
-            for name, one in library(input_bands(linear), self.limits)
-            if duration_of(one) <= most
+            name: item
+            for name, item in library(input_bands(linear), self.limits)
+            if duration_of(item) <= most
         }
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
-            rest = {n: scaled(one, factor) for n, one in named.items() if n not in scales}
-            for name, flight in self._flights(at, rest).items():
+            remaining = {n: scaled(item, factor) for n, item in named.items() if n not in scales}
+            for name, flight in self._flights(k, remaining).items():
                 scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
         inputs = {name: scaled(named[name], scale) for name, scale in scales.items()}
         return [
             _Manoeuvre(
-                name=label + name, at=at, full=named[name], inputs=inputs[name],
-                pause=rehearsal.pause, information=information(self._rows(one)), flight=one,
+                name=label + name, at=k, full=named[name], inputs=inputs[name],
+                pause=rehearsal.pause, information=information(self._rows(item)), flight=item,
                 scale=scales[name],
             )
-            for name, one in self._flights(at, inputs).items()
+            for name, item in self._flights(k, inputs).items()
         ]  # fmt: skip
 
-    def _flights(self, at: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+    def _flights(self, k: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of those manoeuvres that the mean flies to their end."""
-        flights = self.rehearsals[at].flown([*named.values()]) if named else []
+        flights = self.rehearsals[k].flown([*named.values()]) if named else []
         pairs = zip(named, flights, strict=True)
-        return {name: one for name, one in pairs if (one["ended"] == "").all()}
+        return {name: flight for name, flight in pairs if (flight["ended"] == "").all()}
 
     def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
-        fisher = sum((one.information for one in chosen), self.known)
+        fisher = sum((manoeuvre.information for manoeuvre in chosen), self.known)
         return float(-0.5 * np.mean(np.log(slope_variances(fisher)[self.slopes])))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
-        last = sum(self.rehearsals[at].response for at in {one.at for one in chosen})
-        return sum(one.seconds for one in chosen) + last <= self.seconds + 1e-9
+        last = sum(self.rehearsals[k].response for k in {manoeuvre.at for manoeuvre in chosen})
+        return sum(manoeuvre.seconds for manoeuvre in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
         """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
-        while options := [one for one in library if self._fits([*chosen, one])]:
+        while options := [manoeuvre for manoeuvre in library if self._fits([*chosen, manoeuvre])]:
             now = self._gain(chosen)
-            gains = [(self._gain([*chosen, one]) - now) / one.seconds for one in options]
+            gains = [
+                (self._gain([*chosen, manoeuvre]) - now) / manoeuvre.seconds
+                for manoeuvre in options
+            ]
             chosen = [*chosen, options[int(np.argmax(gains))]]
         return chosen
 
     def _sequence(self, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
         """Return the best sequence that is found: greedy, or one repeated, with exchanges while they help."""
-        starts = [self._filled([], library), *(self._filled([], [one]) for one in library)]
+        starts = [
+            self._filled([], library),
+            *(self._filled([], [manoeuvre]) for manoeuvre in library),
+        ]
         best = self._filled(max(starts, key=self._gain), library)
         while True:
             swaps = [
-                [*best[:k], one, *best[k + 1 :]]
+                [*best[:k], manoeuvre, *best[k + 1 :]]
                 for k, old in enumerate(best)
-                for one in library
-                if one is not old
+                for manoeuvre in library
+                if manoeuvre is not old
             ]
-            swaps = [each for each in swaps if self._fits(each)]
+            swaps = [sequence for sequence in swaps if self._fits(sequence)]
             better = self._filled(max(swaps, key=self._gain), library) if swaps else best
             if self._gain(better) <= self._gain(best) + 1e-6:
                 return best
@@ -398,9 +406,11 @@ class _Planner:
                         f"{list(self.limits)} within their limits lower its errors by {gain:.2%}: "
                         f"move other axes, raise their limits, or ask for another goal."
                     )
-                n_checked = sum(one.risk is not None for one in library.values())
+                n_checked = sum(manoeuvre.risk is not None for manoeuvre in library.values())
                 notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
-                unchecked = next((one for one in chosen if one.risk is None), None)
+                unchecked = next(
+                    (manoeuvre for manoeuvre in chosen if manoeuvre.risk is None), None
+                )
                 if unchecked is None:
                     break
                 safe, causes = self._safe(unchecked)
@@ -408,7 +418,9 @@ class _Planner:
                 if safe is not None:
                     library[safe.name] = safe
         except KeyboardInterrupt:
-            chosen = self._sequence([one for one in library.values() if one.risk is not None])
+            chosen = self._sequence(
+                [manoeuvre for manoeuvre in library.values() if manoeuvre.risk is not None]
+            )
             if not chosen:
                 raise
         if not chosen:
@@ -420,16 +432,16 @@ class _Planner:
             )
         return chosen
 
-    def _safe(self, one: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
+    def _safe(self, manoeuvre: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
         """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale = one.scale
+        scale = manoeuvre.scale
         safe = 0.0
         unsafe = np.inf
         causes = ""
         best: tuple[Inputs, Checked] | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
-            inputs = scaled(one.full, scale)
-            checked = self.rehearsals[one.at].checked(inputs)
+            inputs = scaled(manoeuvre.full, scale)
+            checked = self.rehearsals[manoeuvre.at].checked(inputs)
             if checked.risk <= self.envelope.risk:
                 safe = scale
                 best = inputs, checked
@@ -451,38 +463,48 @@ class _Planner:
             flight = with_band(flight, checked.paths)
             risk = checked.risk
         taught = information(self._rows(flight))
-        kept = replace(one, inputs=inputs, information=taught, flight=flight, scale=safe, risk=risk)
-        return kept, causes
+        largest = replace(
+            manoeuvre, inputs=inputs, information=taught, flight=flight, scale=safe, risk=risk
+        )
+        return largest, causes
 
     def _plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres, those of one trim together."""
-        chosen = sorted(chosen, key=lambda one: one.at)
-        flown = sorted({one.at for one in chosen})
+        chosen = sorted(chosen, key=lambda manoeuvre: manoeuvre.at)
+        flown = sorted({manoeuvre.at for manoeuvre in chosen})
         trains = []
         gained = self._gain([])
         rows: list[dict[str, Any]] = []
-        for number, at in enumerate(flown):
-            here = [one for one in chosen if one.at == at]
-            start = self.rehearsals[at].pause
-            trains.append(wavetrain([one.inputs for one in here], pause=start, limits=self.limits))
-            for one in here:
+        for number, k_trim in enumerate(flown):
+            of_trim = [manoeuvre for manoeuvre in chosen if manoeuvre.at == k_trim]
+            start = self.rehearsals[k_trim].pause
+            trains.append(
+                wavetrain(
+                    [manoeuvre.inputs for manoeuvre in of_trim], pause=start, limits=self.limits
+                )
+            )
+            for manoeuvre in of_trim:
                 gain = self._gain(chosen[: len(rows) + 1]) - gained
                 gained += gain
-                pause = self.rehearsals[at].response if one is here[-1] else one.pause
+                pause = (
+                    self.rehearsals[k_trim].response
+                    if manoeuvre is of_trim[-1]
+                    else manoeuvre.pause
+                )
                 rows.append({
-                    "train": number, "airspeed": self.trims[at].airspeed, "start": start,
-                    "name": one.name, "duration": duration_of(one.full), "pause": pause,
-                    "scale": one.scale, "risk": one.risk, "gain": -np.expm1(-gain),
+                    "train": number, "airspeed": self.trims[k_trim].airspeed, "start": start,
+                    "name": manoeuvre.name, "duration": duration_of(manoeuvre.full), "pause": pause,
+                    "scale": manoeuvre.scale, "risk": manoeuvre.risk, "gain": -np.expm1(-gain),
                 })  # fmt: skip
-                start += one.seconds
-        flight = [one.flight.assign(flight=k) for k, one in enumerate(chosen)]
+                start += manoeuvre.seconds
+        flight = [manoeuvre.flight.assign(flight=k) for k, manoeuvre in enumerate(chosen)]
         gusts = self.envelope.gusts
         if gusts == "auto":
             gusts = self.aerodynamics.turbulence
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
             trains=tuple(trains),
-            trims=tuple(self.trims[at] for at in flown),
+            trims=tuple(self.trims[k_trim] for k_trim in flown),
             manoeuvres=pd.DataFrame(rows),
             flight=pd.concat(flight, ignore_index=True),
             errors=self._errors(chosen),
@@ -494,11 +516,11 @@ class _Planner:
     def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:
         """Return standard deviations of the goal before the flight, and promised after it."""
         notify("planning: promise", 0, 0.0)
-        points = [vars(one) for one in self.trims]
+        points = [vars(item) for item in self.trims]
         before = std_at(self.model, self.aircraft, points, self.thrust)
         promised = pd.Series(dtype=float)
         if self.learned is not None and len(before):
-            added = np.concatenate([self._rows(one.flight) for one in chosen])
+            added = np.concatenate([self._rows(item.flight) for item in chosen])
             promised = std_at(self.model, self.aircraft, points, self.thrust, added)
-        found = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
-        return found.reindex(list(self.goal))
+        errors = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
+        return errors.reindex(list(self.goal))

@@ -216,16 +216,16 @@ class Rehearsal:
         flight = self.flown([inputs])[0]
         n_paths, gusts = self.envelope.n_paths, self.envelope.gusts
         paths = self.drawn(inputs, n_paths, gusts) if self.aerodynamics.is_uncertain else flight
-        more = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
+        margin = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
-        flown = self.channels(counted).reshape(-1, *more.shape)
-        factor = self.hold.largest(flown + more - self.hold.drawn[:, self.hold._rows(more)])
-        return Checked(*self.risk(counted, np.tile(more, (len(flown), 1))), flight, paths, factor)
+        flown = self.channels(counted).reshape(-1, *margin.shape)
+        factor = self.hold.largest(flown + margin - self.hold.drawn[:, self.hold._rows(margin)])
+        return Checked(*self.risk(counted, np.tile(margin, (len(flown), 1))), flight, paths, factor)
 
-    def risk(self, flight: pd.DataFrame, more: Matrix | float = 0.0) -> tuple[float, str]:
+    def risk(self, flight: pd.DataFrame, margin: Matrix | float = 0.0) -> tuple[float, str]:
         """Return the risk that flights leave the envelope, and the limits that they leave, with their options."""
-        left = self.envelope.left(flight, self.aircraft, self.aerodynamics, more)
-        by_path = left.groupby(flight["flight"].to_numpy(), sort=False).any()
+        exceeded = self.envelope.left(flight, self.aircraft, self.aerodynamics, margin)
+        by_path = exceeded.groupby(flight["flight"].to_numpy(), sort=False).any()
         shares = by_path.mean().sort_values(ascending=False)
         shares = shares[shares > 0]
         causes = ", ".join(

@@ -199,8 +199,8 @@ class Aerodynamics:
             None,
             n_paths,
         )
-        if correlated and (known := self._errors()) is not None:
-            errors = known.draw(n_paths, random_state)
+        if correlated and (function_errors := self._errors()) is not None:
+            errors = function_errors.draw(n_paths, random_state)
             drawn.function = lambda X: values(X) + errors(X)
             drawn._gradient = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
         return drawn
@@ -360,8 +360,10 @@ class _Chain:
         )
         if added is not None:
             added = (added - self.shift) / self.scale
-        found = errors((X - self.shift) / self.scale, added)
-        return None if found is None else found.take(self.order).scaled(1.0 / self.scale)
+        slope_errors = errors((X - self.shift) / self.scale, added)
+        return (
+            None if slope_errors is None else slope_errors.take(self.order).scaled(1.0 / self.scale)
+        )
 
     def training_rows(self) -> Array | None:
         """Return the regressors (n, d) that the model was learned from, None where they are not known."""
@@ -434,10 +436,10 @@ def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
     )
     for step in scalers:
         if isinstance(step, MinMaxScaler):
-            own, factor = -step.min_ / step.scale_, 1.0 / step.scale_
+            offset, factor = -step.min_ / step.scale_, 1.0 / step.scale_
         else:
-            own, factor = getattr(step, "mean_", getattr(step, "center_", None)), step.scale_
-        shift = shift + (0.0 if own is None else own) * scale
+            offset, factor = getattr(step, "mean_", getattr(step, "center_", None)), step.scale_
+        shift = shift + (0.0 if offset is None else offset) * scale
         scale = scale * (1.0 if factor is None else factor)
     return shift, scale, steps[len(scalers) :]
 

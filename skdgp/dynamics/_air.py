@@ -384,11 +384,11 @@ class Turbulence(NamedTuple):
         """Return the turbulence of winds, exact ones, or of sensors with the heading of the aircraft."""
         check_number("span", span, unit="m")
         speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
-        found = [
+        periodograms = [
             _periodogram(table, speed, span)
             for table, speed in zip(wind, speeds.tolist(), strict=True)
         ]
-        spectra = [spectrum for spectrum in found if spectrum is not None]
+        spectra = [spectrum for spectrum in periodograms if spectrum is not None]
         if sum(len(spectrum.frequency) for spectrum in spectra) < FEWEST:
             raise TooShort(
                 "Got winds that are too short, or too rarely sampled, to show gusts, but expected "
@@ -399,10 +399,10 @@ class Turbulence(NamedTuple):
         across, is_tied = along, True
         if spectra[0].is_along:
             apart = [_fitted(spectra, (axis,)) for axis in (0, 1)]
-            is_tied = bool(2 * (along.loss - sum(one.loss for one in apart)) < chi2.ppf(LEVEL, 2))
+            is_tied = bool(2 * (along.loss - sum(fit.loss for fit in apart)) < chi2.ppf(LEVEL, 2))
             along, across = (along, across) if is_tied else apart
         intensity, length, intensity_std, length_std = np.transpose(
-            [each.estimate for each in (along, across, vertical)]
+            [fit.estimate for fit in (along, across, vertical)]
         )
         mean = np.average(
             [p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra]
@@ -435,9 +435,10 @@ class _Spectra(NamedTuple):
 
     def unit(self, length: float, axis: int) -> Array:
         """Return Dryden's spectrum of an axis for unit variance: of north and east the mean of those of u and v."""
-        of = (0, 1) if axis < 2 and not self.is_along else (axis,)
+        axes = (0, 1) if axis < 2 and not self.is_along else (axis,)
         return np.mean(
-            [_spectrum(self.frequency, length / self.airspeed, each) for each in of], axis=0
+            [_spectrum(self.frequency, length / self.airspeed, component) for component in axes],
+            axis=0,
         )
 
 
@@ -523,7 +524,8 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
     noise = [0.05 * loudest] * len(axes)
     starts = [np.log([0.5 * power, length, *noise]) for length in (2 * shortest, 10 * shortest)]
     best = min(
-        (minimize(loss, start, bounds=bounds) for start in starts), key=lambda found: found.fun
+        (minimize(loss, start, bounds=bounds) for start in starts),
+        key=lambda solution: solution.fun,
     )
     x, step = best.x, 1e-4
     slopes = np.array(

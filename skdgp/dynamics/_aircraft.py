@@ -272,11 +272,11 @@ def _build(kind: type, values: Mapping, what: str) -> Any:
         raise ValueError(
             f"Got {type(values).__name__} in {what}, but expected named values (key: value)."
         )
-    known = [field.name for field in fields(kind)]
+    names = [field.name for field in fields(kind)]
     required = [
         f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING
     ]
-    check_keys(values, known, required, what)
+    check_keys(values, names, required, what)
     return kind(**values)
 
 

@@ -169,8 +169,8 @@ def _deviations(
 ) -> dict[str, Array]:
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     X, model = now.regressors, motion.aerodynamics
-    drawn, each = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
-    posterior = frame(drawn(each), drawn.gradient(each)).std(axis=0, ddof=1)
+    drawn, regressors = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
+    posterior = frame(drawn(regressors), drawn.gradient(regressors)).std(axis=0, ddof=1)
     slope_errors = model.slope_errors
     errors = None if slope_errors is None else slope_errors(X)
     if slope_errors is not None and errors is not None and added is not None:
@@ -209,10 +209,10 @@ def _add_errors_of_aircraft(
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
     errors = errors_of_sizes(deviations, aircraft.inertia, tuple(motion.regressors), values)
-    each = np.abs([frame(one[..., 0], one[..., 1:]) for one in errors])
+    sizes = np.abs([frame(error[..., 0], error[..., 1:]) for error in errors])
     causes = np.array(list(deviations))
     for k, table in enumerate(tables):
-        by_cause = each[:, k].reshape(len(causes), -1)
+        by_cause = sizes[:, k].reshape(len(causes), -1)
         table["std_aircraft"] = np.sqrt(np.sum(by_cause**2, axis=0))
         table["aircraft"] = np.where(by_cause.any(axis=0), causes[by_cause.argmax(axis=0)], "")
 
@@ -229,8 +229,10 @@ class _Frame:
         )
         self.added: list[str] = []
         if self.stability:
-            have = set(self.columns)
-            self.added = [n for pair in TURNED if have & set(pair) for n in pair if n not in have]
+            columns = set(self.columns)
+            self.added = [
+                n for pair in TURNED if columns & set(pair) for n in pair if n not in columns
+            ]
         self.columns += self.added
         self.units = motion.aerodynamics.units
 
@@ -291,28 +293,18 @@ def _points(
     motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
 ) -> tuple[Array, dict[str, Array], bool]:
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
-    if isinstance(point, Sequence) and len(point) and all(isinstance(one, Trim) for one in point):
-        found = [flight_point(motion, one, controls) for one in point]
-    elif isinstance(point, Trim) or np.ndim(point) == 1:
-        found = [flight_point(motion, point, controls)]
-        return (
-            found[0][0][None],
-            {name: np.array([value]) for name, value in found[0][1].items()},
-            True,
-        )
-    else:
-        n = len(point)
-        given = {name: np.broadcast_to(value, n) for name, value in (controls or {}).items()}
-        each = [
-            {name: values[k] for name, values in given.items()} if given else None for k in range(n)
-        ]
-        found = [flight_point(motion, state, one) for state, one in zip(point, each, strict=True)]
-    names = found[0][1]
-    return (
-        np.stack([state for state, _ in found]),
-        {n: np.array([c[n] for _, c in found]) for n in names},
-        False,
-    )
+    is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
+    points = [point] if is_single else list(point)
+    columns = {
+        name: np.broadcast_to(value, len(points)) for name, value in (controls or {}).items()
+    }
+    flights = []
+    for k, item in enumerate(points):
+        row = {name: values[k] for name, values in columns.items()} or None
+        flights.append(flight_point(motion, item, row))
+    states = np.stack([state for state, _ in flights])
+    names = flights[0][1]
+    return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single
 
 
 def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:

@@ -177,7 +177,7 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     values = {name: value for name, (value, _, _) in rules.items()}
     if inertia is not None:
         values = {name: x for name, x in values.items() if name not in ("length", *INERTIAS)}
-    found = _sizes(values, "length" in given)
+    derived = _sizes(values, "length" in given)
     factors = {}
     for name, value in values.items():
         step = _sizes(values | {name: value * (1.0 + 1e-20j)}, "length" in given)
@@ -185,10 +185,10 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
         powers = {size: round(power, 12) for size, power in powers.items() if power}
         factors[name] = ScaleFactor(rules[name][1], powers, rules[name][2])
     if inertia is None:
-        inertia = np.diag([found[moment] for moment in MOMENTS])
+        inertia = np.diag([derived[moment] for moment in MOMENTS])
         factors["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}")
     deviations = {name: factor for name, factor in factors.items() if factor.std > 0}
-    sizes = {name: found[name] for name in QUANTITIES}
+    sizes = {name: derived[name] for name in QUANTITIES}
     return sizes | {"inertia": inertia, "deviations": deviations}
 
 
@@ -203,14 +203,14 @@ def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
     else:
         S = b * values["chord"]
     c = values["chord"] if "chord" in values else values["mean aerodynamic chord"] * S / b
-    found = {"mass": m, "wing_area": S, "span": b, "chord": c}
+    sizes = {"mass": m, "wing_area": S, "span": b, "chord": c}
     if "length" in values:
         l = values["length"] * (1.0 if is_length_given else b)
         arms = (b, l, 0.5 * (b + l))
         for (name, moment), arm in zip(INERTIAS.items(), arms, strict=True):
             # Raymer, equations 16.52 to 16.54; the factor is the squared radius of gyration
-            found[moment] = m * (0.5 * arm) ** 2 * values[name]
-    return found
+            sizes[moment] = m * (0.5 * arm) ** 2 * values[name]
+    return sizes
 
 
 def value_and_std(name: str, value: Any) -> tuple[float, float]:

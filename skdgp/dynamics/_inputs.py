@@ -155,14 +155,14 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
             check_number("airspeed of x0", speed, unit="m/s")
         states[:, VELOCITY] = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T) + wind
     elif "airspeed" in table:
-        given = table["airspeed"].to_numpy(float)
+        stated = table["airspeed"].to_numpy(float)
         airspeed = np.linalg.norm(states[:, VELOCITY] - wind, axis=1)
-        off = np.nan_to_num(np.abs(airspeed / given - 1.0))
+        off = np.nan_to_num(np.abs(airspeed / stated - 1.0))
         worst = int(np.argmax(off))
         if off[worst] > AIRSPEED_TOLERANCE:
             warn(
                 f"At start {worst} ground velocity and wind make an airspeed of "
-                f"{airspeed[worst]:.1f} m/s, but x0 says {given[worst]:.1f} m/s: give the wind of "
+                f"{airspeed[worst]:.1f} m/s, but x0 says {stated[worst]:.1f} m/s: give the wind of "
                 f"that flight (air=wind).",
                 stacklevel=4,
             )
@@ -206,7 +206,7 @@ def perturbed(
 
 def tables_of(*sources: Any) -> list[pd.DataFrame]:
     """Return the tables among controls and winds, checked: a time that increases."""
-    found = []
+    tables = []
     for source in sources:
         for table in _as_list(source):
             if isinstance(table, pd.DataFrame):
@@ -221,8 +221,8 @@ def tables_of(*sources: Any) -> list[pd.DataFrame]:
                         "Got a table whose time does not increase, but expected seconds, row "
                         "after row."
                     )
-                found.append(table)
-    return found
+                tables.append(table)
+    return tables
 
 
 class FlightComputer(NamedTuple):
@@ -236,7 +236,7 @@ class FlightComputer(NamedTuple):
 
 
 def control_schedule(
-    controls: Any, clock: Clock, wanted: Callable[[str], bool], n_starts: int
+    controls: Any, clock: Clock, is_control: Callable[[str], bool], n_starts: int
 ) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
@@ -266,7 +266,7 @@ def control_schedule(
                 )
         return lambda step, stage, observe: constants
     tables = as_tables(controls, "controls", n_starts)
-    names = [name for name in map(str, tables[0]) if name != "time" and wanted(name)]
+    names = [name for name in map(str, tables[0]) if name != "time" and is_control(name)]
     if not names:
         raise ValueError(
             f"Got controls with columns {list(tables[0])}, none of which is a control of this "
@@ -306,7 +306,7 @@ def interpolated(
         longest = np.diff(time, append=time[-1]).max()
         is_needed = time <= clock.n_steps * clock.dt + longest
         is_whole = np.isfinite(values[is_needed]).all(axis=0)
-        if holes := [name for name, whole in zip(names, is_whole, strict=True) if not whole]:
+        if holes := [name for name, complete in zip(names, is_whole, strict=True) if not complete]:
             raise ValueError(
                 f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them "
                 f"out."
@@ -324,17 +324,17 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: f
     spans = [tuple(table["time"].iloc[[0, -1]]) for table in tables_of(controls)]
     if not spans:
         return
-    others = []
+    differences = []
     if isinstance(starts, pd.DataFrame) and "time" in starts:
         firsts = np.broadcast_to([first for first, _ in spans], (len(starts),))
-        for k, (at, first) in enumerate(zip(starts["time"], firsts, strict=True)):
-            if abs(at - first) > dt:
-                others.append((f"start {k} is of time {at:g} s", first))
+        for k, (time, first) in enumerate(zip(starts["time"], firsts, strict=True)):
+            if abs(time - first) > dt:
+                differences.append((f"start {k} is of time {time:g} s", first))
     for begin, end in (table["time"].iloc[[0, -1]] for table in tables_of(wind)):
         if any(abs(a - begin) > dt and max(a, begin) < min(b, end) for a, b in spans):
-            others.append((f"the wind begins at time {begin:g} s", spans[0][0]))
-    if others:
-        what, first = others[0]
+            differences.append((f"the wind begins at time {begin:g} s", spans[0][0]))
+    if differences:
+        what, first = differences[0]
         warn(
             f"Got controls that begin at time {first:g} s, but {what}: the first row of each table "
             f"counts as the start. Cut them alike, table[table['time'] >= start].",

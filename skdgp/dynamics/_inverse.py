@@ -112,15 +112,15 @@ def aerodynamic_coefficients(
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     """Return the flight with NaN for what was not measured of the channels needed; warn of it."""
     check_columns(check_table(flight), ["time", *NEEDED])
-    found = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
-    found = [each for each in found if each.kind in NOT_MEASURED]
-    if found:
+    faults = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
+    faults = [fault for fault in faults if fault.kind in NOT_MEASURED]
+    if faults:
         warn(
-            faults_message(found, "The coefficients are not known there (NaN)."),
+            faults_message(faults, "The coefficients are not known there (NaN)."),
             FlightDataWarning,
             stacklevel=3,
         )
-    return without_faults(flight, found)
+    return without_faults(flight, faults)
 
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
@@ -131,11 +131,11 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
         "cutoff": cutoff,
     }
     names = ["airspeed", *SPECIFIC_FORCE, *RATES]
-    given = all(name in flight for name in RATE_DERIVATIVES)
-    if given:
+    is_measured = all(name in flight for name in RATE_DERIVATIVES)
+    if is_measured:
         names += RATE_DERIVATIVES
     raw = flight[names].to_numpy(float)
     measured = flight.assign(**dict(zip(names, smooth(raw, **clock).T, strict=True)))
-    if given:
+    if is_measured:
         return measured, measured[RATE_DERIVATIVES].to_numpy(float)
     return measured, differentiate(flight[list(RATES)].to_numpy(float), **clock)

@@ -142,9 +142,9 @@ def _state(x: Array) -> Array:
 def _responses(instant: Instant, x: Array, motion: Motion) -> Array:
     """Return the rates of change of `STATES`, the regressors, and `OUTPUTS`."""
     euler_rate = euler_per_rotation(x[..., 6], x[..., 7]) @ x[..., 9:, None]
-    seen = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
+    air = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
     rate = instant.derivative
-    parts = [rate[..., :6], euler_rate[..., 0], rate[..., RATES], instant.regressors, seen]
+    parts = [rate[..., :6], euler_rate[..., 0], rate[..., RATES], instant.regressors, air]
     return np.concatenate([*parts, instant.force / motion.aircraft.mass], axis=-1)
 
 
@@ -176,7 +176,7 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
     )
     acceleration = np.asarray(pressure)[..., None, None] * slopes[..., :3, :]
     by_rate = np.zeros((*slopes.shape[:-1], 2))
-    own = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
+    as_regressors = np.zeros((*slopes.shape[:-2], 2, slopes.shape[-1]))
     size = np.copysign(np.hypot(slopes, scatter), slopes)
     for k, name in enumerate(motion.regressors):
         if name not in RATE_LENGTHS:
@@ -185,7 +185,7 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
             1.0 / motion.factor(k, now.airspeed), np.shape(now.airspeed)
         )  # of the regressor [rad/s]
         if name in LAGS:
-            own[..., list(LAGS).index(name), k] = unit
+            as_regressors[..., list(LAGS).index(name), k] = unit
             continue
         acceleration[..., k] -= (
             cross(np.eye(3)["pqr".index(name)] * np.ones_like(velocity), velocity) * unit[..., None]
@@ -194,7 +194,9 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
             by_rate[..., list(LAGS.values()).index(name)] = size[..., k] / unit[..., None]
     missing = np.array([[name not in motion.regressors] for name in LAGS])
     return Lag(
-        SHARES * by_rate, air_data_slopes(velocity)[..., 1:, :] @ acceleration - own, missing
+        SHARES * by_rate,
+        air_data_slopes(velocity)[..., 1:, :] @ acceleration - as_regressors,
+        missing,
     )
 
 

@@ -105,9 +105,9 @@ class LinearModel:
         paths = None
         if self.paths is not None:
             parts = []
-            for values, whole, part in zip(self.paths, self._tables(), tables, strict=True):
-                rows = whole.index.get_indexer(part.index)
-                columns = whole.columns.get_indexer(part.columns)
+            for values, table, part in zip(self.paths, self._tables(), tables, strict=True):
+                rows = table.index.get_indexer(part.index)
+                columns = table.columns.get_indexer(part.columns)
                 parts.append(values[:, rows][:, :, columns])
             paths = Matrices(*parts)
         return LinearModel(*tables, self.state, self.controls, paths)
@@ -232,8 +232,8 @@ def linearize(
     motion = Motion(model, aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     engine = thrust_control(aircraft, thrust)
-    known = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
-    chosen_inputs = known if inputs is None else list(inputs)
+    usual = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
+    chosen_inputs = usual if inputs is None else list(inputs)
     check_names(chosen_inputs, controls, "controls of this flight, of which the inputs are chosen,")
     check_names(states, ALL_STATES, "states")
     chosen_outputs = list(dict.fromkeys([*states, *OUTPUTS])) if outputs is None else list(outputs)
@@ -271,7 +271,7 @@ def flight_point(
     motion: Motion, point: Any, controls: Mapping | None
 ) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
-    if isinstance(point, Sequence) and any(hasattr(one, "state") for one in point):
+    if isinstance(point, Sequence) and any(hasattr(item, "state") for item in point):
         raise TypeError(
             f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in "
             f"trims]."
@@ -323,18 +323,20 @@ def _matrices(
     inputs: list,
     outputs: list,
 ) -> Matrices:
-    rate, seen, instant = jacobian(motion, state, controls, inputs, lag)
+    rate, output, instant = jacobian(motion, state, controls, inputs, lag)
     check_settled(instant)
     if not np.isfinite(rate).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
     n = len(ALL_STATES)
-    seen = np.concatenate([np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape), seen], axis=-2)
+    output = np.concatenate(
+        [np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape), output], axis=-2
+    )
     rows = [ALL_STATES.index(name) for name in states]
     rate = rate[..., rows, :]
-    seen = seen[..., [(*ALL_STATES, *OUTPUTS).index(name) for name in outputs], :]
-    return Matrices(rate[..., rows], rate[..., n:], seen[..., rows], seen[..., n:])
+    output = output[..., [(*ALL_STATES, *OUTPUTS).index(name) for name in outputs], :]
+    return Matrices(rate[..., rows], rate[..., n:], output[..., rows], output[..., n:])
 
 
 def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
@@ -382,9 +384,9 @@ def _named(
 
     def split(units, names, size):
         """Return the units of ``size`` eigenvalues in which these states participate most, and the others."""
-        every = (some for number in range(1, size + 1) for some in combinations(units, number))
-        complete = (some for some in every if sum(map(len, some)) == size)
-        best = max(complete, key=lambda some: sum(part(names, unit) for unit in some))
+        every = (subset for number in range(1, size + 1) for subset in combinations(units, number))
+        complete = (subset for subset in every if sum(map(len, subset)) == size)
+        best = max(complete, key=lambda subset: sum(part(names, unit) for unit in subset))
         return best, [unit for unit in units if unit not in best]
 
     named: dict[str, tuple[int, ...]] = {}
@@ -395,11 +397,11 @@ def _named(
         named |= _numbered("short period", short, eigenvalues)
         named |= _numbered("phugoid", long, eigenvalues)
     if set(LATERAL) <= states:
-        dutch, others = split(units, ("v", "r"), 2)
-        others.sort(key=lambda unit: -part(("p",), unit))
-        names = ("roll", "spiral") if len(others) == 2 else ("roll-spiral",)
+        dutch, slow = split(units, ("v", "r"), 2)
+        slow.sort(key=lambda unit: -part(("p",), unit))
+        names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(zip(names, others, strict=True))
+        named |= dict(zip(names, slow, strict=True))
     return named or _numbered("mode", units, eigenvalues)
 
 

@@ -122,11 +122,11 @@ class Motion:
         self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
         self._density = air.density
         span, chord = self.aerodynamics.span, self.aerodynamics.chord
-        own = [aircraft.span, aircraft.chord]
+        lengths = [aircraft.span, aircraft.chord]
         if (
             span is not None
             and chord is not None
-            and not np.isclose([span, chord], own, rtol=0.01).any()
+            and not np.isclose([span, chord], lengths, rtol=0.01).any()
         ):
             warn(
                 f"The model's rates were made non-dimensional by span {span:g} m and chord "
@@ -180,11 +180,11 @@ class Motion:
         lacking = [name for name in self.controls if name not in controls]
         if lacking and mixing is not None and all(name in controls for name in mixing.surfaces):
             values = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
-            made = {
+            by_mixing = {
                 n: sum(a * v for a, v in zip(row, values, strict=True))
                 for n, row in zip(*mixing[1:], strict=True)
             }
-            controls |= {name: made[name] for name in lacking if name in made}
+            controls |= {name: by_mixing[name] for name in lacking if name in by_mixing}
         check_names(self.controls, controls, "controls")
         return controls
 
@@ -215,15 +215,15 @@ class Motion:
             )
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         values = {**controls, "airspeed": airspeed, "density": density}
-        others = propulsive_loads(values, self.aircraft, self.thrust)
+        propulsion = propulsive_loads(values, self.aircraft, self.thrust)
         if not self._implicit:
-            return self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
+            return self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
             for k, place in zip(self._implicit, self._follows, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, airspeed)
-            now = self._loaded(state, X, airspeed, alpha, beta, density, others, drift)
+            now = self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
             result = self._follow(state, now, velocity, wind, air)
             if self.lagged:
                 return now._replace(implicit=result)
@@ -266,11 +266,11 @@ class Motion:
                 )
         return X
 
-    def _loaded(self, state, X, airspeed, alpha, beta, density, others, drift) -> Instant:
+    def _loaded(self, state, X, airspeed, alpha, beta, density, propulsion, drift) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
         C = self._coefficients(X) + drift
         force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
-        force, moment = force + others[0], moment + others[1]
+        force, moment = force + propulsion[0], moment + propulsion[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
 

@@ -46,11 +46,11 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
         BODY_VELOCITY: states[..., VELOCITY],
     }
     groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
-    found = {
+    columns = {
         name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)
     }
-    found |= dict(zip(AIR_DATA, air_data(air), strict=True))
-    return found | {"altitude": -states[..., 2]}
+    columns |= dict(zip(AIR_DATA, air_data(air), strict=True))
+    return columns | {"altitude": -states[..., 2]}
 
 
 class Clock(NamedTuple):
@@ -150,12 +150,12 @@ def fly_record(
 
     def instant(step, stage, state, last):
         stage += 2 * step
-        here = air(stage, state)
-        wind = None if here is None else here.wind
+        local = air(stage, state)
+        wind = None if local is None else local.wind
         controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
         drift = 0.0 if drifts is None else drifts[stage]
         return (
-            motion.at(state, controls, here, None if last is None else last.implicit, drift),
+            motion.at(state, controls, local, None if last is None else last.implicit, drift),
             controls,
             wind,
         )
@@ -210,7 +210,10 @@ def _record(
         derivative=over_time([now.derivative for now in instants], 13),
         density=over_time([now.density for now in instants]),
         wind=None if winds[0] is None else over_time(winds, 3),
-        controls={name: over_time([each[name] for each in controls]) for name in controls[0]},
+        controls={
+            name: over_time([values_by_name[name] for values_by_name in controls])
+            for name in controls[0]
+        },
         ended=ended,
         end=end,
     )
@@ -221,10 +224,10 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     fine = np.isfinite(now.derivative).all(axis=-1)
     fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
     fine = fine & (np.abs(state[..., rigid_body.RATES]) < SPINNING).all(axis=-1)
-    found: dict[str, Any] = {
+    reasons: dict[str, Any] = {
         "airspeed": now.airspeed < SLOWEST,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~fine,
         "fixed point": np.logical_not(now.settled),
     }
-    return {reason: where for reason, where in found.items() if np.any(where)}
+    return {reason: where for reason, where in reasons.items() if np.any(where)}

@@ -222,13 +222,15 @@ def _integrate(path: _Path, rows: Indices) -> Array:
     states = np.empty((*rows.shape, 13))
     states[:, 0] = path.state[rows[:, 0]]
     for k in range(rows.shape[1] - 1):
-        here = rows[:, k]
-        there = rows[:, k + 1]
-        dt = (path.time[there] - path.time[here])[:, None]
+        first = rows[:, k]
+        second = rows[:, k + 1]
+        dt = (path.time[second] - path.time[first])[:, None]
 
-        def rate_per_step(fraction: float, state: Array, here=here, there=there, dt=dt) -> Array:
+        def rate_per_step(
+            fraction: float, state: Array, first=first, second=second, dt=dt
+        ) -> Array:
             force, moment = (
-                (1 - fraction) * load[here] + fraction * load[there]
+                (1 - fraction) * load[first] + fraction * load[second]
                 for load in (path.force, path.moment)
             )
             return rigid_body_derivative(state, force, moment, path.aircraft, path.gravity) * dt
@@ -258,15 +260,15 @@ def _windows_of_run(
     time: Array, run: slice, horizon: float, complete: Indices
 ) -> Iterator[Indices]:
     starts = complete[(complete >= run.start) & (complete < run.stop - 1)]
-    at = 0
-    while at < len(starts):
-        start = starts[at]
+    k = 0
+    while k < len(starts):
+        start = starts[k]
         # A millionth of the horizon forgives the rounding of stored times.
         end = time[start] + horizon * (1 + 1e-6) + 1e-9
         last = max(run.start + int(np.searchsorted(time[run], end, side="right")) - 1, start + 1)
         following = int(np.searchsorted(starts, last, side="right")) - 1
-        if following > at and last < run.stop - 1:
-            last, at = starts[following], following
+        if following > k and last < run.stop - 1:
+            last, k = starts[following], following
         else:
-            at = int(np.searchsorted(starts, last))
+            k = int(np.searchsorted(starts, last))
         yield np.arange(start, last + 1)

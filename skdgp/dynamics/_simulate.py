@@ -158,28 +158,28 @@ def simulate(
     >>> flown[["time", "airspeed", "altitude"]].iloc[-1].round(1).to_dict()
     {'time': 10.0, 'airspeed': 11.2, 'altitude': 90.8}
     """
-    asked = as_air(air)
-    motion = Motion(model, aircraft, thrust=thrust, air=asked)
+    described = as_air(air)
+    motion = Motion(model, aircraft, thrust=thrust, air=described)
     starts = as_starts(x0)
-    clock = Clock.of(dt, duration, tables_of(controls, asked.wind))
-    warn_of_clocks(starts, controls, asked.wind, clock.dt)
-    local = wind_schedule(asked.wind, clock, len(starts))
+    clock = Clock.of(dt, duration, tables_of(controls, described.wind))
+    warn_of_clocks(starts, controls, described.wind, clock.dt)
+    local = wind_schedule(described.wind, clock, len(starts))
     commands = control_schedule(controls, clock, is_control(motion), len(starts))
-    states = initial_states(starts, lambda at: local(0, at))
-    if n_paths is None and isinstance(asked.gusts, Turbulence):
+    states = initial_states(starts, lambda start: local(0, start))
+    if n_paths is None and isinstance(described.gusts, Turbulence):
         raise ValueError(
             "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
         )
     if initial_std is not None and n_paths is None:
         raise ValueError("Got initial_std without n_paths: nothing would show it.")
-    drifts, said = None, ""
+    drifts, sentence = None, ""
     if n_paths is not None:
-        met, said = met_turbulence(asked, local, motion, states)
+        met, sentence = met_turbulence(described, local, motion, states)
         if met is not None and np.any(met.intensity):
-            local = gusty_air(asked, met, local, motion, clock, states, n_paths, random_state)
+            local = gusty_air(described, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        if asked.drift and motion.aerodynamics.drift is not None:
+        if described.drift and motion.aerodynamics.drift is not None:
             drifts = motion.aerodynamics.drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
         states = states[0]
@@ -189,7 +189,7 @@ def simulate(
     table = trajectory_table(
         record, motion, np.broadcast_to(np.array(first, dtype=float), (len(starts),))
     )
-    table.attrs["air"] = said
+    table.attrs["air"] = sentence
     return table
 
 
@@ -200,8 +200,8 @@ def is_control(motion: Motion) -> Callable[[str], bool]:
             (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
         )
     mixing = motion.aerodynamics.mixing
-    known = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
-    return lambda name: name in known
+    names = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
+    return lambda name: name in names
 
 
 class Simulator:
@@ -299,7 +299,7 @@ class Simulator:
         for each start.
         """
         starts = as_starts(x0)
-        states = initial_states(starts, lambda at: self._air(0.0, at))
+        states = initial_states(starts, lambda start: self._air(0.0, start))
         states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
         drawn = (
@@ -345,20 +345,20 @@ class Simulator:
 
     def _seen(self) -> dict[str, Any]:
         air = self._air(self.time, self._state)
-        seen: dict[str, Any] = {"time": self.time} | channels(
+        columns: dict[str, Any] = {"time": self.time} | channels(
             self._state, None if air is None else air.wind
         )
         over = self._ended != FLYING
         if over.any():
-            seen = {
+            columns = {
                 name: np.where(over, np.nan, value) if name != "time" else value
-                for name, value in seen.items()
+                for name, value in columns.items()
             }
         if not self._single:
             self.ended = self._ended.copy()
-            return seen
+            return columns
         self.ended = str(self._ended.reshape(-1)[0])
-        return {name: float(np.reshape(value, -1)[0]) for name, value in seen.items()}
+        return {name: float(np.reshape(value, -1)[0]) for name, value in columns.items()}
 
 
 class SimulationWarning(UserWarning):
@@ -379,22 +379,22 @@ def trajectory_table(record: Any, motion: Motion, first_times: Array) -> pd.Data
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
     over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
-    seen = channels(record.states, wind) | {"density": record.density}
+    columns = channels(record.states, wind) | {"density": record.density}
     for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
-        seen[name] = record.derivative[..., rigid_body.RATES][..., k]
+        columns[name] = record.derivative[..., rigid_body.RATES][..., k]
     for names, values in (
         (SPECIFIC_FORCE, record.specific_force),
         (COEFFICIENTS, record.coefficients),
     ):
-        seen |= {name: values[..., k] for k, name in enumerate(names)}
+        columns |= {name: values[..., k] for k, name in enumerate(names)}
     if wind is not None:
-        seen |= {name: wind[..., k] for k, name in enumerate(WIND)}
+        columns |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
     table: dict[str, Any] = {
         "time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))
     }
     table |= _identity(shape, n_times)
-    table |= {name: column(values) for name, values in (seen | record.controls).items()}
+    table |= {name: column(values) for name, values in (columns | record.controls).items()}
     farthest = np.array(["", *motion.regressors], dtype=object)[
         column(beyond(motion, record.regressors))
     ]
@@ -415,9 +415,9 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
             f"path {p}, {name}" if several else f"path {p}"
             for p, name in zip(*paths, names, strict=True)
         ]
-    found: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
-    found["start"] = np.repeat(starts, n_times)
-    return found | ({"path": np.repeat(paths[0], n_times)} if paths else {})
+    columns: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
+    columns["start"] = np.repeat(starts, n_times)
+    return columns | ({"path": np.repeat(paths[0], n_times)} if paths else {})
 
 
 def beyond(motion: Motion, regressors: Array) -> np.ndarray:
@@ -494,12 +494,12 @@ def trajectory_bands(
         ["start", "path", "time", "ended"],
         what="ensemble (simulate with n_paths=...)",
     )
-    wanted = (
+    candidates = (
         (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
         if columns is None
         else columns
     )
-    names = [name for name in wanted if name in trajectories]
+    names = [name for name in candidates if name in trajectories]
     rows = []
     for start, part in trajectories.groupby("start", sort=False):
         n_paths = part["path"].nunique()

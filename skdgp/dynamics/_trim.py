@@ -181,7 +181,7 @@ def trim(
     airspeeds = np.asarray(airspeed, dtype=float)
     if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
         raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
-    given = {
+    conditions = {
         "altitude": altitude,
         "climb": climb,
         "turn_rate": turn_rate,
@@ -189,8 +189,8 @@ def trim(
         "beta": beta,
     }
     if bank is None and turn_rate is None:
-        given["turn_rate"] = 0.0
-    steady = SteadyFlight(motion, given, dict(fixed or {}), dict(limits or {}))
+        conditions["turn_rate"] = 0.0
+    steady = SteadyFlight(motion, conditions, dict(fixed or {}), dict(limits or {}))
     trims: list[Trim] = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
@@ -231,10 +231,10 @@ class SteadyFlight:
     ``limits`` are as of `trim`.
     """
 
-    def __init__(self, motion: Motion, given: dict, fixed: dict, limits: dict):
+    def __init__(self, motion: Motion, conditions: dict, fixed: dict, limits: dict):
         self.motion = motion
         self.fixed = fixed
-        _check_given(given, fixed)
+        _check_given(conditions, fixed)
         # training ranges by name of the regressors that are no scaled rates
         self.flown: dict[str, tuple[float, float]] = {}
         model = motion.aerodynamics
@@ -242,7 +242,7 @@ class SteadyFlight:
             pairs = zip(model.regressors, motion.regressors, model.limits.T.tolist(), strict=True)
             self.flown = {name: (*ends,) for full, name, ends in pairs if HAT not in full}
         self.controls = self._controls()
-        self.given = {name: value for name, value in given.items() if value is not None}
+        self.given = {name: value for name, value in conditions.items() if value is not None}
         has_turn = {"phi", "turn_rate"} <= self.given.keys()
         if len(self.controls) >= 4 - ("climb" not in self.given) and not has_turn:
             self.given.setdefault("beta", 0.0)
@@ -276,8 +276,8 @@ class SteadyFlight:
             if name in names and name != engine and name in self.flown:
                 self.fixed.setdefault(name, float(np.mean(self.flown[name])))
         free = [name for name in names if name not in self.fixed]
-        known = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
-        if lacking := [name for name in free if name in known]:
+        settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
+        if lacking := [name for name in free if name in settings]:
             raise ValueError(
                 f"The trim lacks values of {lacking}, which no steady flight determines: give "
                 f"fixed={{{lacking[0]!r}: value}}."
@@ -313,15 +313,15 @@ class SteadyFlight:
 
     def _start(self, airspeed: float, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
-        given = {"climb": 0.0, "turn_rate": 0.0, "phi": 0.0} | self.given
+        conditions = {"climb": 0.0, "turn_rate": 0.0, "phi": 0.0} | self.given
         gravity = self.motion.gravity
         low, high = self.flown.get("alpha", (-0.1, 0.3))
         alpha = low + fraction * (high - low)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()} | {
             "alpha": alpha,
-            "theta": alpha + given["climb"],
-            "phi": np.arctan(airspeed * given["turn_rate"] / gravity),
-            "turn_rate": gravity * np.tan(given["phi"]) / airspeed,
+            "theta": alpha + conditions["climb"],
+            "phi": np.arctan(airspeed * conditions["turn_rate"] / gravity),
+            "turn_rate": gravity * np.tan(conditions["phi"]) / airspeed,
             "thrust": 0.15 * self.motion.aircraft.mass * gravity,
             "throttle": 0.5,
         }
@@ -366,13 +366,13 @@ class SteadyFlight:
     def _slopes(self, x: Array, airspeed: float) -> Array:
         """Return d residual / d unknowns by central differences, all points at once."""
         steps = JACOBIAN_STEP * np.maximum(1.0, np.abs(x))
-        more, less = self.residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
-        return (more - less).T / (2.0 * steps)
+        ahead, behind = self.residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
+        return (ahead - behind).T / (2.0 * steps)
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
         least = 0.01 * np.abs(best.fun[:6]).max()
-        left = ", ".join(
+        accelerations = ", ".join(
             f"{name} = {value:.3g} {'m' if name[0] in 'uvw' else 'rad'}/s^2"
             for name, value in zip(ACCELERATIONS, best.fun[:6], strict=True)
             if abs(value) > least
@@ -384,21 +384,21 @@ class SteadyFlight:
             if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name]))
         )
         units = {"airspeed": "m/s", "altitude": "m", "turn_rate": "rad/s"}
-        asked = ", ".join(
+        conditions = ", ".join(
             f"{name} {value:g} {units.get(name, 'rad' if name in self.given else '')}".strip()
             for name, value in ({"airspeed": airspeed} | self.given | self.fixed).items()
         )
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {asked}: nearest to it are left "
-            f"{left}, with {ends or 'nothing at a limit'}. Ask for another airspeed, climb or turn, "
+            f"There is no trim of {self.motion.aircraft.name} at {conditions}: nearest to it are left "
+            f"{accelerations}, with {ends or 'nothing at a limit'}. Ask for another airspeed, climb or turn, "
             f"free a control, let the path follow (climb=None), or give trim() wider "
             f"limits={{name: (lowest, highest)}}."
         )
 
 
-def _check_given(given: dict, fixed: dict) -> None:
+def _check_given(conditions: dict, fixed: dict) -> None:
     """Raise ValueError if a given value is no number, or an angle in degrees."""
-    for name, value in (given | fixed).items():
+    for name, value in (conditions | fixed).items():
         if value is None:
             continue
         parameter = "bank" if name == "phi" else name

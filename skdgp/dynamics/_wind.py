@@ -86,15 +86,15 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
 
 
 def met_turbulence(
-    asked: Air, air: AirAt, motion: Motion, states: Array
+    described: Air, air: AirAt, motion: Motion, states: Array
 ) -> tuple[Turbulence | None, str]:
     """Return the turbulence to fly in, None if nobody knows it, and a sentence that says what it is."""
     flown = motion.aerodynamics.turbulence
-    if asked.gusts is None:
+    if described.gusts is None:
         return STILL, "Air without gusts, as asked."
-    if isinstance(asked.gusts, Turbulence):
-        return asked.gusts, f"Gusts {_sizes(asked.gusts)}, as asked."
-    if tables := tables_of(asked.wind):
+    if isinstance(described.gusts, Turbulence):
+        return described.gusts, f"Gusts {_sizes(described.gusts)}, as asked."
+    if tables := tables_of(described.wind):
         of_wind = _turbulence_of(tables, airspeeds(states, air), motion.aircraft.span)
         if of_wind is not None:
             return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
@@ -130,7 +130,7 @@ def _turbulence_of(tables: list, speeds: Vector, span: float) -> Turbulence | No
 
 
 def gusty_air(
-    asked: Air,
+    described: Air,
     met: Turbulence,
     air: AirAt,
     motion: Motion,
@@ -150,17 +150,17 @@ def gusty_air(
         np.random.default_rng(seeds), n_draws=n_paths,
     )  # fmt: skip
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
-    if _has_gusts(asked.wind):
+    if _has_gusts(described.wind):
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
     return GustyAir(air, Gusts(*parts), motion.is_implicit)
 
 
 def airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
-    here = air(0, states)
+    local = air(0, states)
     wind = (
         0.0
-        if here is None
-        else ned_to_body(states[:, ATTITUDE], np.broadcast_to(here.wind, (len(states), 3)))
+        if local is None
+        else ned_to_body(states[:, ATTITUDE], np.broadcast_to(local.wind, (len(states), 3)))
     )
     return np.linalg.norm(states[:, VELOCITY] - wind, axis=-1)

@@ -55,11 +55,11 @@ class Display:
         self.axes_ = panels(ax, n_rows, n_columns, figsize=figsize)
         self.figure_ = self.axes_.flat[0].figure
         cells = list(self.axes_.T.flat if self.by_column else self.axes_.flat)
-        for one, key in zip(cells, keys, strict=False):
-            tidy(one)
-            self.draw(one, key)
-        for one in cells[len(keys) :]:
-            one.set_visible(False)
+        for cell, key in zip(cells, keys, strict=False):
+            tidy(cell)
+            self.draw(cell, key)
+        for cell in cells[len(keys) :]:
+            cell.set_visible(False)
         legend_above(cells[0])
         return self
 
@@ -79,13 +79,13 @@ def panels(ax: Any, n_rows: int, n_columns: int, *, figsize: tuple[float, float]
         ax = plt.figure(figsize=figsize, layout="constrained")
     if hasattr(ax, "subplots"):
         return ax.subplots(n_rows, n_columns, squeeze=False)
-    given = np.asarray(ax, dtype=object)
-    if given.size != n_rows * n_columns or not all(isinstance(one, Axes) for one in given.flat):
+    axes = np.asarray(ax, dtype=object)
+    if axes.size != n_rows * n_columns or not all(isinstance(item, Axes) for item in axes.flat):
         raise ValueError(
-            f"Got {given.size} axes, but expected {n_rows * n_columns}: use fig, axes = "
+            f"Got {axes.size} axes, but expected {n_rows * n_columns}: use fig, axes = "
             f"plt.subplots({n_rows}, {n_columns}), or give a Figure."
         )
-    return given.reshape(n_rows, n_columns)
+    return axes.reshape(n_rows, n_columns)
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:
@@ -166,8 +166,8 @@ def line_points(time: Vector, values: Vector, starts: Indices) -> tuple[Vector, 
     (True, 7.0)
     """
     number = _slices(time, starts)
-    known = pd.Series(values)[np.isfinite(values)]
-    slices = known.groupby(number[known.index])
+    finite = pd.Series(values)[np.isfinite(values)]
+    slices = finite.groupby(number[finite.index])
     rows = np.unique(np.concatenate([slices.idxmin(), slices.idxmax()])).astype(int)
     gaps = np.flatnonzero(np.diff(number[rows]) > 1) + 1
     return np.insert(time[rows], gaps, np.nan), np.insert(values[rows], gaps, np.nan)
@@ -178,8 +178,8 @@ def band_points(
 ) -> tuple[Vector, Vector, Vector]:
     """Return times, lower and upper edge of a band: in each slice the union of the samples' intervals."""
     band = pd.DataFrame({"time": time, "lower": lower, "upper": upper})
-    known = band[np.isfinite(band).all(axis=1)]
-    slices = known.groupby(_slices(time, starts)[known.index])
+    finite = band[np.isfinite(band).all(axis=1)]
+    slices = finite.groupby(_slices(time, starts)[finite.index])
     edges = pd.DataFrame({"lower": slices["lower"].min(), "upper": slices["upper"].max()})
     ends = pd.concat(
         [edges.assign(time=slices["time"].min()), edges.assign(time=slices["time"].max())]

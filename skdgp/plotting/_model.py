@@ -154,11 +154,11 @@ class EffectsDisplay(Display):
     @classmethod
     def compute(cls, model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Self:
         """Return what :meth:`from_model` draws."""
-        found = effects(model, X, n_grid=n_grid)
+        terms = effects(model, X, n_grid=n_grid)
         return cls(
-            curves=found.curves,
-            importance=found.importance,
-            samples=found.samples,
+            curves=terms.curves,
+            importance=terms.importance,
+            samples=terms.samples,
             interactions=interactions(model, X),
         )
 
@@ -213,9 +213,9 @@ class DerivativeDisplay(Display):
     def draw(self, ax: Any, key: str) -> None:
         """Draw a derivative."""
         k = self.names.index(key)
-        at = self.at * display_unit(self.over)[0]
+        x = self.at * display_unit(self.over)[0]
         std = None if self.std is None else self.std[:, k]
-        draw_curve(ax, at, self.values[:, k], std, "model")
+        draw_curve(ax, x, self.values[:, k], std, "model")
         ax.set(xlabel=axis_label(self.over), ylabel=_label(key))
 
     @classmethod
@@ -238,18 +238,18 @@ class DerivativeDisplay(Display):
                 "stability_derivatives(model, aircraft, [trim, ...])."
             )
         check_choice("over", over, ("airspeed", "alpha", "beta"))
-        known = list(sweep.index.unique(level=1))
-        names = list(derivatives or [name for name in DEFAULT_DERIVATIVES if name in known])
-        check_names(names, known, "derivatives")
-        at = sweep[over].groupby(level=0).first().sort_values()
+        rows = list(sweep.index.unique(level=1))
+        names = list(derivatives or [name for name in DEFAULT_DERIVATIVES if name in rows])
+        check_names(names, rows, "derivatives")
+        points = sweep[over].groupby(level=0).first().sort_values()
         values, std = (
-            sweep[column].unstack(1).reindex(index=at.index, columns=names).to_numpy(float)
+            sweep[column].unstack(1).reindex(index=points.index, columns=names).to_numpy(float)
             if column in sweep
             else None
             for column in ("value", "std")
         )
         return cls(
-            at=at.to_numpy(float), values=values, std=std, over=over, names=tuple(names)
+            at=points.to_numpy(float), values=values, std=std, over=over, names=tuple(names)
         ).plot(ax)
 
 

@@ -116,9 +116,9 @@ class TimeHistoryDisplay(Display):
                 f"{self.time.max():g} s: choose a span inside."
             )
         columns = ("time", "measured", "mean", "truth", "lower", "upper", "window", "beyond")
-        given = {name: getattr(self, name) for name in columns}
+        arrays = {name: getattr(self, name) for name in columns}
         return replace(
-            self, **{name: values[rows] for name, values in given.items() if values is not None}
+            self, **{name: values[rows] for name, values in arrays.items() if values is not None}
         )
 
     def draw(self, ax: Any, key: str) -> None:
@@ -360,8 +360,8 @@ def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Ve
 
 def _isolated(values: Vector) -> list[int]:
     """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
-    known = np.concatenate([[False], np.isfinite(values), [False]])
-    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:]).tolist()
+    is_finite = np.concatenate([[False], np.isfinite(values), [False]])
+    return np.flatnonzero(is_finite[1:-1] & ~is_finite[:-2] & ~is_finite[2:]).tolist()
 
 
 def _fit_to_lines(ax: Any) -> None:

@@ -81,9 +81,9 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values; the flights are in the scores."""
-        found = {name: value for name, value in asdict(self).items() if name != "flights"}
-        return found | {
-            "uses": [one._asdict() for one in self.uses],
+        values = {name: value for name, value in asdict(self).items() if name != "flights"}
+        return values | {
+            "uses": [use._asdict() for use in self.uses],
             "thresholds": THRESHOLDS._asdict(),
         }
 
@@ -140,8 +140,8 @@ class FlightMechanics:
             found["trim"]["beyond"] = {
                 name: list(values) for name, values in self.trim.beyond.items()
             }
-        kept = ("value", "std", "lower", "upper", "std_aircraft", "aircraft")
-        columns = [name for name in kept if name in self.derivatives]
+        names_kept = ("value", "std", "lower", "upper", "std_aircraft", "aircraft")
+        columns = [name for name in names_kept if name in self.derivatives]
         found["derivatives"] = self.derivatives[columns].to_dict("index")
         modes = None if self.modes is None else self.modes.drop(columns="eigenvalue")
         tables = {
@@ -224,14 +224,14 @@ class FlightResult:
     @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:
         """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
-        given = self.metrics
-        if given is None:
-            given = {"measured": self._scores(self.measured, self.noisy_std)}
+        metrics = self.metrics
+        if metrics is None:
+            metrics = {"measured": self._scores(self.measured, self.noisy_std)}
             if self.truth is not None:
-                given["truth"] = self._scores(self.truth, self.std)
+                metrics["truth"] = self._scores(self.truth, self.std)
         return {
             against: pd.DataFrame(dict(scores), list(COEFFICIENTS)).reindex(columns=list(SCORES))
-            for against, scores in given.items()
+            for against, scores in metrics.items()
         }
 
     def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:

@@ -52,17 +52,17 @@ def _legend(ax: Any) -> list[tuple[str, str, str]]:
 
     if ax.get_legend() is not None:
         return []
-    found = []
+    entries = []
     artist: Any
     for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
         label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
         if isinstance(artist, Collection):
             area: Any = artist.get_facecolor()
-            found.append((to_hex(area[0]), label, "area"))
+            entries.append((to_hex(area[0]), label, "area"))
         else:
             sign = "•" if artist.get_linestyle() == "None" else ""
-            found.append((to_hex(artist.get_color()), label, sign))
-    return found
+            entries.append((to_hex(artist.get_color()), label, sign))
+    return entries
 
 
 def busiest_span(
@@ -110,10 +110,10 @@ def chapters(result: FlightResult, length: float) -> str:
     for first in np.arange(begin, end, length) if end - begin > 1.5 * CHAPTER else ():
         last = min(first + length, end)
         if np.any((result.time >= first) & (result.time <= last)):
-            words = f"{number(first, '.0f')} to {number(last, '.0f')}{THIN}s"
-            caption = f"Coefficients of {text(result.name)}, {words}."
+            span = f"{number(first, '.0f')} to {number(last, '.0f')}{THIN}s"
+            caption = f"Coefficients of {text(result.name)}, {span}."
             body = coefficient_figure(display.between(first, last), caption)
-            parts += f"<details><summary>{words}</summary>{body}</details>"
+            parts += f"<details><summary>{span}</summary>{body}</details>"
     return parts
 
 

@@ -168,29 +168,32 @@ def _with_contents(sections: Iterable[str]) -> str:
     return f'<nav class="contents">{" ".join(links)}</nav>\n{body}'
 
 
-def _note(words: str) -> str:
-    return f'<p class="note">{words}</p>' if words else ""
+def _note(sentence: str) -> str:
+    return f'<p class="note">{sentence}</p>' if sentence else ""
 
 
 def _verdict(content: ReportContent) -> str:
     """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
     if not content.test:
-        words = "No test flight was given: nothing here shows how the model does away from the flights it learned from."
-        return _section("Verdict", _note(words))
-    found = content.verdict
+        sentence = (
+            "No test flight was given: nothing here shows how the model does away from the flights "
+            "it learned from."
+        )
+        return _section("Verdict", _note(sentence))
+    verdict = content.verdict
     air = f" Air: {text(content.air)}." if content.air else ""
     parts = []
-    if found is not None:
-        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in found.uses]
+    if verdict is not None:
+        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
         head = ["good enough to", "", "because"]
         parts += [
-            f'<p class="lead">{text(found.learned)}{air}</p>',
-            _tiles(found),
+            f'<p class="lead">{text(verdict.learned)}{air}</p>',
+            _tiles(verdict),
             table(head, uses, caption="What the model is good for.", classes="words"),
-            f"<p>{text(found.compared())}</p>",
-            _list(found.warnings[:N_WARNINGS], "ol", "alerts") or _note(NO_WARNING),
+            f"<p>{text(verdict.compared())}</p>",
+            _list(verdict.warnings[:N_WARNINGS], "ol", "alerts") or _note(NO_WARNING),
         ]
-    if found is None or len(content.test) > 1:
+    if verdict is None or len(content.test) > 1:
         rows = []
         for result in content.test:
             means = result.scores["measured"].mean()
@@ -212,11 +215,11 @@ def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
     )
 
 
-def _next_flight(found: FlightMechanics | None) -> str:
+def _next_flight(mechanics: FlightMechanics | None) -> str:
     """Return the weak derivatives by the input that excites them, weakest first."""
-    if found is None or "std" not in found.derivatives:
+    if mechanics is None or "std" not in mechanics.derivatives:
         return ""
-    derivatives = pd.concat([_of_plane(found.derivatives, plane) for plane in GROUPED])
+    derivatives = pd.concat([_of_plane(mechanics.derivatives, plane) for plane in GROUPED])
     half = 1.96 * derivatives["std"] / derivatives["value"].abs()
     weak = derivatives.assign(half=half)[(half > THRESHOLDS.band) & (half < 1.96 * KNOWN)]
     weak = weak.sort_values("half", ascending=False)
@@ -240,12 +243,12 @@ def _next_flight(found: FlightMechanics | None) -> str:
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
 
 
-def _tiles(found: Verdict) -> str:
-    linear = found.least_squares_error
+def _tiles(verdict: Verdict) -> str:
+    linear = verdict.least_squares_error
     beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
     return (
-        f'<div class="head"><div><b>{number(found.error, ".3f")}</b><span>error over spread '
-        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(found.coverage)}"
+        f'<div class="head"><div><b>{number(verdict.error, ".3f")}</b><span>error over spread '
+        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
         "<small>%</small></b><span>of measured values inside the 95 % band</span>"
         "<span>95 is right</span></div></div>"
     )
@@ -266,21 +269,21 @@ def _messages(content: ReportContent) -> str:
     )
 
 
-def _mechanics(found: FlightMechanics) -> str:
+def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
-    parts = [_note(text(found.note))]
-    if found.trim is not None:
+    parts = [_note(text(mechanics.note))]
+    if mechanics.trim is not None:
         names = ["airspeed", "alpha", "theta", "phi"]
-        if "climb" not in found.trim.solved:  # without a thrust it is the model's glide
+        if "climb" not in mechanics.trim.solved:  # without a thrust it is the model's glide
             names.append("climb")
-        values = {name: getattr(found.trim, name) for name in names} | found.trim.controls
+        values = {name: getattr(mechanics.trim, name) for name in names} | mechanics.trim.controls
         shown = [(name, _with_unit(name, value)) for name, value in values.items()]
         parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))
-    if len(found.derivatives):
-        tables = "".join(_derivatives(found, plane) for plane in GROUPED)
+    if len(mechanics.derivatives):
+        tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
-    if found.modes is not None:
-        parts.append(_modes(found.modes))
+    if mechanics.modes is not None:
+        parts.append(_modes(mechanics.modes))
     return _section("Trim, derivatives and modes", *parts)
 
 
@@ -289,16 +292,18 @@ def _with_unit(name: str, value: float) -> str:
     return f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}"
 
 
-def _derivatives(found: FlightMechanics, plane: str) -> str:
+def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
     """Return the derivatives of one plane; those with too large standard deviations are named beneath."""
-    derivatives = _of_plane(found.derivatives, plane)
+    derivatives = _of_plane(mechanics.derivatives, plane)
     std = derivatives.get("std", 0.0 * derivatives["value"])
     is_known = std <= KNOWN * derivatives["value"].abs()
     names = [derivative(*row) for row in derivatives[["coefficient", "regressor"]].to_numpy()]
-    unknown = ", ".join(name for name, known in zip(names, is_known, strict=True) if not known)
+    unknown = ", ".join(
+        name for name, is_shown in zip(names, is_known, strict=True) if not is_shown
+    )
     columns = {"": names, "model": [_value(row) for _, row in derivatives.iterrows()]}
-    if found.least_squares is not None:
-        linear = found.least_squares.loc[derivatives.index, ["value", "std"]].to_numpy()
+    if mechanics.least_squares is not None:
+        linear = mechanics.least_squares.loc[derivatives.index, ["value", "std"]].to_numpy()
         columns[LINEAR] = [_with_std(*row) for row in linear]
     if "std_aircraft" in derivatives:
         columns[OF_AIRCRAFT] = [number(x, ".2g") for x in derivatives["std_aircraft"]]
@@ -309,7 +314,9 @@ def _derivatives(found: FlightMechanics, plane: str) -> str:
     )
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
-    caption += "".join(words for column, words in EXPLAINED.items() if column in columns)
+    caption += "".join(
+        explanation for column, explanation in EXPLAINED.items() if column in columns
+    )
     note = _note(f"Not told by these flights: {unknown}." if unknown else "")
     numbers = table([*columns], rows, caption=caption, classes="numbers named") if rows else ""
     return f"<div>{numbers}{note}</div>"
@@ -349,13 +356,13 @@ def _modes(modes: pd.DataFrame) -> str:
     return table(head, rows, caption=caption, classes="numbers narrow")
 
 
-def _simulation(found: FlightMechanics, draw: bool) -> str:
+def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     """Return how long a free simulation follows the test flights, and one of them with its bands."""
-    why = f"Not simulated: {text(found.simulation_note)}." if found.simulation_note else ""
+    why = f"Not simulated: {text(mechanics.simulation_note)}." if mechanics.simulation_note else ""
     parts = [_note(why)]
-    if found.simulation is not None:
+    if mechanics.simulation is not None:
         rows = []
-        for name, row in found.simulation.iterrows():
+        for name, row in mechanics.simulation.iterrows():
             factor, unit = display_unit(str(name))
             cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
             lasts = number(row["lasts"], ".2g")
@@ -376,13 +383,13 @@ def _simulation(found: FlightMechanics, draw: bool) -> str:
             "follows<br>for [s]",
         ]
         parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
-    if draw and found.simulated is not None:
+    if draw and mechanics.simulated is not None:
         caption = (
             "One of these simulations, from a measured state with the recorded controls. The band "
             "holds 95 % of the aircraft that the model allows, in still air: gusts and steady wind "
             "are not in it."
         )
-        parts.append(figures.display_figure(found.simulated, caption=caption))
+        parts.append(figures.display_figure(mechanics.simulated, caption=caption))
     return _section("Simulation", *parts)
 
 
@@ -403,14 +410,14 @@ def _flight(result: FlightResult, length: float | None) -> str:
     """Return errors and, where parts of a ``length`` are to be drawn, figures of a test flight."""
     scores = result.scores
     tables = error_table(scores["measured"], against="measured coefficients")
-    words = "▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide."
+    legend = "▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide."
     if "truth" in scores:
         tables += error_table(scores["truth"], against="truth", with_bands=False)
-        words += (
+        legend += (
             " Bands are judged against measured values alone: the true coefficients contain what "
             "no sensor saw, such as gusts, which no band promises to hold."
         )
-    parts = [f'<div class="pair">{tables}</div>', _note(words)]
+    parts = [f'<div class="pair">{tables}</div>', _note(legend)]
     if length is None:
         return "".join(parts)
     name = text(result.name)
@@ -472,7 +479,7 @@ def _flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test]
     for name, flight in pairs:
-        twins = sum(other.partition(" no. ")[0] == name for other in tables)
+        twins = sum(earlier.partition(" no. ")[0] == name for earlier in tables)
         if flight is not None:
             tables[f"{name} no. {twins + 1}" if twins else name] = flight
     return tables

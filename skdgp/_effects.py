@@ -89,12 +89,12 @@ class Effects:
 
 
 def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects:
-    r"""Return the effect of each regressor on each output, and what is joint, with standard deviations.
+    r"""Return the effect of each regressor on each output, and of the joint term, with standard deviations.
 
     The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a
     process of each (``structure="additive"``), processes of few (``ConvolvedGaussian(regressors=[0,
     1])``), and the joint processes. Terms of the same regressors are one effect. With the
-    covariance :math:`K_t` of a term, and C that of the measured values y, it has the mean
+    covariance :math:`K_t` of a term, and C of the measured values y, it has the mean
     :math:`K_t(X_*, X) C^{-1} y` and the covariance :math:`K_t(X_*, X_*) - K_t(X_*, X) C^{-1} K_t(X,
     X_*)` (Duvenaud, Nickisch & Rasmussen 2011, "Additive Gaussian processes"; Plate 1999). Every
     effect has mean zero over the samples, so that
@@ -293,7 +293,7 @@ def in_units(rows, scalers):
 
 
 def _name(columns, names):
-    """Return the name of the term of some regressors; that of a constant is empty."""
+    """Return the name of the term of some regressors; empty for a constant."""
     if len(columns) == len(names) > 1:
         return JOINT
     return ", ".join(names[k] for k in columns)

@@ -1,4 +1,4 @@
-"""Inputs that excite an aircraft, as functions of time: steps, multisines, and sequences of them."""
+"""Inputs that excite an aircraft, as functions of time: steps, multisines, and sequences."""
 
 from __future__ import annotations
 
@@ -142,8 +142,8 @@ def as_limits(limit: Limits | float) -> Limits:
 class Steps(Signal):
     r"""Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
 
-    With a finite ``rate`` [1/s] the steps are ramps, each centred on its edge, so that the mean
-    stays what it was; the first begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r`
+    With a finite ``rate`` [1/s] the steps are ramps, each centred on its edge, so that the mean is
+    unchanged; the first begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r`
     longer. Raises ValueError if there is no level, a duration is not > 0, or the ramps do not fit
     into the durations.
 
@@ -227,8 +227,8 @@ class Steps(Signal):
 def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
     """Return a doublet: a pulse up and one down, each ``width`` seconds long; down first if the amplitude is < 0.
 
-    Its spectrum peaks at 2.33 / width [rad/s]. The rate of ``limits`` is that of
-    its ramps. Raises ValueError if a limit is exceeded, or the ramps do not fit into the width.
+    Its spectrum peaks at 2.33 / width [rad/s]. The rate of ``limits`` is the rate of its ramps.
+    Raises ValueError if a limit is exceeded, or the ramps do not fit into the width.
 
     Examples
     --------
@@ -415,8 +415,9 @@ def orthogonal_multisines(
     """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band
-    (Morelli, AIAA 2003-5700); those of an axis are evenly spaced where that covers most of the
-    band, since peaks are then lower. Phases are those of `Multisine.optimized`: each input begins
+    (Morelli, AIAA 2003-5700); the harmonics of an axis are evenly spaced where this covers most of
+    the
+    band, since peaks are then lower. Phases are as of `Multisine.optimized`: each input begins
     and ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or
     there is no axis.
 
@@ -647,8 +648,8 @@ def wavetrain(
 ) -> Wavetrain:
     """Return manoeuvres one after another, with flight at trim before, between and after them.
 
-    Each manoeuvre is a mapping of axes to inputs, which begin together. Before each is a ``pause``
-    [s] in which the modes decay. Raises ValueError if a manoeuvre has no input, or as of
+    Each manoeuvre is a mapping of axes to inputs, which begin together. A ``pause`` [s] before
+    each lets the modes decay. Raises ValueError if a manoeuvre has no input, or as of
     `Wavetrain`, whose ``limits`` are these.
 
     Examples

@@ -1,1 +1,1 @@
-"""What is shown: units, colours, pictures, tables and pages, of plots, reports and flight cards alike."""
+"""Display: units, colours, pictures, tables and pages, of plots, reports and flight cards alike."""

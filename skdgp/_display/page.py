@@ -127,7 +127,7 @@ def picture(
     size: tuple[float, float],
     margins: tuple[float, float, float, float] = MARGINS,
 ) -> str:
-    """Return an image, the SVG of what ``draw(figure)`` draws; a reader can save it as a file.
+    """Return an image, the SVG drawn by ``draw(figure)``; a reader can save it as a file.
 
     ``label`` is read aloud; ``size`` is width and height, ``margins`` are those left, right, below
     and above the axes [in].

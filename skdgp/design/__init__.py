@@ -1,4 +1,4 @@
-"""Design of flights: inputs that excite an aircraft, plans of them, and what these promise."""
+"""Design of flights: inputs that excite an aircraft, plans of manoeuvres, and their promises."""
 
 from skdgp._excitation import (
     Limits,

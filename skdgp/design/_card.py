@@ -74,8 +74,9 @@ def write_flight_card(
 
     The crew's pages come first: go and no-go, trim and entry, abort limits, the order of the
     manoeuvres and their risks. A page for each kind of manoeuvre shows the inputs as pictures and,
-    of pulses, as steps, with the responses expected of 95 % of the aircraft drawn. The last page is
-    the engineer's: what the flight promises. With the ``full`` deflections of axes [rad], or 1 of
+    of pulses, as steps, with the responses expected of 95 % of the aircraft drawn. The last page
+    is the engineer's: the promised standard deviations. With the ``full`` deflections of axes
+    [rad], or 1 of
     the throttle, the card says how much of the stick each step is. Raises FileNotFoundError if the
     folder of ``path`` does not exist.
     """
@@ -102,7 +103,7 @@ def _fields(names: Sequence[str]) -> str:
 
 
 def _go(plan: Plan) -> str:
-    """Return in which wind and gusts the flight may begin."""
+    """Return the wind and gusts that allow the flight to begin."""
     rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
     caption = "When the flight may begin. Risks and expected responses are those of calm air."
     if plan.gusts is not None:

@@ -1,4 +1,4 @@
-"""What a planned flight must not leave."""
+"""Limits of a planned flight."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPTIONS = {
 }  # fmt: skip
 """What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
-GROWTH = "growth of "  # before the name of a limit that comes from what was flown
+GROWTH = "growth of "  # before the name of a limit from the training range
 BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
            "margin": (0, np.inf)}  # fmt: skip
 """Least and largest of each number of an envelope."""
@@ -32,9 +32,9 @@ WHOLE_RANGE = {
 
 @dataclass(frozen=True)
 class Envelope:
-    """What a flight must not leave, and the risk that is accepted.
+    """Limits of a flight, and the accepted risk.
 
-    What is not given is limited to the range that was flown, and ``growth`` of it more. A model of
+    Other limits are the training range, and a fraction ``growth`` more. A model of
     :class:`skdgp.preprocessing.RegressorSelector` knows this range where its flights have the
     channels airspeed, phi, az, altitude.
 
@@ -49,15 +49,15 @@ class Envelope:
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        By which part of its range a regressor, or a quantity above that is not given, may leave
-        what the model was learned from: half of it at either end. inf: no limit.
+        Fraction of its training range by which a regressor, or a quantity above that is not given,
+        may exceed it: half at either end. inf: no limit.
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
     margin : float, default=0.15
-        Fraction by which the response to a manoeuvre may exceed the model's: slopes learned in
+        Relative excess of the response to a manoeuvre over the model's: slopes learned in
         gusts err by more than the posterior says.
     gusts : Turbulence, "auto" or None, default="auto"
-        In which the risk is predicted. "auto": that of the training flights, with a warning if the
+        Gusts of the predicted risk. "auto": as in the training flights, with a warning if the
         model does not know it. None: calm air.
     n_paths : int, default=200
         Aircraft drawn for each prediction. A risk of 5 % is then known to 1.5 %.
@@ -136,7 +136,7 @@ class Envelope:
         return flown_quantities(as_aerodynamics(model)).get("altitude", (0.0, 100.0))
 
     def unlimited(self, model: Aerodynamics) -> list[str]:
-        """Return what is neither given nor known to have been flown."""
+        """Return the quantities with neither a limit nor a training range."""
         bounds = self.bounds(model)
         free = [
             name
@@ -148,7 +148,7 @@ class Envelope:
     def channels(
         self, flight: pd.DataFrame, aircraft: Aircraft, model: Aerodynamics
     ) -> pd.DataFrame:
-        """Return what is limited, along one simulated flight."""
+        """Return the limited quantities along one simulated flight."""
         limited = quantities(flight)
         X = regressors_of(flight, aircraft, model.regressors)
         growth = limited.assign(**dict(zip(model.regressors, X.T, strict=True))).add_prefix(GROWTH)
@@ -168,7 +168,7 @@ class Envelope:
 
 
 def flown_quantities(model: Aerodynamics) -> dict[str, tuple[float, float]]:
-    """Return lowest and highest value of what an envelope limits in the flights of a model, where these changed it."""
+    """Return lowest and highest value of each limited quantity in the flights of a model, where it changed."""
     ends = quantities(pd.DataFrame(model.flown, index=["low", "high"]))
     return {str(name): (min(pair), max(pair)) for name, pair in ends.items() if np.ptp(pair) > 0}
 
@@ -182,7 +182,7 @@ def option_of(limit: str, model: Aerodynamics) -> str:
 
 
 def quantities(flight: pd.DataFrame) -> pd.DataFrame:
-    """Return what an envelope limits, of each row of a flight; angles in radians, load factor -az / g."""
+    """Return the limited quantities of each row of a flight; angles in radians, load factor -az / g."""
     names = ["alpha", "beta", "airspeed", "altitude", "az", "phi"]
     flight = flight.reindex(columns=names).astype(float)
     return flight.assign(load_factor=-flight["az"] / STANDARD_GRAVITY, bank=flight["phi"])[

@@ -34,7 +34,7 @@ def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]
 def information(X: Matrix) -> Matrix:
     """Return the Fisher information (1 + d, 1 + d) of rows X (n, d) for noise of unit variance.
 
-    It is that of a constant and the slopes of a coefficient that is linear in the regressors. The
+    It concerns a constant and the slopes of a coefficient that is linear in the regressors. The
     noise of a coefficient is a factor of all its variances, so the information serves all six.
     """
     rows = np.column_stack([np.ones(len(X)), X])

@@ -25,8 +25,8 @@ LATERAL = ("Dutch roll", "roll")
 MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
 MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
 MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
-BELOW = 0.4  # lowest frequency of the band over that of the slowest mode
-ABOVE = 2.5  # highest frequency of the band over that of an oscillation
+BELOW = 0.4  # lowest frequency of the band over the frequency of the slowest mode
+ABOVE = 2.5  # highest frequency of the band over the frequency of an oscillation
 WIDTHS = (1.0, 2.5)  # widths of pulses, in units of the suggested one
 MULTISINES = (5.0, 10.0)  # durations of multisines [s]
 MOST_TONES = 8
@@ -45,7 +45,8 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     :math:`\omega`, if its pulses last :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts
     half a period: its unit is :math:`\pi / 2\omega` (Klein & Morelli, Aircraft System
     Identification, 2006, chapter 9). The band of multisines begins at 0.4 times the slowest
-    frequency. It ends at 2.5 times that of an oscillation, or at that of a faster mode without.
+    frequency. It ends at 2.5 times the frequency of an oscillation, or at the frequency of a
+    faster mode.
 
     Raises ValueError if the linear model lacks the modes of an input, or has an input that is no
     surface and no thrust.

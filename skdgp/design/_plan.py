@@ -1,4 +1,4 @@
-"""Planned flights: their manoeuvres, what they promise, what they risk, and the file that says so."""
+"""Planned flights: manoeuvres, promised standard deviations, risks, and their file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, and what they promise; `write_flight_card` draws them.
+    """Flights that `plan` has chosen, with promised standard deviations; `write_flight_card` draws them.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Plan:
         In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim,
         ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to
         the limits), ``risk`` (predicted probability of leaving the envelope; NaN without
-        posterior), and ``gain`` (by which part it reduces the standard errors of the goal by linear
+        posterior), and ``gain`` (relative reduction of the standard errors of the goal by linear
         least squares, on geometric average).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
@@ -50,10 +50,10 @@ class Plan:
         the flight, and ``promised`` of a model learned from this flight too. NaN where the model
         has no posterior, or does not hold its rows.
     limits : DataFrame
-        ``low`` and ``high`` of what no manoeuvre may leave: see :meth:`Envelope.bounds`.
+        ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
     gusts : tuple of float, optional
-        Standard deviations [m/s] of the gusts u, v, w in which risks were predicted; None: in calm
+        Standard deviations [m/s] of the gusts u, v, w of the predicted risks; None: in calm
         air.
     """
 
@@ -158,7 +158,7 @@ def std_at(
 
 @dataclass(frozen=True, eq=False)
 class PlanCheck:
-    """Standard deviations of derivatives that a plan promised, and those of a model learned after its flight.
+    """Standard deviations of derivatives promised by a plan, and of a model learned after its flight.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class PlanCheck:
         return {str(name): float(value) for name, value in np.exp(np.log(ratios).mean()).items()}
 
     def summary(self) -> list[str]:
-        """Return what was promised and found, in one line."""
+        """Return promised and found values in one line."""
         ratios = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
         return [f"standard deviations of the plan's goal, of those before it: {ratios}"]
 

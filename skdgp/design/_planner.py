@@ -40,11 +40,11 @@ from skdgp.dynamics import (
 
 SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: responses are not linear
 TRIES = 6  # largest number of checks of a manoeuvre
-NEAR = 0.03  # fraction of its size by which the safe one may be missed
+NEAR = 0.03  # relative tolerance of the largest safe size
 MOST = np.pi / 2  # deflection that no surface has [rad]
 UNBOUNDED = ("thrust", "propeller_speed")  # axes that are no deflections
 MOST_SECONDS = 1800.0  # duration of a plan
-WORTH = 0.002  # least part by which a flight lowers the errors of the goal
+WORTH = 0.002  # least relative reduction of the errors of the goal
 UNMOVED = 1e-6  # information of a manoeuvre below which motion is rounding
 VAGUE = 1e-8  # information assumed of everything, relative to the largest of a manoeuvre
 
@@ -64,13 +64,13 @@ def plan(
 ) -> Plan:
     r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
 
-    The library holds doublets, 3-2-1-1s and multisines, whose times and bands are those of the
-    modes. Each is simulated from a trim with the mean of the model. With the rows X of the training
+    The library holds doublets, 3-2-1-1s and multisines, with times and bands from the modes. Each
+    is simulated from a trim with the mean of the model. With the rows X of the training
     flights and of manoeuvres, :math:`[(X^T X)^{-1}]_{kk}` is the variance of a slope by linear
     least squares in units of the noise. Manoeuvres are chosen one by one for the largest reduction
     per second of its mean logarithm over the goal; then each is exchanged while that helps.
 
-    What the flight promises is the standard deviation that
+    The flight promises the standard deviation that
     :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights. The targets of
     the planned rows are the model's means and the residuals of its training rows, so the promise
     holds what more rows do not lower: noise of the regressors, and what alpha_dot and beta_dot may
@@ -84,7 +84,7 @@ def plan(
     second after it, for which the risk is predicted. Before and after it is a pause at the trim, a
     quarter of the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), at least 3 s.
 
-    Ctrl-C ends the search with the best of what has been checked. :func:`skdgp.listening` shows the
+    Ctrl-C ends the search with the best checked manoeuvres. :func:`skdgp.listening` shows the
     progress.
 
     Raises ValueError if a trim has not an axis, the model has not a regressor of the goal or did
@@ -273,7 +273,7 @@ class _Planner:
             )
 
     def _checked_limits(self, axes: Sequence[str], limits: Mapping) -> dict[str, Limits]:
-        """Return the limits of the axes, by default what the model was learned from; the throttle ends at 0 and 1."""
+        """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
         checked = {}
         for axis in axes:
             checked[axis] = as_limits(limits[axis] if axis in limits else self._flown(axis))
@@ -348,7 +348,7 @@ class _Planner:
         ]  # fmt: skip
 
     def _flights(self, k: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
-        """Return the flights of those manoeuvres that the mean flies to their end."""
+        """Return the flights of manoeuvres that the mean completes."""
         flights = self.rehearsals[k].flown([*named.values()]) if named else []
         pairs = zip(named, flights, strict=True)
         return {name: flight for name, flight in pairs if (flight["ended"] == "").all()}
@@ -363,7 +363,7 @@ class _Planner:
         return sum(manoeuvre.seconds for manoeuvre in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return manoeuvres with more of them, each the one of the largest gain per second, until the time is used."""
+        """Return manoeuvres with more of them, each of the largest gain per second, until the time is used."""
         while options := [manoeuvre for manoeuvre in library if self._fits([*chosen, manoeuvre])]:
             now = self._gain(chosen)
             gains = [
@@ -394,7 +394,7 @@ class _Planner:
             best = better
 
     def _searched(self) -> list[_Manoeuvre]:
-        """Return the chosen manoeuvres, all of them safe."""
+        """Return the chosen manoeuvres, all safe."""
         library = self.library
         causes = ""
         try:
@@ -469,7 +469,7 @@ class _Planner:
         return largest, causes
 
     def _plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
-        """Return the plan of manoeuvres, those of one trim together."""
+        """Return the plan of manoeuvres, grouped by trim."""
         chosen = sorted(chosen, key=lambda manoeuvre: manoeuvre.at)
         flown = sorted({manoeuvre.at for manoeuvre in chosen})
         trains = []

@@ -33,7 +33,7 @@ class Hold(NamedTuple):
     drawn: Array  # the same by each aircraft, (paths, n, c)
     low: Vector  # of the envelope, (c,)
     high: Vector
-    margin: Vector  # part of the response by which it may be larger, (c,)
+    margin: Vector  # relative excess of the response, (c,)
     allowed: int  # paths that may leave
 
     def response(self, values: Matrix) -> Matrix:
@@ -41,7 +41,7 @@ class Hold(NamedTuple):
         return values - self.centre[self._rows(values)]
 
     def largest(self, responses: Array) -> float:
-        """Return by which factor responses (paths or 1, n, c) to inputs may grow, until more paths leave than may."""
+        """Return the factor of growth of responses (paths or 1, n, c) to inputs, until more paths leave than may."""
         still = self.drawn[:, self._rows(responses[0])]
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = (np.where(responses > 0, self.high, self.low) - still) / responses
@@ -59,7 +59,7 @@ class Checked(NamedTuple):
     causes: str  # the limits that it leaves
     flight: pd.DataFrame  # by the mean
     paths: pd.DataFrame  # by aircraft that are drawn, or by the mean without a posterior
-    factor: float  # by which it may be larger, if responses grow with it
+    factor: float  # possible growth, if responses grow with it
 
 
 @dataclass(eq=False)
@@ -176,7 +176,7 @@ class Rehearsal:
         )
 
     def _possible(self, paths: pd.DataFrame) -> str:
-        """Return the airspeeds that keep in the envelope in gusts as those of some flights, if theirs does not."""
+        """Return the airspeeds that stay in the envelope in the gusts of these flights, if theirs does not."""
         bounds = [
             pair
             for name, pair in self.envelope.bounds(self.aerodynamics).items()
@@ -197,7 +197,7 @@ class Rehearsal:
         )
 
     def room(self, flight: pd.DataFrame) -> float:
-        """Return the factor by which the response of a manoeuvre fits into the envelope, by every aircraft drawn."""
+        """Return the factor by which the response of a manoeuvre fits into the envelope, for every aircraft drawn."""
         response = self.hold.response(self.channels(self._unattended(flight)))
         return self.hold.largest((1 + self.hold.margin) * response[None])
 
@@ -208,7 +208,7 @@ class Rehearsal:
         ]
 
     def channels(self, flight: pd.DataFrame) -> Matrix:
-        """Return what the envelope limits along flights, one after another, (n, c)."""
+        """Return the limited quantities along flights, one after another, (n, c)."""
         return self.envelope.channels(flight, self.aircraft, self.aerodynamics).to_numpy()
 
     def checked(self, inputs: Inputs) -> Checked:

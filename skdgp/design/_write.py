@@ -151,7 +151,7 @@ def _check_room(table: pd.DataFrame, mixes: Mapping, full: Mapping[str, float]) 
 
 
 def _parts(signal: Signal) -> dict[str, Any]:
-    """Return what the script evaluates a signal from."""
+    """Return the numbers from which the script evaluates a signal."""
     kind = {"kind": type(signal).__name__, "duration": signal.duration}
     if isinstance(signal, Steps):
         return kind | {

@@ -49,7 +49,7 @@ class Drift(NamedTuple):
         """Return draws (n, *shape, 6) at times (n,) that increase."""
         seed = check_random_state(random_state).randint(
             2**31 - 1, size=4
-        )  # other numbers than those of the paths
+        )  # other numbers than for the paths
         rng = np.random.default_rng(seed)
         drawn = rng.standard_normal((len(time), *shape, 6)) * np.sqrt(self.variance)
         for k, r in enumerate(np.exp(-np.diff(time)[:, None] / self.memory), start=1):
@@ -82,11 +82,11 @@ class Aerodynamics:
     flown : mapping of str to tuple of float, optional
         The same of other channels, such as ``phi``, ``airspeed``, ``az``, ``altitude``.
     span, chord : float, optional
-        Lengths [m] of the non-dimensional rates; by default those of the aircraft that flies.
+        Lengths [m] of the non-dimensional rates; by default the lengths of the aircraft that flies.
     mixing : Mixing, optional
         How the model's controls follow from the aircraft's surfaces.
     units : mapping of str to str, optional
-        Units of controls that are not those of docs/notation.md.
+        Units of controls that differ from docs/notation.md.
 
     Examples
     --------
@@ -237,13 +237,13 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
     from a table whose columns are regressors; or either in a fitted search or a
     ``CalibratedRegressor``. It predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where
-    it keeps no names of them. Raises TypeError if it is none of these; ValueError if regressors
+    it keeps no names. Raises TypeError for any other model; ValueError if regressors
     have no names or were scaled before they were chosen, or a coefficient is missing.
 
     Notes
     -----
-    A transformer declares by its class attribute ``in_simulation`` what becomes of it in a
-    simulation, which has exact states and no neighbours in time:
+    A transformer declares by its class attribute ``in_simulation`` its role in a simulation, which
+    has exact states and no neighbours in time:
 
     - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,),
       and ``ranges_`` of channels by name. The last counts.

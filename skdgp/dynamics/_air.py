@@ -80,8 +80,8 @@ class Gusts(NamedTuple):
 def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return scale lengths (3,) [m] and intensities (3,) [m/s] of u, v, w below 1000 ft (MIL-F-8785C, 3.7.3.4).
 
-    With h in feet: L_w = h, L_u = L_v = h / (.177 + .000823 h)^1.2, sigma_w = .1 W, sigma_u =
-    sigma_v = sigma_w / (.177 + .000823 h)^.4, W the wind speed 20 ft above the ground.
+    With h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 W, sigma_u =
+    sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed 20 ft above the ground.
     """
     if not 0 < height <= CEILING:
         raise ValueError(
@@ -344,14 +344,14 @@ class Turbulence(NamedTuple):
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
         one, all winds and axes. The direction of flight is not known here: u and v share intensity
         and length (MIL-F-8785C, 3.7.2), and of north and east, S is the mean of their spectra.
-        Standard errors are those of the Fisher information. Raises ValueError if a column is
+        Standard errors follow from the Fisher information. Raises ValueError if a column is
         missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds
         are too short or too rarely sampled.
 
         Parameters
         ----------
         wind : DataFrame or list of DataFrame
-            Each with time, wind_north, wind_east, wind_down. Those of a few seconds tell the rates
+            Each with time, wind_north, wind_east, wind_down. Winds of a few seconds show the rates
             of the gusts, not their lengths.
         airspeed : float or array-like (n_winds,)
             [m/s].
@@ -434,7 +434,7 @@ class _Spectra(NamedTuple):
     """
 
     def unit(self, length: float, axis: int) -> Array:
-        """Return Dryden's spectrum of an axis for unit variance: of north and east the mean of those of u and v."""
+        """Return Dryden's spectrum of an axis for unit variance: of north and east the mean spectrum of u and v."""
         axes = (0, 1) if axis < 2 and not self.is_along else (axis,)
         return np.mean(
             [_spectrum(self.frequency, length / self.airspeed, component) for component in axes],
@@ -544,7 +544,7 @@ class Air:
 
     Where it is the only thing to say, a wind, a `Turbulence` or "calm" stands for
     ``Air(wind=wind)``, ``Air(gusts=turbulence)`` and ``Air(gusts=None)``. Raises ValueError if a
-    value is not one of those below.
+    value is invalid.
 
     Parameters
     ----------
@@ -553,10 +553,10 @@ class Air:
         ``wind_north``, ``wind_east``, ``wind_down`` (a list: one for each start); or a function (t,
         position (..., 3)). By default at rest.
     gusts : "auto", Turbulence or None, default="auto"
-        Turbulence in which each path of a simulation meets gusts of its own, with their rates p, q,
+        Turbulence: each path of a simulation meets its own gusts, with their rates p, q,
         r, besides the wind. A table or function as wind contains the velocity of the gusts: then
-        only rates are drawn. "auto": that of this table (`Turbulence.from_wind`), else
-        that of the training flights, if the model knows it. None: calm air.
+        only rates are drawn. "auto": the turbulence of this table (`Turbulence.from_wind`), else
+        of the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
         coefficients that change slowly, as the residuals of the training flights did. False: the

@@ -136,9 +136,9 @@ class Aircraft:
     ) -> Aircraft:
         """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the other sizes may be.
 
-        Moments of inertia are those of radii of gyration of its kind (Raymer, Aircraft Design,
+        Moments of inertia follow from radii of gyration of its kind (Raymer, Aircraft Design,
         equations 16.52 to 16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b +
-        l) / 4)^2. What is missing of wing area, chord and length follows from usual ratios of the
+        l) / 4)^2. Wing area, chord and length, where missing, follow from usual ratios of the
         kind. A pair is a value and its standard deviation. Raises ValueError as `Aircraft` does,
         and if the kind is unknown, or wing area and aspect ratio are both given.
 

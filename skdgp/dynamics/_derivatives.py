@@ -92,23 +92,23 @@ def stability_derivatives(
         - ``std_method``: difference to the slopes of a polynomial with past regressors as
           instruments, what third powers change, and how far noise of the regressors may flatten a
           slope,
-        - ``std_merged``: alpha_dot and beta_dot, of which ``merged`` names the derivative.
+        - ``std_merged``: alpha_dot and beta_dot; ``merged`` names the derivative.
           ``std_unmerged`` is without it: what more flights of the same kind lower.
 
         ``n_effective`` is the number of independent samples that would determine the slope as well.
         Compact models lack ``std_random``, ``std_method`` and ``n_effective``.
 
         Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make
-        of the values, and ``aircraft`` names the largest of them. They are shared, and not part of
+        of the values, and ``aircraft`` names the largest. They are shared, and not part of
         ``std``: trim, modes and simulations with the same aircraft do not depend on them. Compare
-        derivatives with those of another source by both.
+        derivatives of two sources by both.
 
     Notes
     -----
     A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went
     together in the flights: its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
-    2006, section 5.1; docs/control.md). ``std_merged`` is for derivatives by alpha_dot of 0 +- .4
-    times those by q, as of a tail in the downwash, and by beta_dot of 0 +- .2 times those by r.
+    2006, section 5.1; docs/control.md). ``std_merged`` is for derivatives by alpha_dot of 0 +- 0.4
+    times those by q, as of a tail in the downwash, and by beta_dot of 0 +- 0.2 times those by r.
 
     Examples
     --------
@@ -261,7 +261,7 @@ class _Frame:
         return np.concatenate([C, S], axis=-1)
 
     def errors(self, errors: Array, apart: bool = False) -> Array:
-        """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or those of each."""
+        """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or of each error."""
         parts = np.abs(
             [self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)]
         )

@@ -28,11 +28,11 @@ of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 20
 points, each propeller with the same weight, in the ranges below."""
 USUAL_STD = 0.23
 """Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
-0.4 to 0.9 times pitch / diameter; that of the torque is .13. Towards zero thrust it grows."""
+0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero thrust it grows."""
 MEASURED_DIAMETERS, MEASURED_PITCHES = (0.17, 0.49), (0.35, 1.1)
 """Of these propellers: diameter [m], pitch / diameter."""
 LOADED_SPEED, LOADED_THRUST_STD = 0.75, 0.35
-"""Speed at full throttle over that of the motor without load, and what its deviation of .1 makes of the thrust, which
+"""Speed at full throttle over the speed of the motor without load, and the deviation of the thrust by its 0.1, which
 goes with its third power or so in flight; guesses."""
 
 
@@ -240,7 +240,7 @@ class Propeller:
         With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site;
         Brandt & Selig 2011),
 
-        .. math:: C_T = .048 + .092 x - (.136 - .123 x) J - .104 J^2,
+        .. math:: C_T = 0.048 + 0.092 x - (0.136 - 0.123 x) J - 0.104 J^2,
 
         and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a
         size is not positive, or of the motor's constant and the voltage there is one alone; warns
@@ -321,7 +321,7 @@ class ThrustLine:
 
     Examples
     --------
-    An engine .2 m above the centre of gravity pitches the nose down:
+    An engine 0.2 m above the centre of gravity pitches the nose down:
 
     >>> from skdgp.dynamics import ThrustLine
     >>> force, moment = ThrustLine(position=(-0.5, 0.0, -0.2), direction=(1, 0, 0)).loads(100.0)

@@ -41,15 +41,16 @@ class ScaleFactor:
     std : float
         Relative standard deviation.
     powers : mapping of str to float
-        Powers with which quantities follow it: mass, wing_area, span, chord, Ixx, Iyy, Izz, dynamic
+        Powers of the factor in each quantity: mass, wing_area, span, chord, Ixx, Iyy, Izz, dynamic
         pressure, and full throws of controls. An error of 1 % of the aspect ratio b^2 / S is one of
         -1 % of ``wing_area`` and, as c = S / b, of -1 % of ``chord``. The product Ixz has no size
         to be relative to: its errors are of sqrt(Ixx Izz).
     source : str
-        What it was estimated from.
+        Source of the estimate.
     added : mapping of str to float
-        Of an error that adds to coefficients, as that of the thrust does: what one of 100 % adds to
-        them and to their slopes by regressors of a model, "CX", "CX_alpha", ...
+        Of an error that adds to coefficients, such as an error of the thrust: the change by an
+        error of 100 %, of coefficients and their slopes by regressors of a model, "CX",
+        "CX_alpha", ...
     """
 
     std: float
@@ -83,7 +84,7 @@ class Kind(NamedTuple):
 
 # Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those
 # of length and aspect ratio, of the conventional kind: published moments of five aircraft
-# (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: those of the Zagi (Beard &
+# (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
 # McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as that of the B-49 gives them a sixth
 # of their moment. Deltas: radii of four published aircraft and planforms of ten (the same file), as
 # Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as

@@ -58,7 +58,7 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     """Return one start or several as a table of names or an array of states, with a row for each.
 
     ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
-    of them.
+    of trims.
     """
     if isinstance(x0, Sequence) and len(x0) and all(hasattr(point, "state") for point in x0):
         x0 = [point.state for point in x0]
@@ -199,7 +199,7 @@ def perturbed(
         drawn[..., ATTITUDE] = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
         if not any(
             name in std for name in BODY_VELOCITY
-        ):  # the velocity over the ground is what was measured
+        ):  # the velocity over the ground was measured
             drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
     return drawn
 

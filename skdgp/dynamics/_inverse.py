@@ -110,7 +110,7 @@ def aerodynamic_coefficients(
 
 
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
-    """Return the flight with NaN for what was not measured of the channels needed; warn of it."""
+    """Return the flight with NaN where a needed channel was not measured, and warn."""
     check_columns(check_table(flight), ["time", *NEEDED])
     faults = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
     faults = [fault for fault in faults if fault.kind in NOT_MEASURED]

@@ -6,8 +6,8 @@ model without them gives their effect to the regressors that they follow from. W
 x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives :math:`C_{\dot\alpha} = C_q\,
 d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
 :math:`C_{\dot\alpha}` is zero with a standard deviation of `SHARES` of :math:`C_q`, and of
-:math:`C_r` for beta_dot. The square of :math:`C_q` is that of the model plus that of its deviation
-by method: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
+:math:`C_r` for beta_dot. The square of :math:`C_q` is the model's, plus the square of its
+deviation by method: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def jacobian(
     .. math:: dC = (I - c_X G_C)^{-1} c_X (G_x dx + G_u du), \quad d\dot x = F_x dx + F_u du + F_C dC
 
     with the slopes of the model :math:`c_X`, and differences of F and G, exact to some 1e-10.
-    ``controls`` are those of :meth:`Motion.at`. Where the aerodynamics are paths, these are the
+    ``controls`` are as of :meth:`Motion.at`. Where the aerodynamics are paths, these are the
     first axis of ``state``. A ``lag`` adds coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
@@ -204,7 +204,7 @@ def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tupl
     """Return draws of the errors of slopes at one flight, (n_paths, 6, d), and of the lag, with paths first."""
     seed = check_random_state(random_state).randint(
         2**31 - 1, size=4
-    )  # other numbers than those of the paths
+    )  # other numbers than for the paths
     rng = np.random.default_rng(seed)
     lag_drawn = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
     drawn = np.zeros((n_paths, *lag.errors.shape[:-1]))

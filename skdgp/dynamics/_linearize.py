@@ -96,7 +96,7 @@ class LinearModel:
     def select(
         self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
     ) -> LinearModel:
-        """Return the part with these states, inputs and outputs; what is left out stands still."""
+        """Return the part with these states, inputs and outputs; other states stand still."""
         check_names(states, self.states, "states of the linear model")
         check_names(inputs, self.inputs, "inputs of the linear model")
         check_names(outputs, self.outputs, "outputs of the linear model")

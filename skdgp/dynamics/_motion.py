@@ -90,7 +90,7 @@ class Instant(NamedTuple):
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
-    The parameters are those of `skdgp.dynamics.simulate`; of the air, density and gravity count.
+    The parameters are as of `skdgp.dynamics.simulate`; of the air, density and gravity count.
     With ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed
     point.
 
@@ -99,7 +99,7 @@ class Motion:
     regressors : tuple of str
         The names of the model's regressors without suffixes, in its order.
     controls : tuple of str
-        Those of them that are controls: neither state nor motion.
+        Regressors that are controls: neither state nor motion.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class Motion:
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best those of the last call.
+        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best from the last call.
         ``drift`` (..., 6) is added to the coefficients.
         """
         velocity = state[..., VELOCITY]
@@ -209,7 +209,7 @@ class Motion:
         airspeed, alpha, beta = air_data(velocity)
         altitude = -state[..., 2]
         density = self._density(altitude) if callable(self._density) else self._density
-        if density is None:  # that of the standard atmosphere, NaN outside of it
+        if density is None:  # the standard atmosphere, NaN outside
             density = standard_density(
                 np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan)
             )
@@ -235,7 +235,7 @@ class Motion:
         return now._replace(implicit=result, settled=settled)
 
     def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
-        """Return the regressors (..., d), of which those that follow from the loads are not yet set."""
+        """Return the regressors (..., d); regressors that follow from the loads are not yet set."""
         values = {
             "airspeed": airspeed,
             "alpha": alpha,
@@ -275,7 +275,7 @@ class Motion:
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
 
     def _coefficients(self, X: Array) -> Array:
-        """Return the model's coefficients, NaN where a state has diverged: models refuse what is not finite."""
+        """Return the model's coefficients, NaN where a state has diverged: models refuse infinite values."""
         if np.isfinite(X).all():
             return self.aerodynamics(X)
         finite = np.isfinite(X).all(axis=-1, keepdims=True)

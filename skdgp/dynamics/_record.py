@@ -1,4 +1,4 @@
-"""What is flown: the loop over the times of a clock, the states it records, and why a flight ends."""
+"""Simulated flight: the loop over the times of a clock, the states it records, and why a flight ends."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def replay_errors(
     flight's columns: "_true" compares with the truth of a simulation. The columns are ``state``,
     ``horizon`` [s], ``median`` (over all samples but the restarts), ``at_end`` (over the ends of
     full windows) and ``spread`` (standard deviation of the measured state over the flight). Units
-    are those of the states; errors of angles are at most half a turn.
+    are as of the states; errors of angles are at most half a turn.
 
     Examples
     --------

@@ -88,7 +88,7 @@ def simulate(
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like, (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
         ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
-        what is not given is zero.
+        other values are zero.
     controls : DataFrame, list of DataFrame, mapping or callable
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
         gives the thrust: a table with ``time`` [s], its first row the start (linear between rows; a
@@ -102,7 +102,7 @@ def simulate(
     air : Air, table, list of tables, array-like (3,), callable, Turbulence or "calm", optional
         A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with
         density and gravity. By default paths meet the gusts of a wind that is a table or a
-        function, else those of the training flights. "calm" is without gusts.
+        function, else the gusts of the training flights. "calm" has no gusts.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
         flight. Their spread is the uncertainty of the trajectory.
@@ -123,7 +123,7 @@ def simulate(
     pandas.DataFrame
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta,
         altitude, density, ``ax``, ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and
-        coefficients; ``beyond``, the regressor that is farthest outside of what was flown, or "";
+        coefficients; ``beyond``, the regressor farthest outside its training range, or "";
         ``ended``, why the trajectory is over, or "": its rows are then NaN. Several starts have a
         column ``start``, paths also ``path``; ``flight`` names each. ``attrs["air"]`` says in words
         which gusts were met.
@@ -138,7 +138,7 @@ def simulate(
     Warns
     -----
     SimulationWarning
-        If a trajectory ends early, or leaves what the model was learned from.
+        If a trajectory ends early, or leaves the training ranges.
     UserWarning
         If start, controls and wind carry times that do not begin together, or a start does not fit
         its wind.
@@ -225,7 +225,7 @@ class Simulator:
     ended : str or ndarray of str
         Why the flight, or each, is over; "" while it is not.
     beyond : str or ndarray of str
-        After a step: the regressor that is farthest outside of what the model was learned from, or
+        After a step: the regressor farthest outside its training range, or
         "".
 
     Examples
@@ -314,7 +314,7 @@ class Simulator:
         return self._seen()
 
     def step(self, controls: Mapping) -> dict[str, Any]:
-        """Return what is seen after a step with controls by name; raises ValueError before `reset` or after the end."""
+        """Return the observation after a step with controls by name; ValueError before `reset` or after the end."""
         if self._state is None or not (self._ended == FLYING).any():
             what = (
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
@@ -366,7 +366,7 @@ class SimulationWarning(UserWarning):
 
 
 def trajectory_table(record: Any, motion: Motion, first_times: Array) -> pd.DataFrame:
-    """Return what was flown as one flight table: path by path, start by start, row by row.
+    """Return the record as one flight table: path by path, start by start, row by row.
 
     The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times``
     (n_starts,) is the time at each start.
@@ -421,7 +421,7 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
 
 
 def beyond(motion: Motion, regressors: Array) -> np.ndarray:
-    """Return 1 + the one of the regressors (..., d) that is farthest outside of what was flown, 0 where none is."""
+    """Return the 1-based index of the regressor (..., d) farthest outside its training range, 0 if none is outside."""
     limits = motion.aerodynamics.limits
     if limits is None:
         return np.zeros(regressors.shape[:-1], dtype=int)
@@ -432,7 +432,7 @@ def beyond(motion: Motion, regressors: Array) -> np.ndarray:
 
 
 def warn_of(record: Any, motion: Motion) -> None:
-    """Warn of trajectories that ended early, and of those that left what the model was learned from."""
+    """Warn of trajectories that ended early, and of trajectories that left the training ranges."""
     ended = [reason for reason in record.ended.ravel().tolist() if reason]
     n, dt = record.ended.size, record.time[1]
     if ended:
@@ -474,7 +474,7 @@ def trajectory_bands(
 ) -> pd.DataFrame:
     """Return the bands of an ensemble that `simulate` returned with ``n_paths``, by ``start`` and ``time``.
 
-    ``level`` is the share of the paths inside, of those that still fly: quantiles (1 - level) / 2
+    ``level`` is the fraction of the flying paths inside: quantiles (1 - level) / 2
     and (1 + level) / 2. ``columns`` are by default velocities, angles (heading unwrapped), rates,
     airspeed, alpha, beta, altitude. The table has ``<column>`` (the median), ``<column>_low``,
     ``<column>_high``, and ``flying``, the share that has not ended.

@@ -59,7 +59,7 @@ FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """A steady flight: airspeed [m/s], altitude [m], angles and that of the path, climb [rad], turn rate [rad/s]."""
+    """A steady flight: airspeed [m/s], altitude [m], angles, climb angle of the path [rad], turn rate [rad/s]."""
 
     state: Array
     """(13,), see `STATE_NAMES`; above the origin, heading north."""
@@ -124,8 +124,8 @@ def trim(
         \dot h = V \sin\gamma, \quad (p, q, r) = \dot\psi\,(-\sin\theta, \sin\phi\cos\theta,
         \cos\phi\cos\theta).
 
-    The unknowns are alpha, theta, phi and four controls: those of the model, and the one that sets
-    the thrust. With ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead
+    The unknowns are alpha, theta, phi and four controls: the model's, and the control of the
+    thrust. With ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead
     of zero, where there are fewer controls, as without a rudder, or where both ``bank`` and
     ``turn_rate`` are given (a steady sideslip). Raises ValueError if there is no such flight, with
     the accelerations that remain and the unknowns at a limit; if a given value is not finite, or an
@@ -149,8 +149,8 @@ def trim(
         Values of controls that are not unknowns. A ``throttle`` that is a regressor but does not set
         the thrust (an aircraft without a propeller) is by default the middle of its training range.
     limits : mapping of str to pair of float, optional
-        Of controls, alpha, beta, phi, theta. By default controls and alpha may leave what the model
-        was learned from by the width of it on either side, at least 0.1 rad; surfaces reach 45
+        Of controls, alpha, beta, phi, theta. By default controls and alpha may leave the training
+        range by its width on either side, at least 0.1 rad; surfaces reach 45
         degrees where that is unknown; ``throttle`` is 0 to 1, ``thrust`` > 0.
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
@@ -295,7 +295,7 @@ class SteadyFlight:
         return low - margin, high + margin
 
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
-        """Return the values of the unknowns, searched first ``near`` those of another flight."""
+        """Return the values of the unknowns, searched first ``near`` another flight."""
         low, high = np.array([self.limits[name] for name in self.unknowns]).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
         starts = [self._start(airspeed, fraction) for fraction in STARTS]
@@ -342,7 +342,7 @@ class SteadyFlight:
         return flight, state, self.fixed | {name: flight[name] for name in self.controls}
 
     def instant(self, flight: dict, state: Array, controls: dict) -> Instant:
-        """Return loads and accelerations; implicit regressors are searched from those of a steady flight."""
+        """Return loads and accelerations; implicit regressors are searched from a steady flight."""
         steady = np.zeros((*state.shape[:-1], len(IMPLICIT)))
         weight = gravity_in_body_axes(flight["phi"], flight["theta"], self.motion.gravity)
         steady[..., 5:] = cross(state[..., RATES], state[..., VELOCITY]) - weight

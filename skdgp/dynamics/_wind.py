@@ -88,7 +88,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
 def met_turbulence(
     described: Air, air: AirAt, motion: Motion, states: Array
 ) -> tuple[Turbulence | None, str]:
-    """Return the turbulence to fly in, None if nobody knows it, and a sentence that says what it is."""
+    """Return the turbulence to fly in, None if unknown, and a sentence about it."""
     flown = motion.aerodynamics.turbulence
     if described.gusts is None:
         return STILL, "Air without gusts, as asked."
@@ -140,9 +140,7 @@ def gusty_air(
     seed: Any,
 ) -> GustyAir:
     """Return the air (n_paths, n_starts) with gusts, or with their rates alone where the wind contains them."""
-    seeds = check_random_state(seed).randint(
-        2**31 - 1, size=5
-    )  # other numbers than those of the paths
+    seeds = check_random_state(seed).randint(2**31 - 1, size=5)  # other numbers than for the paths
     n = len(states)
     length, intensity = (np.tile(part, (n, 1)) for part in (met.length, met.intensity))
     drawn = dryden_gusts(

@@ -49,7 +49,7 @@ class CalibrationDisplay(Display):
         return ["coverage"]
 
     def words(self, key: str) -> str:
-        """Return what the panel shows."""
+        """Return the description of the panel."""
         return "observed against nominal coverage"
 
     def draw(self, ax: Any, key: str) -> None:

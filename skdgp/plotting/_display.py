@@ -1,4 +1,4 @@
-"""Base of the displays: one panel for each key; checks of what is drawn; long records with few points."""
+"""Base of the displays: one panel for each key; checks of data; long records with few points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
 
 
 class Display:
-    """Base of displays: ``keys`` name the panels, and ``draw`` draws one of them."""
+    """Base of displays: ``keys`` name the panels, and ``draw`` draws a panel."""
 
     axes_: np.ndarray
     figure_: Any

@@ -39,7 +39,7 @@ N_CELLS = 64  # cells along an axis, each with at most one dot of a flight
 class EnvelopeDisplay(Display):
     r"""Pairs of regressors: the training samples, the uncertainty of the model there, and another flight.
 
-    Contours show the relative uncertainty, the posterior standard deviation over that of the
+    Contours show the relative uncertainty, the posterior standard deviation over the spread of the
     function as it was flown,
 
     .. math::
@@ -120,7 +120,7 @@ class EnvelopeDisplay(Display):
     def from_estimator(
         cls, estimator: Any, X: Any, *, flight: Any = None, n_grid: int = 16, ax: Any = None
     ) -> Self:
-        """Draw the uncertainty of an estimator around its data; the options are those of :meth:`compute`."""
+        """Draw the uncertainty of an estimator around its data; options are as of :meth:`compute`."""
         with units_shown(getattr(estimator, "control_units_", {})):
             return cls.compute(estimator, X, flight=flight, n_grid=n_grid).plot(ax)
 

@@ -45,7 +45,7 @@ class PathDisplay(Display):
         return ["path"]
 
     def words(self, key: str) -> str:
-        """Return what the panel shows."""
+        """Return the description of the panel."""
         return "path over the ground, coloured by flight"
 
     def draw(self, ax: Any, key: str) -> None:

@@ -168,7 +168,8 @@ class TimeHistoryDisplay(Display):
     ) -> Self:
         """Draw predictions (n, P) and measurements.
 
-        ``output_names`` are by default those of a DataFrame ``measured``, or of six unnamed columns
+        ``output_names`` are by default the columns of a DataFrame ``measured``, or of six unnamed
+        columns
         CX CY CZ Cl Cm Cn.
         """
         values = as_columns(measured, "measured outputs")
@@ -199,7 +200,7 @@ class TimeHistoryDisplay(Display):
 
         Its ``predict`` takes ``return_std``. X (n, d) are regressors, or the flights of an
         identification pipeline; Y (n, P) measured outputs, NaN = not observed. ``time`` (n,) is by
-        default the column ``time`` of X. With ``include_noise`` the band is that of a measurement.
+        default the column ``time`` of X. With ``include_noise`` the band is for a measurement.
         """
         if time is None and "time" not in getattr(X, "columns", ()):
             raise ValueError(

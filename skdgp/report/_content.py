@@ -23,7 +23,7 @@ class Thresholds(NamedTuple):
     """What counts as good enough (docs/judging.md, with the sources)."""
 
     error: float = 0.5
-    """Largest error over the spread of what is predicted: Theil's coefficient is then .27, of which .25 to .3 count as
+    """Largest error over the spread of what is predicted: Theil's coefficient is then 0.27, of which 0.25 to 0.3 count as
     good agreement (Jategaonkar 2006, chapter 11)."""
     coverage: float = HONEST[0]
     """Smallest share of measured values in a 95 % band (guess)."""
@@ -50,12 +50,12 @@ class Use(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What was learned, and what it is good enough for.
+    """Training, tests, and the uses that the model is good enough for.
 
     Parameters
     ----------
     learned : str
-        What was learned, from how much, and tested on how much.
+        Sizes of training and test.
     error, coverage : float
         NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights
         together.
@@ -66,7 +66,7 @@ class Verdict:
     least_squares_error : float, optional
         Error of a linear model fitted to the same rows.
     better, worse : tuples of str
-        Coefficients whose error is smaller, or larger, than that of least squares.
+        Coefficients whose error is smaller, or larger, than by least squares.
     """
 
     learned: str
@@ -100,7 +100,7 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightMechanics:
-    """Trim, derivatives and modes in the middle of what was flown.
+    """Trim, derivatives and modes in the middle of the training range.
 
     Parameters
     ----------
@@ -259,20 +259,21 @@ class ReportContent:
     subtitle : str
         Beneath the heading, such as the name of the aircraft.
     facts : mapping of str to str
-        What was done: aircraft, samples, regressors, kernel, likelihood, versions, ready to read.
+        Facts of the fit: aircraft, samples, regressors, kernel, likelihood, versions, ready to
+        read.
         Empty ones are not shown.
     verdict, mechanics : Verdict, FlightMechanics, optional
-        What the model is good enough for; trim, derivatives and modes.
+        Verdict on the uses of the model; trim, derivatives and modes.
     envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
         As from ``compute``.
     air : str
         The air that was flown: steady wind and gusts.
     sections : sequence of str
-        Further sections, HTML, such as what to fly next.
+        Further sections, HTML, such as the next flight.
     assumed, messages : sequences of str
-        What was assumed where nothing was told; warnings that arose.
+        Assumptions where nothing was given; warnings.
     units : mapping of str to str
-        Units of controls that are not those of docs/notation.md.
+        Units of controls that differ from docs/notation.md.
     command, created : str, datetime, optional
         How the report was made, and when; default: now.
     """

@@ -23,7 +23,7 @@ MOST_CHAPTERS = 6
 
 
 def display_figure(*displays: Any, caption: str) -> str:
-    """Return a figure of all panels of displays, side by side; those of one key stand beneath each other."""
+    """Return a figure of all panels of displays, side by side; panels of one key stand beneath each other."""
     layout = {1: "single"}.get(
         len(displays[0].keys), "" if displays[0].size[0] >= WIDTH else "trio"
     )
@@ -98,7 +98,7 @@ def coefficient_display(result: FlightResult) -> TimeHistoryDisplay:
 
 
 def coefficient_figure(display: TimeHistoryDisplay, caption: str) -> str:
-    """Return coefficients, with what the estimate misses of them beneath each."""
+    """Return coefficients, each with its residuals beneath."""
     return display_figure(display, display.residuals(), caption=caption)
 
 

@@ -357,7 +357,7 @@ def _modes(modes: pd.DataFrame) -> str:
 
 
 def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
-    """Return how long a free simulation follows the test flights, and one of them with its bands."""
+    """Return how long a free simulation follows the test flights, and one flight with its bands."""
     why = f"Not simulated: {text(mechanics.simulation_note)}." if mechanics.simulation_note else ""
     parts = [_note(why)]
     if mechanics.simulation is not None:

@@ -66,7 +66,7 @@ SCORES = {
 
 
 def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) -> str:
-    """Return errors by coefficient, grouped, with the mean of each group; those of bands only ``with_bands``."""
+    """Return errors by coefficient, grouped, with the mean of each group; scores of bands only ``with_bands``."""
     columns = {
         name: score for name, score in SCORES.items()
         if (with_bands or not score.of_band) and (not score.of_baseline or scores[name].notna().any())
@@ -91,7 +91,7 @@ def state(name: str) -> str:
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
-    """Return a list of what was done; pairs without a value are left out."""
+    """Return a list of facts; pairs without a value are left out."""
     lines = "".join(
         f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value
     )

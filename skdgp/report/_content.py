@@ -23,8 +23,8 @@ class Thresholds(NamedTuple):
     """What counts as good enough (docs/judging.md, with the sources)."""
 
     error: float = 0.5
-    """Largest error over the spread of what is predicted: Theil's coefficient is then 0.27, of which 0.25 to 0.3 count as
-    good agreement (Jategaonkar 2006, chapter 11)."""
+    """Largest error over the spread of the coefficients: Theil's coefficient is then 0.27, and 0.25 to
+    0.3 count as good agreement (Jategaonkar 2006, chapter 11)."""
     coverage: float = HONEST[0]
     """Smallest share of measured values in a 95 % band (guess)."""
     band: float = 0.5

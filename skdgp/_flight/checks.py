@@ -152,7 +152,7 @@ def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
         )
 
 
-def check_choice(name: str, value: object, choices: Collection[str]) -> None:
+def check_choice(name: str, value: object, choices: Collection[object]) -> None:
     """Raise ValueError if a parameter is none of its choices."""
     if value not in choices:
         *first, last = map(repr, choices)

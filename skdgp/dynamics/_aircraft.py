@@ -170,7 +170,7 @@ class Aircraft:
             kind, inertia, mass=mass, span=span, wing_area=wing_area, aspect_ratio=aspect_ratio,
             chord=chord, length=length,
         )  # fmt: skip
-        return cls(name=name, thrust_line=thrust_line, propeller=propeller, **sizes)
+        return cls(name=name, **sizes | {"thrust_line": thrust_line, "propeller": propeller})
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:

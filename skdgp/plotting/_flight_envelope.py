@@ -175,7 +175,11 @@ def _split_steps(estimator: Any) -> tuple[Any, Any]:
 
 def _pairs(names: list[str]) -> list[tuple[str, str]]:
     """Return the usual pairs of regressors among the names, or else neighbouring ones."""
-    pairs = [tuple(name if name in names else f"{name}_hat" for name in pair) for pair in PAIRS]
+
+    def regressor(name: str) -> str:
+        return name if name in names else f"{name}_hat"
+
+    pairs = [(regressor(x), regressor(y)) for x, y in PAIRS]
     return [pair for pair in pairs if set(pair) <= set(names)] or list(pairwise(names))
 
 

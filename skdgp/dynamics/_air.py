@@ -238,7 +238,7 @@ def dryden_wind(
     sizes = {"duration": duration, "airspeed": airspeed, "height": height, "span": span, "dt": dt}
     for name, value in sizes.items():
         check_number(name, value)
-    north, east, down = check_numbers("mean_wind", list(mean_wind), 3)
+    north, east, down = check_numbers("mean_wind", np.ravel(mean_wind).tolist(), 3)
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
     length, intensity = low_altitude_turbulence(height, wind_at_6m)
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))

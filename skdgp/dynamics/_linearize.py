@@ -110,7 +110,8 @@ class LinearModel:
                 columns = table.columns.get_indexer(part.columns)
                 parts.append(values[:, rows][:, :, columns])
             paths = Matrices(*parts)
-        return LinearModel(*tables, self.state, self.controls, paths)
+        A, B, C, D = tables
+        return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
@@ -352,7 +353,7 @@ def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = Non
     table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
     if paths is None:
         return table
-    drawn = np.linalg.eigvals(paths[:, rows][:, :, rows])
+    drawn: Any = np.linalg.eigvals(paths[:, rows][:, :, rows])
     # in the order of the eigenvalues that they lie nearest to
     drawn = [x[linear_sum_assignment(np.abs(eigenvalues[:, None] - x))[1]] for x in drawn]
     values = np.array([[_values(x[list(unit)]) for unit in named.values()] for x in drawn])
@@ -366,12 +367,13 @@ def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = Non
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
     """Return pairs of conjugate eigenvalues, positive imaginary part first, and single real ones."""
-    real = [(k,) for k, value in enumerate(eigenvalues) if value.imag == 0]
-    upper = np.flatnonzero(eigenvalues.imag > 0)
-    return [
-        *real,
-        *((k, int(np.argmin(np.abs(eigenvalues - eigenvalues[k].conj())))) for k in upper),
-    ]
+    units: list[tuple[int, ...]] = []
+    for k, value in enumerate(eigenvalues):
+        if value.imag > 0:
+            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
+        elif value.imag == 0:
+            units.append((k,))
+    return units
 
 
 def _named(

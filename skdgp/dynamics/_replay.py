@@ -94,13 +94,13 @@ def replay(
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, *RATES])
     path = _Path.of(flight, aircraft, coefficients, thrust, external_forces, float(gravity))
-    has_loads = np.isfinite(np.hstack([path.force, path.moment])).all(axis=1)
+    has_loads: Any = np.isfinite(np.hstack([path.force, path.moment])).all(axis=1)
     runs = [
         slice(segment.start + run.start, segment.start + run.stop)
         for segment in segments
         for run in true_runs(has_loads[segment])
     ]
-    is_complete = np.isfinite(path.state).all(axis=1)
+    is_complete: Any = np.isfinite(path.state).all(axis=1)
     tables = []
     for seconds in horizons.tolist():
         rows = restart_windows(path.time, runs, seconds, is_complete)
@@ -135,7 +135,8 @@ def replay_errors(
             f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}."
         )
     rows = []
-    for horizon, part in trajectory.groupby("horizon", sort=False):
+    for horizon in trajectory["horizon"].unique().tolist():
+        part = trajectory[trajectory["horizon"] == horizon]
         if len(part) != len(flight):
             raise ValueError(
                 f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as "

@@ -287,7 +287,8 @@ class SteadyFlight:
     def _limits(self, name: str) -> tuple[float, float]:
         propeller = self.motion.aircraft.propeller
         if name == "propeller_speed":
-            return (propeller and propeller.speed_range) or (0.0, np.inf)
+            idle, full = (propeller and propeller.speed_range) or (0.0, np.inf)
+            return idle, full
         if name in FIXED_LIMITS or name not in self.flown:
             return (ANGLES | FIXED_LIMITS).get(name, (-DEFLECTION, DEFLECTION))
         low, high = self.flown[name]

@@ -242,15 +242,18 @@ class DerivativeDisplay(Display):
         names = list(derivatives or [name for name in DEFAULT_DERIVATIVES if name in rows])
         check_names(names, rows, "derivatives")
         points = sweep[over].groupby(level=0).first().sort_values()
-        values, std = (
-            sweep[column].unstack(1).reindex(index=points.index, columns=names).to_numpy(float)
-            if column in sweep
-            else None
+        columns = {
+            column: sweep[column]
+            .unstack(1)
+            .reindex(index=points.index, columns=names)
+            .to_numpy(float)
             for column in ("value", "std")
-        )
+            if column in sweep
+        }
         return cls(
-            at=points.to_numpy(float), values=values, std=std, over=over, names=tuple(names)
-        ).plot(ax)
+            at=points.to_numpy(float), values=columns["value"], std=columns.get("std"), over=over,
+            names=tuple(names),
+        ).plot(ax)  # fmt: skip
 
 
 def _label(name: str) -> str:

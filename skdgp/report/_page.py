@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -103,17 +104,18 @@ MOST_OPEN = 3
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     """Write a report as one HTML file that needs nothing else, no network, no script; return its path.
 
-    The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
-    has no figures and says so. Raises FileNotFoundError if the folder does not exist.
+        The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
+        has no figures and says so. Raises FileNotFoundError if the folder does not exist.
 
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from skdgp.report import ReportContent, write_report
-    >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
-    >>> path.read_text(encoding="utf-8").splitlines()[0]
-    '<!DOCTYPE html>'
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+    from typing import Any
+        >>> from skdgp.report import ReportContent, write_report
+        >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
+        >>> path.read_text(encoding="utf-8").splitlines()[0]
+        '<!DOCTYPE html>'
     """
     return write_atomically(path, text_writer(render_report(content)))
 
@@ -227,8 +229,9 @@ def _next_flight(mechanics: FlightMechanics | None) -> str:
     for axis, regressors in EXCITED.items():
         excited = weak[weak["regressor"].isin(regressors)]
         lines = [
-            f"{derivative(row.coefficient, row.regressor)} ±{THIN}{percent(row.half, '.0f')}{THIN}%"
-            for row in excited.head(MOST_NAMED).itertuples()
+            f"{derivative(row['coefficient'], row['regressor'])} ±{THIN}"
+            f"{percent(row['half'], '.0f')}{THIN}%"
+            for row in excited.head(MOST_NAMED).to_dict("records")
         ]
         if lines:
             rows.append([axis, ", ".join(lines), str(len(excited))])
@@ -476,7 +479,9 @@ def _flown(content: ReportContent) -> str:
 def _flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
     """Return the flight tables by name: those learned from, then those tested on."""
     tables: dict[str, pd.DataFrame] = {}
-    pairs = [(f"{name} (train)", table) for name, table in content.train.items()]
+    pairs: list[tuple[str, Any]] = [
+        (f"{name} (train)", table) for name, table in content.train.items()
+    ]
     pairs += [(f"{result.name} (test)", result.table) for result in content.test]
     for name, flight in pairs:
         twins = sum(earlier.partition(" no. ")[0] == name for earlier in tables)

@@ -104,18 +104,17 @@ MOST_OPEN = 3
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
     """Write a report as one HTML file that needs nothing else, no network, no script; return its path.
 
-        The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
-        has no figures and says so. Raises FileNotFoundError if the folder does not exist.
+    The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
+    has no figures and says so. Raises FileNotFoundError if the folder does not exist.
 
-        Examples
-        --------
-        >>> import tempfile
-        >>> from pathlib import Path
-    from typing import Any
-        >>> from skdgp.report import ReportContent, write_report
-        >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
-        >>> path.read_text(encoding="utf-8").splitlines()[0]
-        '<!DOCTYPE html>'
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from skdgp.report import ReportContent, write_report
+    >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
+    >>> path.read_text(encoding="utf-8").splitlines()[0]
+    '<!DOCTYPE html>'
     """
     return write_atomically(path, text_writer(render_report(content)))
 

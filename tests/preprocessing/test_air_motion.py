@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.frames import euler_to_matrix
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
+from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, estimate_air_motion
 from skdgp.preprocessing._air_motion_equations import (
     N_STATES,
@@ -280,10 +282,16 @@ def found_in_gusts():
 
 
 @cache
-def reconstruction():
+def pipeline():
     table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
-    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
-    return step.fit(table.drop(columns="alpha_true"))
+    targets = aerodynamic_coefficients(table, as_aircraft(plane))
+    regressor = DependentGPRegressor(structure="trend", random_state=0)
+    model = make_identification_pipeline(as_aircraft(plane), regressor=regressor, lags=None)
+    return model.fit(table.drop(columns="alpha_true"), thin_targets(targets, 300))
+
+
+def reconstruction():
+    return pipeline()["flightpathreconstruction"]
 
 
 def test_derivatives_lie_inside_their_bands():
@@ -349,6 +357,19 @@ def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():
     np.testing.assert_allclose(value, expected)
     of_Cm = found.covariance.loc[["Cm_alpha", "Cm_q"], ["Cm_alpha", "Cm_q"]]
     np.testing.assert_allclose(errors[1, :2] @ errors[1, :2].T, of_Cm, rtol=1e-6)
+
+
+def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
+    found, _, plane = found_in_gusts()
+    state = np.zeros(13)
+    state[[3, 5, 6]] = 17.0, 17.0 * np.tan(found.air["alpha"].item()), 1.0
+    rest = dict.fromkeys(pipeline()["regressorselector"].regressors_[5:], 0.0)
+    at = pipeline(), as_aircraft(plane), state, rest
+    flown = stability_derivatives(*at, n_paths=20, thrust=None)
+    names = [name for name in found.derivatives.index if name in flown.index and name[:2] != "CX"]
+    value, std, _ = found.derivatives.loc[names].to_numpy().T
+    np.testing.assert_array_less(abs(flown.loc[names, "value"] - value), 0.5 * std)
+    np.testing.assert_array_less(0.99 * std, flown.loc[names, "std"])
 
 
 def test_flight_without_inputs_has_wide_bands():

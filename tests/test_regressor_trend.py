@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from sklearn.linear_model import BayesianRidge
+from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian
@@ -115,3 +118,18 @@ class TestStructure:
             ValueError, match=r"structure='additive' with kernel=.*expected kernel=None"
         ):
             DependentGPRegressor(structure="additive", kernel=ConvolvedGaussian(1)).fit(*sample)
+
+
+def test_more_regressors_than_rows_are_a_ridge_regression():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 60)) * rng.uniform(0.1, 10, 60)
+    y = (X / X.std(axis=0)) @ rng.normal(size=60) + rng.normal(size=200)
+    known = X[:50]
+    scaler = StandardScaler().fit(known)
+    ridge = BayesianRidge().fit(scaler.transform(known), y[:50])
+    model = DependentGPRegressor(random_state=0).fit(known, y[:50])
+    mean, std = model.predict(X[50:], return_std=True, include_noise=True)
+    expected, deviation = ridge.predict(scaler.transform(X[50:]), return_std=True)
+    assert_allclose(mean, expected, atol=0.05 * y.std())
+    assert_allclose(std, deviation, rtol=0.1)
+    assert list(model.weights_) == ["trend"]

@@ -83,7 +83,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         a log, else "joint"), of the trend and main effects, and of the trend, at the same
         hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
         held out in turn (docs/theory.md). A model without a linear trend, or whose hyperparameters are
-        not learned, has one member.
+        not learned, has one member. With more regressors than rows "average" is "trend".
     trend : {"linear", "constant"} or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
         function of the regressors with weights that are integrated out; it extrapolates linearly,

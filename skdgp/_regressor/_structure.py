@@ -162,7 +162,8 @@ def _make_kernel(model, X, Z, log):
         )
     n, d = X.shape
     trend = LinearTrend() if model.trend == "linear" else None
-    if model.structure == "trend":
+    averaged = model.structure == "average" and model.kernel is None and trend is not None
+    if model.structure == "trend" or (averaged and d > n):  # a process would have no weight
         return trend
     bounds = "spacing" if log else None
     kernel: MultiOutputKernel | None = model.kernel and clone(model.kernel)
@@ -177,7 +178,6 @@ def _make_kernel(model, X, Z, log):
         kernel = ConvolvedGaussian(
             n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds
         )
-    averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):
             kernel = ConvolvedGaussian(0, regressors=[k], length_scale_bounds=bounds) + kernel

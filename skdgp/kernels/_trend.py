@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from sklearn.base import clone
+from sklearn.linear_model import BayesianRidge
 
 from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
@@ -39,7 +40,8 @@ class LinearTrend(MultiOutputKernel):
         Prior standard deviation of the intercept, in the unit of the output. None: from the data.
     slope_scale : array (P, d) or None
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None:
-        from the data.
+        from the data; with more regressors than rows one for all slopes of an output, in standard
+        deviations of the regressors, which keeps its value.
     center : array (d,) or None
         Point of the intercept. None: the mean of the data, or the origin without data.
     intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
@@ -130,6 +132,9 @@ class LinearTrend(MultiOutputKernel):
             "intercept_scale_bounds": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
             "slope_scale_bounds": np.multiply.outer(unit, SLOPE_BOUNDS),
         }
+        if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression
+            start["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)
+            start["slope_scale_bounds"] = "fixed"
         params = {name: start[name] if given[name] is None else given[name] for name in start}
         for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, d)), ("center", (d,))):
             params[name] = as_shape(name, params[name], shape)
@@ -224,3 +229,16 @@ class LinearTrend(MultiOutputKernel):
 
     def single_output(self) -> MultiOutputKernel:
         return LinearTrend()
+
+
+def ridge_scale(X: Matrix, Y: Matrix) -> Vector:
+    """Return the standard deviation of the slopes (P,) by which Bayesian ridge regression has most evidence.
+
+    The slopes are of the regressors over their standard deviations. X (n, d), Y (n, P) with NaN.
+    """
+    inputs = (X - X.mean(axis=0)) / column_scale(X)
+    rows = np.isfinite(Y)
+    fits = [
+        BayesianRidge().fit(inputs[known], y[known]) for y, known in zip(Y.T, rows.T, strict=True)
+    ]
+    return np.array([1.0 / np.sqrt(fit.lambda_) for fit in fits])

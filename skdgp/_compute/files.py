@@ -106,12 +106,6 @@ def read_json(path: str | os.PathLike[str]) -> Any:
         return json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse)
 
 
-def parse_json(text: str, refusal: str) -> Any:
-    """Return the content of a JSON text; raise a ValueError that begins with ``refusal`` if it is none."""
-    with _refusing(refusal):
-        return json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse)
-
-
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file; errors as of `read_json`."""
     with _refusing(f"{path} is not a TOML file"):

@@ -145,12 +145,7 @@ def identify(
 
         # 4: the test flights, by paper eqs 17 and 18
         aircraft = _with_errors_of_fit(prepared, model, X)
-        settings = {
-            "samples": fit["samples"],
-            **prepared.loads,
-            **_evaluation.settings_of(model, horizons),
-            **({"servos": prepared.servos} if prepared.has_full_throws else {}),
-        }
+        settings = _settings(prepared, model, fit, horizons)
         evaluations = _evaluation.evaluate_flights(prepared.test, model, aircraft, settings, fit)
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
@@ -319,6 +314,13 @@ def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets:
         **_evaluation.fit_least_squares(model, X, targets),
         "flights": {name: len(part) for name, part in prepared.train.items()},
     }
+
+
+def _settings(prepared: PreparedFlights, model: Pipeline, fit: dict, horizons: Any) -> dict:
+    """Return the options of an identification, given or chosen."""
+    servos = {"servos": prepared.servos} if prepared.has_full_throws else {}
+    options = _evaluation.settings_of(model, horizons)
+    return {"samples": fit["samples"], **prepared.loads, **options, **servos}
 
 
 def _with_errors_of_fit(prepared: PreparedFlights, model: Pipeline, X: Any) -> Aircraft:

@@ -264,7 +264,7 @@ def servos_of(
     numbers = _outputs_by_function(outputs, parameters, name)
     return {
         SERVOS[function][0]: _channel(name, numbers[function], parameters, SERVOS[function][1])
-        for function in numbers
+        for function in reversed(numbers)
         if function in SERVOS
     }
 

@@ -167,10 +167,7 @@ class TestIdentify:
         assert 'No pictures in the report: they need pip install "skdgp[plot]"' in said
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, capsys):
-        assert (
-            identify("--test", "lateral.csv", "test.csv", "--thrust", "columns", output=tmp_path)
-            == 0
-        )
+        assert identify("--test", "lateral.csv", "test.csv", output=tmp_path) == 0
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
         together = metrics["test_together"]["coefficients"]

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from skdgp._compute.files import parse_json, read_json, read_toml, write_atomically
+from skdgp._compute.files import read_json, read_toml, write_atomically
 
 
 def names(folder):
@@ -164,8 +164,3 @@ class TestReading:
         assert read_json(tmp_path / "a") == {"a": 1}
         (tmp_path / "a").write_bytes(b"\xef\xbb\xbf" + b"a = 1")
         assert read_toml(tmp_path / "a") == {"a": 1}
-
-    def test_text(self):
-        assert parse_json('{"a": [1, {"a": 2}]}', "no") == {"a": [1, {"a": 2}]}
-        with pytest.raises(ValueError, match=r"^no: Expecting"):
-            parse_json("{", "no")

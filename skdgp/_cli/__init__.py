@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import shlex
 import sys
 import traceback
+from contextlib import nullcontext
+from difflib import get_close_matches
 from importlib.metadata import version
-from pathlib import Path
 
 from skdgp._cli import _fly, _learn, _write
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Console, Run, check_folder
+from skdgp._cli._output import Console, OutputFolder, Run
 
 __all__ = ["main"]
 
@@ -41,20 +43,19 @@ usage, 130 stopped by Ctrl-C.
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # any text in any encoding
-            stream.reconfigure(errors="backslashreplace")
+    _open_streams()
+    folder: OutputFolder | None = None
     console = Console()
     try:
-        options = make_parser().parse_args(argv)
-        folder = getattr(options, "output", None) and Path(options.output)
-        if folder is not None:
-            folder = folder.parent if options.command == "predict" else folder
-            check_folder(folder)
-        with console.showing_warnings():
-            options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
+        with console:
+            options = parse(argv)
+            if (output := getattr(options, "output", None)) is not None:
+                folder = OutputFolder(output, options.command == "predict")
+            with folder or nullcontext():
+                options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
     except KeyboardInterrupt:
-        console.print_error("stopped")
+        is_written = folder is None or folder.is_written
+        console.print_error("stopped" if is_written else "stopped: no output was written")
         return INTERRUPTED
     except Exception as error:
         if "--traceback" in argv:
@@ -62,6 +63,20 @@ def main(argv: list[str] | None = None) -> int:
         console.print_error(f"error: {_message(error)}")
         return FAILED
     return DONE
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """Return the options of a command line; SystemExit, as of argparse, ends wrong usage."""
+    options, unknown = make_parser().parse_known_args(argv)
+    strange = [word for word in argv if word != word.encode(errors="replace").decode()]
+    if strange:  # no record of the run could hold it
+        options.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
+    if unknown:
+        names = ["--" + name.replace("_", "-") for name in vars(options)]
+        near = get_close_matches(unknown[0].split("=")[0], names, n=1)
+        hint = f"did you mean {near[0]}?" if near else "--help lists the options"
+        options.parser.error(f"unrecognized arguments {' '.join(unknown)}: {hint}")
+    return options
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -79,6 +94,16 @@ def make_parser() -> argparse.ArgumentParser:
     for run, options in COMMANDS.items():
         opt.add_command(commands, run, options)
     return parser
+
+
+def _open_streams() -> None:
+    """Let standard output and error take any text in any encoding, and discard it where they are closed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _message(error: Exception) -> str:

@@ -11,7 +11,7 @@ import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, picture_writers, table_writer
+from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
 from skdgp._compute.files import Writer, csv_writer
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._display.style import display_unit
@@ -108,6 +108,7 @@ def predict(run: Run) -> None:
     """
     options = run.options
     output = Path(options.output)
+    check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
         raise FileExistsError(
             f"Got {options.output} as the output, but it is one of the flights: name another."

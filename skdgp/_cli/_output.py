@@ -8,14 +8,17 @@ import re
 import shutil
 import signal
 import sys
+import tempfile
+import threading
 import time
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -27,8 +30,21 @@ PERIOD = 0.2  # seconds between two states of the progress line
 STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
+@contextmanager
+def ctrl_c() -> Iterator[Callable[[Any], object]]:
+    """Yield a function that sets what Ctrl-C does until the end of the block; it does nothing off the main thread."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or handler is None:
+        yield lambda new: None
+        return
+    try:
+        yield lambda new: signal.signal(signal.SIGINT, new)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
 class Console:
-    """Output of a command: one line of progress, where standard error is a terminal, and messages."""
+    """Output of a command; a context manager, which removes the progress line at its end."""
 
     def __init__(self, stream=None):
         self.stream = sys.stderr if stream is None else stream
@@ -38,37 +54,38 @@ class Console:
         self._began = time.monotonic()
         self._shown = -PERIOD
 
-    @contextmanager
-    def showing_warnings(self) -> Iterator[None]:
-        """Show warnings that are meant for users, each once."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            for category in (UserWarning, RuntimeWarning):
-                warnings.simplefilter("always", category)
-            warnings.showwarning = self._show_warning
-            yield
+    def __enter__(self) -> Console:
+        self._warnings = warnings.catch_warnings()
+        self._warnings.__enter__()
+        warnings.simplefilter("ignore")
+        for category in (UserWarning, RuntimeWarning):
+            warnings.simplefilter("always", category)
+        warnings.showwarning = self._show_warning
+        return self
 
-    def print(self, text: str) -> None:
+    def __exit__(self, kind, error, trace):
+        self._warnings.__exit__(kind, error, trace)
+        self._write()
+        self.print()
+
+    def print(self, text: str | None = None) -> None:
         """Print a result, and flush standard output; raise OSError if it cannot be written."""
-        self.end_progress()
+        if self._shows_progress:
+            self._write(CLEAR)
+            self._shows_progress = False
         try:
-            print(text)
+            if text is not None:
+                print(text)
             sys.stdout.flush()
+        except BrokenPipeError:  # nobody reads any more
+            _redirect_to_null(sys.stdout)
         except OSError as error:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # not to try again
-            if not isinstance(error, BrokenPipeError):  # as of "skdgp ... | head"
-                raise
+            _redirect_to_null(sys.stdout)
+            raise OSError(error.errno, error.strerror, "standard output") from error
 
     def print_error(self, text: str) -> None:
-        """Print on standard error."""
-        self.end_progress()
-        print(text, file=self.stream, flush=True)
-
-    def end_progress(self) -> None:
-        """Remove the line of progress."""
-        if self._shows_progress:
-            print(CLEAR, end="", file=self.stream, flush=True)
-            self._shows_progress = False
+        """Print on standard error, where it is open."""
+        self._write(f"{text}\n")
 
     def stage(self, text: str) -> None:
         """Show the stage that begins."""
@@ -92,13 +109,10 @@ class Console:
     @contextmanager
     def counting_interrupts(self) -> Iterator[None]:
         """Count Ctrl-C: the first one ends a search, which keeps the best so far, if any; the second one everything."""
-        handler = signal.getsignal(signal.SIGINT)
-        if handler is not signal.SIG_IGN:  # as in the background
-            signal.signal(signal.SIGINT, self._interrupt)
-        try:
+        with ctrl_c() as set_handler:
+            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background
+                set_handler(self._interrupt)
             yield
-        finally:
-            signal.signal(signal.SIGINT, handler)
 
     def _interrupt(self, number, frame):
         self.interrupts += 1
@@ -110,8 +124,7 @@ class Console:
     def _show(self, line):
         if self._shows_progress:
             self._shown = time.monotonic()
-            width = shutil.get_terminal_size().columns - 1
-            print(CLEAR + line[:width], end="", file=self.stream, flush=True)
+            self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
         """Print a warning the first time; where it arose, if it is not meant for users."""
@@ -120,19 +133,67 @@ class Console:
             text += f" ({Path(filename).name}, line {lineno})"
         if text not in self.messages:
             self.messages.append(text)
-            clear = CLEAR if self._shows_progress else ""
-            print(f"{clear}warning: {text}", file=self.stream, flush=True)
+            self._write(f"{CLEAR if self._shows_progress else ''}warning: {text}\n")
+
+    def _write(self, text=None):
+        try:
+            if text is not None:  # in UTF-16 even an empty text is a mark
+                self.stream.write(text)
+            self.stream.flush()
+        except OSError:  # the command continues without the message
+            _redirect_to_null(self.stream)
 
 
-def check_folder(folder: Path) -> None:
-    """Raise OSError if a folder for the outputs cannot be made, or nothing be written there."""
-    nearest = next(path for path in (folder, *folder.parents) if path.exists())
-    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        reason = "is read-only" if nearest.is_dir() else "is a file"
-        raise OSError(
-            f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} {reason}: "
-            f"name another one after -o."
-        )
+def _redirect_to_null(stream) -> None:
+    """Discard what a stream cannot write: at its end the interpreter would try once more, and complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+class OutputFolder:
+    """The folder of the outputs, or of a single table; if it was made for them and stays empty, it is removed.
+
+    The ``with`` block begins with an OSError if the folder cannot be made or written to.
+    """
+
+    def __init__(self, output, is_table: bool = False):
+        self.path = Path(output).parent if is_table else Path(output)
+        self.is_written = False
+
+    def __enter__(self) -> OutputFolder:
+        self._made = [p for p in (self.path, *self.path.parents) if not p.exists()]
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.path):
+                pass
+        except OSError as error:
+            self._remove()
+            reason = "it is a file" if self.path.is_file() else error.strerror
+            raise OSError(
+                f"Got {str(self.path)!r} as the folder for the outputs, but nothing can be "
+                f"written there ({reason}): name another one after -o."
+            ) from error
+        return self
+
+    def __exit__(self, kind, error, trace):
+        if kind is not None:
+            self._remove()
+
+    def _remove(self):
+        for path in self._made:  # innermost first
+            with suppress(OSError):  # not empty, or never made
+                path.rmdir()
+
+    def write(self, writers: dict[str, Writer], earlier: str = "") -> None:
+        """Write all files or none, then remove others whose whole names match ``earlier``.
+
+        Once all are complete, Ctrl-C waits until they are in their places.
+        """
+        with ctrl_c() as set_handler:
+            write_together(self.path, writers, lambda: set_handler(signal.SIG_IGN))
+            self.is_written = True
+            for path in self.path.iterdir():
+                if path.name not in writers and path.is_file() and re.fullmatch(earlier, path.name):
+                    path.unlink()
 
 
 @dataclass(frozen=True)
@@ -141,7 +202,7 @@ class Run:
 
     options: Namespace
     console: Console
-    folder: Path | None
+    folder: OutputFolder | None
     command_line: str
 
     def write(
@@ -159,16 +220,12 @@ class Run:
         if self.folder is None:
             return []
         self.console.stage("writing")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        again = (self.folder / record).is_file()
+        again = (self.folder.path / record).is_file()
         if record:
             text = json_text({"command": self.command_line} | (numbers or {}))
             writers = writers | {record: text_writer(text)}
-        write_together(self.folder, writers)
-        for path in self.folder.iterdir() if again else ():
-            if path.name not in writers and path.is_file() and re.fullmatch(earlier, path.name):
-                path.unlink()
-        return [self.folder / name for name in writers]
+        self.folder.write(writers, earlier if again else "")
+        return [self.folder.path / name for name in writers]
 
     def print(self, text: str, numbers: dict) -> None:
         """Print the result: text, or on request JSON."""
@@ -181,6 +238,15 @@ def table_writer(table: pd.DataFrame, suffix: str) -> Writer:
     if suffix == ".parquet":
         return lambda path: table.to_parquet(path, index=False)
     return csv_writer(table)
+
+
+def check_writable(suffix: str) -> None:
+    """Raise ImportError if tables of this suffix cannot be written here."""
+    if suffix == ".parquet" and find_spec("pyarrow") is None:
+        raise ImportError(
+            'Parquet needs pyarrow, which is not installed: pip install "skdgp[parquet]", or '
+            "write CSV."
+        )
 
 
 def picture_writers(name: str, draw: Callable, *data, **options) -> dict[str, Writer]:

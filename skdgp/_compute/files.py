@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -10,16 +11,17 @@ import re
 import secrets
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import pandas as pd
 
 Writer: TypeAlias = "Callable[[Path], object]"
 """Fills a file."""
+LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 FORMULA = re.compile(r"'*[=+\-@\t\r]")
 """How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes.
 """
@@ -61,14 +63,21 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     return path
 
 
-def write_together(folder: Path, writers: Mapping[str, Writer]) -> None:
-    """Write several files: all are complete beside their places before the first is put into its own."""
+def write_together(
+    folder: Path, writers: dict[str, Writer], when_complete: Callable[[], object] = lambda: None
+) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own.
+
+    ``when_complete`` is called in between.
+    """
+    if not writers:
+        when_complete()
+        return
     (name, writer), *further = writers.items()
 
     def write_with_others(temporary):
         writer(temporary)
-        if further:
-            write_together(folder, dict(further))
+        write_together(folder, dict(further), when_complete)
 
     write_atomically(folder / name, write_with_others)
 
@@ -76,6 +85,16 @@ def write_together(folder: Path, writers: Mapping[str, Writer]) -> None:
 def text_writer(text: str) -> Writer:
     """Return the writer of a text in UTF-8."""
     return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def sha256_of(file: BinaryIO, size: int) -> bytes:
+    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
+    digest = hashlib.sha256()
+    file.seek(0)
+    while chunk := file.read(min(size, 2**20)):
+        digest.update(chunk)
+        size -= len(chunk)
+    return digest.hexdigest().encode()
 
 
 def plain(value: Any) -> Any:
@@ -99,17 +118,31 @@ def json_text(value: Any) -> str:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be read.
 
-    Raises ValueError if it is not UTF-8 or not JSON, or names a key twice.
+    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply,
+    larger than 16 MB or no regular file.
     """
     with _refusing(f"{path} is not a JSON file"):
-        text = Path(path).read_text(encoding="utf-8-sig")
-        return json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_refuse)
+        return json.loads(_text(path), object_pairs_hook=_unique_keys, parse_constant=_refuse)
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file; errors as of `read_json`."""
     with _refusing(f"{path} is not a TOML file"):
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        return tomllib.loads(_text(path))
+
+
+def _text(path) -> str:
+    """Return the text of a file that people write."""
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise ValueError(f"Got {path}, which is a folder or a device, but expected a file")
+    if path.stat().st_size > LARGEST:
+        size = path.stat().st_size / 1e6
+        raise ValueError(f"Got {size:.0f} MB, but expected a file of at most 16 MB")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is not a text in UTF-8 ({error})") from error
 
 
 @contextmanager
@@ -117,6 +150,8 @@ def _refusing(refusal: str) -> Iterator[None]:
     """Begin the message of a ValueError of the block with ``refusal``."""
     try:
         yield
+    except RecursionError:
+        raise ValueError(f"{refusal}: it is nested too deeply.") from None
     except ValueError as error:
         raise ValueError(f"{refusal}: {error}.") from error
 
@@ -135,9 +170,13 @@ def _refuse(constant):
 
 def software_versions() -> dict[str, str]:
     """Return the versions of skdgp and of the packages that its numbers depend on."""
-    names = ("scikit-learn", "numpy", "scipy", "pandas")
-    first = {"skdgp": version("skdgp"), "python": platform.python_version()}
-    return first | {name: version(name) for name in names}
+    versions = {"skdgp": "unknown", "python": platform.python_version()}
+    for name in ("skdgp", "scikit-learn", "numpy", "scipy", "pandas"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:  # run from a folder that was never installed
+            continue
+    return versions
 
 
 def column_names(y) -> list[str]:

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
+import copyreg
 import json
 import os
 import pickle
-import warnings
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.files import software_versions, write_atomically
+from skdgp._compute.files import sha256_of, software_versions, write_atomically
 from skdgp._compute.messages import warn
+from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft
 
-MAGIC = b"skdgp model file "
-DIGEST = 64  # hexadecimal digits of SHA-256
-FORMAT = 4
+MAGIC = b"\nskdgp model file "
+FORMAT = 3
+CHECKSUM, END = b', "sha256": "', b'"}\n'
+CHECKSUM_LENGTH = 64
+LONGEST_CLOSING = 2**14
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 """Packages whose versions may change predictions of a model that can be read."""
 
@@ -70,16 +76,91 @@ def model_bunch(pipeline: Pipeline, aircraft: Aircraft, **facts) -> Bunch:
 
 
 def dump_model(path: Path, model: Bunch) -> None:
-    """Write a line with the SHA-256 of the rest, a line of JSON, and the pickled model."""
-    header = {"format": FORMAT, "created": model.created, "versions": model.versions}
-    content = json.dumps(header).encode() + b"\n" + pickle.dumps(model, protocol=5)
-    path.write_bytes(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+    """Write the model and, after it, a line of JSON that can be read when the model itself cannot.
+
+    Unpickling stops before that line. It ends in the SHA-256 of all bytes before the digest.
+    """
+    with path.open("xb") as file:
+        _Pickler(file, protocol=5).dump(model)
+    closing = {
+        "format": FORMAT,
+        "bytes": path.stat().st_size,
+        "created": model.created,
+        "versions": model.versions,
+    }
+    with path.open("a+b") as file:
+        file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
+        file.write(sha256_of(file, file.tell()) + END)
+
+
+class _Pickler(pickle.Pickler):
+    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them.
+
+    Estimators of scikit-learn are written without its version, which the file has once for all.
+    """
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how to make a table or an estimator again."""
+        if isinstance(value, pd.DataFrame):
+            columns = [_array(value.iloc[:, k]) for k in range(value.shape[1])]
+            return _table, (columns, _names(value.columns), _names(value.index), value.attrs)
+        if isinstance(value, pd.Series):
+            return _series, (_array(value), _names(value.index), value.name)
+        if isinstance(value, pd.Index):
+            return _index, _names(value)
+        kind = type(value)
+        if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
+            state = value.__getstate__()
+            state.pop("_sklearn_version", None)
+            new = copyreg.__newobj__  # type: ignore[attr-defined]
+            return new, (kind,), state, None, None, _set_state
+        return NotImplemented
+
+
+def _array(values: Any) -> Array:
+    """Return a column as an array of NumPy: numbers and times as they are, else plain Python objects."""
+    if isinstance(values.dtype, np.dtype) and values.dtype.kind != "O":
+        return values.to_numpy()
+    if is_bool_dtype(values.dtype) and not values.hasnans:
+        return values.to_numpy(dtype=bool)
+    if is_numeric_dtype(values.dtype):
+        return values.to_numpy(dtype=float, na_value=np.nan)
+    array = np.empty(len(values), dtype=object)
+    array[:] = [None if value is pd.NA else value for value in values]
+    return array
+
+
+def _names(index: pd.Index) -> tuple[list[Array], list]:
+    """Return the levels of an index, and their names."""
+    levels = [index.get_level_values(k) for k in range(index.nlevels)]
+    return [_array(level) for level in levels], list(index.names)
+
+
+def _index(levels: list[Array], names: list) -> pd.Index:
+    if len(levels) > 1:
+        return pd.MultiIndex.from_arrays(levels, names=names)
+    return pd.Index(levels[0], name=names[0])
+
+
+def _table(columns: list[Array], names: Any, rows: Any, attrs: dict) -> pd.DataFrame:
+    table = pd.DataFrame(dict(enumerate(columns)), index=_index(*rows))
+    table.columns = _index(*names)
+    table.attrs = attrs
+    return table
+
+
+def _series(values: Array, rows: Any, name: Any) -> pd.Series:
+    return pd.Series(values, index=_index(*rows), name=name)
+
+
+def _set_state(estimator: BaseEstimator, state: dict) -> None:
+    vars(estimator).update(state)
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
     """Return a model that :func:`save_model` or ``skdgp identify`` wrote.
 
-    The file holds a pickle, and loading may run any code in it: open only files whose origin you
+    The file is a pickle, and loading may run any code in it: open only files whose origin you
     trust.
 
     The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``,
@@ -96,24 +177,23 @@ def load_model(path: str | os.PathLike) -> Bunch:
         raise FileNotFoundError(
             f"Got {path}, but there is no such file: skdgp identify writes model.joblib."
         )
-    header, data = _checked_content(path)
-    installed = software_versions()
-    versions = _differences(header["versions"], installed)
-    if any(header["versions"].get(name) != installed.get(name) for name in MATTERS):
-        warn(
-            f"Got {path}, written with {versions}: its predictions may differ. Compare a few, fit "
-            f"it again, or install those versions.",
-            stacklevel=2,
-        )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", InconsistentVersionWarning)  # it is warned of above
-            model = pickle.loads(data)
-    except Exception as error:  # unpickling may raise anything
-        raise ModelFileError(
-            f"Got {path}, written with {versions}, which cannot be read here "
-            f"({type(error).__name__}: {error}). Fit it again, or install those versions."
-        ) from error
+    with path.open("rb") as file:
+        made_by = _closing(file, path)["versions"]
+        installed = software_versions()
+        if any(made_by.get(name) != installed.get(name) for name in MATTERS):
+            warn(
+                f"Got {path}, written with {_differences(made_by, installed)}: its predictions may "
+                f"differ. Compare a few, fit it again, or install those versions.",
+                stacklevel=2,
+            )
+        file.seek(0)
+        try:
+            model = pickle.load(file)
+        except Exception as error:  # unpickling may raise anything
+            raise ModelFileError(
+                f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "
+                f"here ({type(error).__name__}: {error}). Fit it again, or install those versions."
+            ) from error
     if not _is_model(model):
         raise ModelFileError(
             f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and "
@@ -122,28 +202,40 @@ def load_model(path: str | os.PathLike) -> Bunch:
     return model
 
 
-def _checked_content(path: Path) -> tuple[dict, bytes]:
-    """Return the header of a model file and the pickled model; raise ModelFileError if it is not whole."""
-    data = path.read_bytes()
-    start = len(MAGIC) + DIGEST + 1
-    content = data[start:]
-    first_line = MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n"
-    if data[:start] != first_line:
+def _closing(file: BinaryIO, path) -> dict:
+    """Return the file's last line, or raise ModelFileError if the file is not whole."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - LONGEST_CLOSING))
+    end = file.read()
+    start = end.rfind(MAGIC)
+    before = size - CHECKSUM_LENGTH - len(END)
+    try:
+        closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
+        form = closing["format"]
+        made_by = _in_words(dict(closing["versions"]))
+        whole = closing["bytes"] == size - (len(end) - start)
+        whole &= sha256_of(file, before) + END == end[before - size :]
+    except (
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ):  # not what dump_model writes
+        whole = False
+    if not whole:
         raise ModelFileError(
-            f"Got {path} ({len(data)} bytes), which is not a whole skdgp model of this format: its "
-            f"checksum is missing or does not fit. Expected a file that skdgp identify or "
+            f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
+            f"missing or does not fit. Expected a file that skdgp identify or "
             f"skdgp.identification.save_model wrote; if it is one, it was cut off or changed: "
             f"copy it again."
         )
-    line, _, model = content.partition(b"\n")
-    header = json.loads(line)
-    if header["format"] != FORMAT:
-        made_by = _in_words(header["versions"], MATTERS)
+    if form != FORMAT:
         raise ModelFileError(
-            f"Got {path} of format {header['format']}, written with {made_by}, but this skdgp "
-            f"reads format {FORMAT}: fit it again, or install that version."
+            f"Got {path} of format {form}, written with {made_by}, but this skdgp reads format "
+            f"{FORMAT}: fit it again, or install that version."
         )
-    return header, model
+    return closing
 
 
 def _is_model(content: Any) -> bool:
@@ -163,5 +255,5 @@ def _differences(made_by: dict, installed: dict) -> str:
     return f"{_in_words(made_by, names)} (installed: {_in_words(installed, names)})"
 
 
-def _in_words(versions: dict, names: Any) -> str:
+def _in_words(versions: dict, names: Any = MATTERS) -> str:
     return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in names)

@@ -251,7 +251,7 @@ def _as_flight(table):
             f"or compute it."
         )
     table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
-    table = _split_at_restarts(table)
+    table = _split_at_restarts(_without_repeats(table))
     time = table["time"].to_numpy()
     if np.isnan(time).any():
         raise FlightReadError(
@@ -301,6 +301,21 @@ def _flight_names(flight):
         int(name) if isinstance(name, float) and name.is_integer() else name for name in names
     ]
     return np.array([str(name).strip() for name in numbered], dtype=object)[codes]
+
+
+def _without_repeats(table):
+    """Return the table without rows that equal the row before them."""
+    repeated = table["time"].diff() == 0
+    repeated = repeated & table.duplicated() if repeated.any() else repeated
+    if not repeated.any():
+        return table
+    warn(
+        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row "
+        f"{int(np.argmax(repeated))}) and "
+        "are dropped.",
+        stacklevel=4,
+    )
+    return table[~repeated].reset_index(drop=True)
 
 
 def _split_at_restarts(table):

@@ -147,7 +147,7 @@ class TestAllOrNone:
         )
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
         assert not (tmp_path / "new").exists()
-        assert capsys.readouterr().err == "stopped\n"
+        assert capsys.readouterr().err == "stopped: no output was written\n"
 
 
 class TestValidate:

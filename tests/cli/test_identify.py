@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 import runpy
 import signal
@@ -14,7 +15,7 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp._cli import _output, main
-from skdgp._cli._output import CLEAR, Console
+from skdgp._cli._output import CLEAR, Console, OutputFolder
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -72,6 +73,14 @@ class TestIdentify:
         assert float(row[-1]) == round(of["truth"]["CZ"]["normalized_rmse"], 3)
         assert all(str(output / name) in done.stdout for name in OUTPUTS)
         assert f"flight paths {metrics['fit']['reconstruction']}" in done.stdout
+
+    def test_metrics_score_the_states(self, identified):
+        (flight,) = identified[2]["test"].values()
+        for against in ("measured", "truth"):
+            states = {row["state"]: row for row in flight["states"][against]}
+            assert {"v_east", "p", "r"} <= set(states)
+            assert {row["horizon"] for row in states.values()} == {1.0}
+            assert 0 < states["p"]["median"] < 1
 
     def test_the_model_gives_the_numbers_again(self, identified, folder):
         output, _, metrics = identified
@@ -238,6 +247,35 @@ class TestBadInput:
             str(tmp_path / "bare.csv"),
         )
 
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"mass": -1}, "Got mass=-1, but expected"),
+            ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
+            ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
+            ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),
+            (
+                {"thrust_line": {"position": [10**400, 0, 0]}},
+                "thrust-line position=.*, but expected 3 finite numbers",
+            ),
+            (
+                {"propeller": {"diameter": "x", "thrust_coefficients": [0.1]}},
+                "Got diameter='x', but expected a number > 0",
+            ),
+        ],
+    )
+    def test_a_wrong_aircraft(self, refused, folder, tmp_path, change, message):
+        values = json.loads((folder / "uav.json").read_text()) | change
+        (tmp_path / "wrong.json").write_text(json.dumps(values))
+        refused(message, aircraft=str(tmp_path / "wrong.json"))
+
+    @pytest.mark.parametrize("option", ["--test", "--aircraft", "-o"])
+    @pytest.mark.parametrize("name", ["loop", "a" * 300])
+    def test_a_name_that_the_system_cannot_follow(self, option, name, tmp_path, capsys):
+        (tmp_path / "loop").symlink_to("loop")
+        assert identify(option, str(tmp_path / name)) == 1
+        assert name in capsys.readouterr().err.splitlines()[-1]
+
     def test_a_missing_aircraft(self, refused):
         refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")
 
@@ -245,7 +283,7 @@ class TestBadInput:
         self, folder, capsys
     ):
         assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
-        assert "is a file: name another one after -o" in capsys.readouterr().err
+        assert "nothing can be written there (it is a file)" in capsys.readouterr().err
 
     def test_a_traceback_on_request(self, capsys):
         assert identify("--traceback", train=["nowhere.csv"]) == 1
@@ -291,6 +329,11 @@ class TestLags:
         )
         assert (tmp_path / "report.html").read_text().startswith("air 0.07")
 
+    def test_are_not_looked_for_without_a_flight_that_shows_them(self, tmp_path, capsys):
+        pd.read_csv("test.csv")[["time", "alpha"]].to_csv(tmp_path / "bare.csv", index=False)
+        assert main(["inspect", str(tmp_path / "bare.csv")]) == 0
+        assert capsys.readouterr().out.count("not shown by these flights") == 4
+
 
 @pytest.mark.usefixtures("short_fits")
 class TestInterrupt:
@@ -315,7 +358,7 @@ class TestInterrupt:
         monkeypatch.setattr(Console, "progress", interrupting(Console.progress, "fit", 2))
         assert identify("--test", "test.csv", output=tmp_path / "new") == 130
         assert not (tmp_path / "new").exists()
-        assert capsys.readouterr().err.endswith("stopped\n")
+        assert capsys.readouterr().err.endswith("stopped: no output was written\n")
 
 
 def interrupting(original, stage, n):
@@ -327,6 +370,21 @@ def interrupting(original, stage, n):
             signal.raise_signal(signal.SIGINT)
 
     return progress
+
+
+class TestFolder:
+    def test_ctrl_c_while_files_are_put_in_place_waits(self, tmp_path, monkeypatch):
+        replace = os.replace
+
+        def interrupted(*paths):
+            signal.raise_signal(signal.SIGINT)
+            replace(*paths)
+
+        monkeypatch.setattr(os, "replace", interrupted)
+        with OutputFolder(tmp_path) as folder:
+            folder.write({name: lambda path, name=name: path.write_text(name) for name in "abc"})
+        assert {path.name for path in tmp_path.iterdir()} == {"a", "b", "c"}
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 class Terminal(io.StringIO):
@@ -341,20 +399,18 @@ class TestConsole:
 
     def test_one_line_rewritten(self):
         stream = Terminal()
-        console = Console(stream)
-        console.stage("fit")
-        console.progress("output 1", 10, -5.0)
-        assert "output 1 · 10 evaluations · log likelihood -5.0" in stream.getvalue()
-        console.progress("fit", 7, 123.456)
-        assert "all outputs · 7 evaluations · log likelihood 123.5" in stream.getvalue()
-        console.end_progress()
+        with Console(stream) as console:
+            console.stage("fit")
+            console.progress("output 1", 10, -5.0)
+            assert "output 1 · 10 evaluations · log likelihood -5.0" in stream.getvalue()
+            console.progress("fit", 7, 123.456)
+            assert "all outputs · 7 evaluations · log likelihood 123.5" in stream.getvalue()
         assert "\n" not in stream.getvalue()
         assert stream.getvalue().endswith(CLEAR)
 
     def test_nothing_but_warnings_in_a_pipe(self):
         stream = io.StringIO()
-        console = Console(stream)
-        with console.showing_warnings():
+        with Console(stream) as console:
             console.stage("fit")
             console.progress("fit", 1, 0.0)
             warnings.warn("look\n out", UserWarning, stacklevel=1)

@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from skdgp._cli import COMMANDS, main, make_parser
+from skdgp._cli import COMMANDS, main, parse
 
 NAMES = [run.__name__ for run in COMMANDS]
 
@@ -19,18 +19,16 @@ def usage_error(capsys, *words):
 
 
 def test_values_are_of_their_types():
-    options = make_parser().parse_args(
+    options = parse(
         shlex.split("identify a.csv b.csv --mass 3.2+-0.05 --span 1.6 --propeller 10x5")
     )
     assert options.train == ["a.csv", "b.csv"]
     assert (options.mass, options.span, options.propeller) == ((3.2, 0.05), (1.6, 0.0), (10.0, 5.0))
-    options = make_parser().parse_args(
+    options = parse(
         shlex.split("simulate m --trim 35 --wind -3 1e-3 0 --doublet elevator=.03 -o x")
     )
     assert (options.wind, options.doublet) == ([-3.0, 1e-3, 0.0], [("elevator", 0.03)])
-    options = make_parser().parse_args(
-        shlex.split("identify a --samples all --regressors alpha,q_hat --airborne 9")
-    )
+    options = parse(shlex.split("identify a --samples all --regressors alpha,q_hat --airborne 9"))
     assert (options.samples, options.regressors) == ("all", ["alpha", "q_hat"])
     assert options.airborne == 9.0
 
@@ -45,16 +43,17 @@ def test_values_are_of_their_types():
         ("demo --inference magic", "invalid choice: 'magic'"),
         ("demo --horizons 1 nan", "got nan, but expected seconds > 0"),
         ("demo --n-jobs 0", "got 0, but expected a number of processes, 1 or more, or -1"),
-        ("demo --sampels 40", "unrecognized arguments: --sampels 40"),
-        (
-            "identify a --mass 3x",
-            "got 3x, but expected a number > 0, or with its standard deviation",
-        ),
+        ("demo --sampels 40", "unrecognized arguments --sampels 40: did you mean --samples?"),
+        ("demo --xyz 1", "unrecognized arguments --xyz 1: --help lists the options"),
+        ("demo --config run.toml", "unrecognized arguments"),
+        ("identify a --mass 3x", "got 3x, but expected a number > 0, or with its standard deviation"),
         ("identify a --mass 3+--1", "but expected a number > 0, or with its standard deviation"),
         ("identify a --mass 3 --propeller 10", "got 10, but expected two numbers > 0"),
         ("identify a.csv", "got no aircraft, but expected --aircraft FILE, or --mass and --span"),
         ("identify a --mass 3 --span 2 --motor 9x9", "got --motor without --propeller"),
         ("identify a --mass 3 --aircraft b.json", "got --aircraft --mass, but expected"),
+        ("identify a --aircrat=b.json", "did you mean --aircraft?"),
+        ("identify a --test t\udcff.csv", r"got 't\udcff.csv', but expected a name in UTF-8"),
         ("identify", "required: TRAIN"),
         ("predict m a.csv -o out.xlsx", "but expected a name that ends in .csv or .parquet"),
         ("simulate m --doublet elevator", "got elevator, but expected AXIS=NUMBER"),
@@ -94,7 +93,7 @@ def test_examples_of_the_help_are_right(name, capsys):
     for example in examples:
         words = shlex.split(re.split(r"\s{2,}", example)[0])[1:]
         assert name in (None, words[0])
-        assert make_parser().parse_args(words).command == words[0]
+        assert parse(words).command == words[0]
 
 
 def test_version(capsys):

@@ -3,12 +3,16 @@
 import errno
 import io
 import os
+import signal
+import subprocess
 import sys
+import warnings
 
 import pytest
 
 from skdgp._cli import _fly, _learn, main
 
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
 
@@ -46,7 +50,7 @@ class TestOutput:
         with open(FULL, "w") as full:
             monkeypatch.setattr(sys, "stdout", full)
             assert predict() == 1
-        assert capsys.readouterr().err == "error: No space left on device\n"
+        assert capsys.readouterr().err == "error: standard output: No space left on device\n"
         assert (tmp_path / "Flüge_α.csv").exists()
 
     def test_that_nobody_reads(self, predict, monkeypatch, capsys):
@@ -56,6 +60,31 @@ class TestOutput:
             monkeypatch.setattr(sys, "stdout", pipe)
             assert predict() == 0
         assert capsys.readouterr().err == ""
+
+    def test_that_is_closed(self, predict, tmp_path, monkeypatch):
+        monkeypatch.setattr(sys, "stdout", None)
+        monkeypatch.setattr(sys, "stderr", None)
+        assert predict() == 0
+        assert (tmp_path / "Flüge_α.csv").exists()
+        sys.stdout.close()
+        sys.stderr.close()
+
+
+@needs_full
+class TestErrors:
+    def test_a_warning_that_nobody_sees_ends_nothing(self, predict, monkeypatch):
+        monkeypatch.setattr(_fly, "predict_flight", warned(_fly.predict_flight))
+        with open(FULL, "w") as full:
+            monkeypatch.setattr(sys, "stderr", full)
+            assert predict() == 0
+
+
+def warned(function):
+    def run(*arguments, **options):
+        warnings.warn("look", UserWarning, stacklevel=2)
+        return function(*arguments, **options)
+
+    return run
 
 
 class TestDisk:
@@ -87,3 +116,28 @@ def test_an_error_that_nobody_expected_is_one_line_too(monkeypatch, tmp_path, ca
         "error: Got an unexpected KeyError: 'wing'. Run again with --traceback, and report what "
         "it says.\n"
     )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal to send")
+@pytest.mark.skipif(
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN,
+    reason="Ctrl-C is ignored, as in the background",
+)
+@pytest.mark.parametrize("module", ["numpy", "skdgp.dynamics"])
+def test_ctrl_c_while_it_imports(module, folder):
+    """Stopped when the interpreter has said that it imported the module."""
+    command = [sys.executable, "-X", "importtime", "-m", "skdgp", "--help"]
+    with subprocess.Popen(
+        command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as job:
+        for line in job.stderr:
+            if line.split()[-1].decode() == module:
+                job.send_signal(signal.SIGINT)
+                break
+        rest = [
+            line
+            for line in job.stderr.read().decode().splitlines()
+            if not line.startswith("import time:")
+        ]
+    assert rest == ["stopped"]
+    assert job.returncode == 130

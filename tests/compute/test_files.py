@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from skdgp._compute.files import read_json, read_toml, write_atomically
+from skdgp._compute.files import LARGEST, read_json, read_toml, write_atomically
 
 
 def names(folder):
@@ -140,6 +140,10 @@ class TestReading:
     @pytest.mark.parametrize(
         ("reader", "content", "message"),
         [
+            (read_json, b"[" * 100_000, "not a JSON file: it is nested too deeply"),
+            (read_json, b'{"a":' * 100_000, "not a JSON file: it is nested too deeply"),
+            (read_toml, b"a = " + b"[" * 100_000, "not a TOML file: it is nested too deeply"),
+            (read_toml, b"a" + b".a" * 2000 + b" = " + b"[" * 2000, "not a TOML file: "),
             (read_json, b'{"mass": NaN}', "NaN is not a number of JSON"),
             (read_json, b'{"mass": -Infinity}', "-Infinity is not a number of JSON"),
             (read_json, b'{"a": {"mass": 1, "mass": 2}}', "the key 'mass' stands twice"),
@@ -148,8 +152,9 @@ class TestReading:
             (read_toml, b"a = " + b"1" * 5000, "not a TOML file: Exceeds the limit"),
             (read_json, b"", "not a JSON file: Expecting value"),
             (read_json, b"\x00" * 100, "not a JSON file: Expecting value"),
-            (read_json, b"\xff\xfe{\x00}\x00", "codec can't decode"),
-            (read_toml, "name = 'Jäger'".encode("latin-1"), "codec can't decode"),
+            (read_json, b"\xff\xfe{\x00}\x00", "not a text in UTF-8"),
+            (read_toml, "name = 'Jäger'".encode("latin-1"), "not a text in UTF-8"),
+            (read_json, b" " * (LARGEST + 1), "17 MB, but expected a file of at most 16 MB"),
         ],
     )
     def test_refused(self, reader, content, message, tmp_path):
@@ -158,6 +163,21 @@ class TestReading:
             reader(tmp_path / "uav.json")
         assert str(tmp_path / "uav.json") in str(caught.value)
         assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize("reader", [read_json, read_toml])
+    def test_no_file(self, reader, tmp_path):
+        with pytest.raises(ValueError, match="which is a folder or a device, but expected a file"):
+            reader(tmp_path)
+        with pytest.raises(FileNotFoundError):
+            reader(tmp_path / "absent")
+
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+    def test_a_pipe_is_not_waited_for(self, tmp_path):
+        os.mkfifo(tmp_path / "pipe.json")
+        began = time.monotonic()
+        with pytest.raises(ValueError, match="a folder or a device"):
+            read_json(tmp_path / "pipe.json")
+        assert time.monotonic() - began < 5
 
     def test_with_the_mark_of_windows_editors(self, tmp_path):
         (tmp_path / "a").write_bytes(b"\xef\xbb\xbf" + b'{"a": 1}')

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+import pickletools
 import re
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from skdgp.calibration import CalibratedRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
 from skdgp.identification import ModelFileError, identify, load_model, save_model, validate
-from skdgp.identification._model_file import MAGIC
+from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -439,33 +440,42 @@ def model_file(fitted, tmp_path):
     return save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, options={"thrust": None})
 
 
-def checked(content):
-    """Return content with the checksum that fits."""
-    return MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+def closed(data, model=None, **changes):
+    """Return a model file as bytes, with another model or closing line, and the checksum that fits."""
+    start = data.rindex(MAGIC)
+    closing = json.loads(data[start + len(MAGIC) :]) | changes
+    del closing["sha256"]
+    model = data[:start] if model is None else model
+    closing["bytes"] = len(model)
+    data = model + MAGIC + json.dumps(closing).encode()[:-1] + CHECKSUM
+    return data + hashlib.sha256(data).hexdigest().encode() + END
 
 
-def another_header(data, **changes):
-    """Return a model file with another line of JSON, and the checksum that fits."""
-    _, line, model = data.split(b"\n", 2)
-    return checked(json.dumps(json.loads(line) | changes).encode() + b"\n" + model)
+def another_model(data, *change):
+    """Return the file with other bytes of the model, and a closing line that fits."""
+    return closed(data, data[: data.rindex(MAGIC)].replace(*change))
 
 
-def another_model(data, content):
-    """Return a model file with other pickled bytes, and the checksum that fits."""
-    return checked(data.split(b"\n", 2)[1] + b"\n" + content)
-
-
+RUBBISH = (
+    b"[1]",
+    b"7",
+    b"[" * 10000,
+    b'{"format": 2}',
+    b'{"format": 2, "versions": 7, "bytes": 1}',
+)
 OTHERS = (None, {"pipeline": 1}, Bunch(), Bunch(pipeline=None, aircraft=AIRCRAFT),
           Bunch(pipeline=QUICK, aircraft=AIRCRAFT))  # fmt: skip
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
       for share in (0.0, 0.01, 0.5, 0.999)),
-    *((lambda data, content=content: another_model(data, pickle.dumps(content)),
+    *((lambda data, rubbish=rubbish: data + MAGIC + rubbish, "not a whole skdgp model")
+      for rubbish in (*RUBBISH, b"\xff")),
+    *((lambda data, content=content: closed(data, pickle.dumps(content)),
        r"which holds \w+, but expected a fitted pipeline and its aircraft") for content in OTHERS),
     *((lambda data, content=content: content, f"{len(content)} bytes.*Expected a file that skdgp")
-      for content in (b"time,alpha\n0,1\n", bytes(range(256)) * 100)),
-    (lambda data: another_header(data, format=99), r"format 99.*reads format 4: fit it again"),
-    (lambda data: checked(data.split(b"\n", 1)[1].replace(b"skdgp._regressor", b"skdgp._regresser")),
+      for content in (b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100)),
+    (lambda data: closed(data, format=99), r"format 99.*reads format 3: fit it again"),
+    (lambda data: another_model(data, b"skdgp._regressor", b"skdgp._regresser"),
      r"written with the versions .*cannot be read here .*No module"),
 ]  # fmt: skip
 
@@ -500,11 +510,41 @@ class TestModelFile:
         np.testing.assert_allclose(mean, expected[0], rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(std, expected[1], rtol=1e-9, atol=1e-10)
 
+    def test_tables_are_arrays_and_names(self, fitted, tmp_path):
+        """Of pandas and pyarrow the file names three constructors, which every version has."""
+        table = pd.DataFrame(
+            {
+                "flight": ["monday", None],
+                "kind": pd.Categorical(["a", "b"]),
+                "rows": pd.array([1, None], dtype="Int64"),
+                "time": [0.0, 0.5],
+            },
+            index=pd.Index(["x", "y"], name="point"),
+        ).astype({"flight": "string[pyarrow]"})
+        levels = pd.MultiIndex.from_tuples([("CX", 1), ("CZ", 2)], names=["output", "row"])
+        facts = {"table": table, "series": pd.Series([1.0, 2.0], levels, name="gain")}
+        path = save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, **facts)
+        names = [
+            text
+            for operation, text, _ in pickletools.genops(path.read_bytes())
+            if operation.name in ("SHORT_BINUNICODE", "BINUNICODE")
+        ]
+        assert [text for text in names if text.startswith(("pandas.", "pyarrow"))] == []
+        model = load_model(path)
+        assert list(model.table["flight"].fillna("none")) == ["monday", "none"]
+        assert list(model.table["kind"]) == ["a", "b"]
+        np.testing.assert_array_equal(model.table["rows"], [1.0, np.nan])
+        pd.testing.assert_index_equal(model.table.index, table.index)
+        pd.testing.assert_series_equal(model.series, facts["series"])
+
     def test_a_single_flipped_bit(self, model_file):
-        """In each byte of the first two lines, and some of the model."""
+        """In each byte of the closing line, and many of the model: what loads is what was saved."""
         data = model_file.read_bytes()
-        n, model = 8 * len(data), 8 * len(b"\n".join(data.split(b"\n", 2)[:2]))
-        for place in [*range(0, model, 7), *np.random.default_rng(0).choice(n, 100)]:
+        n, closing = 8 * len(data), 8 * data.rindex(MAGIC)
+        for place in [
+            *np.random.default_rng(0).choice(closing, 100, replace=False),
+            *range(closing, n, 7),
+        ]:
             flipped = bytearray(data)
             flipped[place // 8] ^= 1 << place % 8
             model_file.write_bytes(flipped)
@@ -512,7 +552,7 @@ class TestModelFile:
                 load_model(model_file)
 
     def test_nothing_is_unpickled_of_a_damaged_file(self, model_file, monkeypatch):
-        monkeypatch.setattr(pickle, "loads", lambda *_: pytest.fail("unpickled"))
+        monkeypatch.setattr(pickle, "load", lambda *_: pytest.fail("unpickled"))
         model_file.write_bytes(
             model_file.read_bytes().replace(b"skdgp._regressor", b"skdgp._regresser")
         )
@@ -521,7 +561,7 @@ class TestModelFile:
 
     def test_another_version_is_read_with_a_warning(self, model_file):
         versions = {"skdgp": "0.0.1", "scikit-learn": "1.6.0", "numpy": "1.26.4"}
-        model_file.write_bytes(another_header(model_file.read_bytes(), versions=versions))
+        model_file.write_bytes(closed(model_file.read_bytes(), versions=versions))
         with pytest.warns(
             UserWarning,
             match=r"written with skdgp 0\.0\.1.*scikit-learn 1\.6\.0.*\(installed: .*may differ",

@@ -27,6 +27,7 @@ SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 DOCUMENTED = (
     "Unknown columns are kept as they are",
     "Infinite values in .* are read",
+    ".* rows repeat the row before",
 )
 EXTREME = np.array([np.inf, -np.inf, np.nan, 3.4e38, 1e-45, 0.0, -1.0, 1e30])
 
@@ -185,16 +186,16 @@ def element(kind, content):
     return struct.pack("<II", kind, len(content)) + content.ljust(-(-len(content) // 8) * 8, b"\0")
 
 
-def of_zeros(size):
+def of_zeros(size, kind=9, width=8, array=6):
     """Return a MATLAB file whose only vector is so many bytes of zeros, compressed."""
     head = (
-        element(6, struct.pack("<II", 6, 0))
-        + element(5, struct.pack("<ii", size // 8, 1))
+        element(6, struct.pack("<II", array, 0))
+        + element(5, struct.pack("<ii", size // width, 1))
         + element(1, b"time")
     )
     packing = zlib.compressobj(1)
     packed = packing.compress(
-        struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", 9, size)
+        struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", kind, size)
     )
     packed += (
         b"".join(packing.compress(bytes(2**20)) for _ in range(size // 2**20)) + packing.flush()
@@ -254,6 +255,7 @@ BOMBS = {
         lambda: of_zeros(2**29),
         "takes 512 MiB when unpacked, more than",
     ),
+    "vector of bytes": ("log.mat", lambda: of_zeros(2**26, 2, 1, 9), "takes 512 MiB when unpacked"),
     "empty cells": ("log.mat", lambda: of_nothing(2**20), "no vector 'time'"),
     "many rows": ("log.parquet", many_rows, "takes 320 MiB when unpacked"),
     "blanks": (

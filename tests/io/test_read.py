@@ -234,6 +234,12 @@ class TestRemarks:
         ):
             assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
 
+    def test_exact_repeats_are_dropped(self, write):
+        rows = table()
+        path = write("log.csv", pd.concat([rows[:10], rows[9:10], rows[10:]]))
+        with pytest.warns(UserWarning, match="1 rows repeat the row before them exactly"):
+            assert len(read_flight(path)) == 50
+
     def test_infinities_are_missing(self, write):
         rows = table()
         rows.loc[3, "q"] = np.inf

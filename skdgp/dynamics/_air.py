@@ -555,12 +555,13 @@ class Air:
     gusts : "auto", Turbulence or None, default="auto"
         Turbulence: each path of a simulation meets its own gusts, with their rates p, q,
         r, besides the wind. A table or function as wind contains the velocity of the gusts: then
-        only rates are drawn. "auto": the turbulence of this table (`Turbulence.from_wind`), else
-        of the training flights, if the model knows it. None: calm air.
+        only rates are drawn. "auto": the turbulence of this table or function
+        (`Turbulence.from_wind`), else of the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
-        coefficients that change slowly, as the residuals of the training flights did. False: the
-        uncertainty of the aircraft alone.
+        coefficients that change slowly, as the residuals of the training flights did; smaller in
+        calmer air, if the model knows the turbulence of its flights. False: the uncertainty of the
+        aircraft alone.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
     gravity : float, default=9.80665

@@ -49,6 +49,8 @@ from skdgp.dynamics._record import (
 )
 from skdgp.dynamics._rigid_body import rk4_step
 from skdgp.dynamics._wind import (
+    airspeeds,
+    drift_in,
     gusty_air,
     met_turbulence,
     wind_field,
@@ -174,13 +176,15 @@ def simulate(
         raise ValueError("Got initial_std without n_paths: nothing would show it.")
     drifts, sentence = None, ""
     if n_paths is not None:
-        met, sentence = met_turbulence(described, local, motion, states)
+        met, sentence = met_turbulence(described, local, motion, clock, states)
+        speed = float(airspeeds(states, local).mean())
+        drift = drift_in(met, motion, speed) if described.drift else None
         if met is not None and np.any(met.intensity):
             local = gusty_air(described, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
         states = perturbed(states, initial_std, n_paths, random_state)
-        if described.drift and motion.aerodynamics.drift is not None:
-            drifts = motion.aerodynamics.drift.draw(clock.stages, states.shape[:-1], random_state)
+        if drift is not None:
+            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
         states = states[0]
     record = fly_record(motion, commands, local, clock, states, drifts)

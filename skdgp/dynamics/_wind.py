@@ -1,4 +1,4 @@
-"""The air of a simulation: its wind, and the gusts that paths meet."""
+"""The air of a simulation: its wind, the gusts that paths meet, and their drift in it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import expm, solve_continuous_lyapunov
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.channels import WIND
+from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
 from skdgp._flight.checks import check_columns, check_names
 from skdgp._flight.frames import body_to_ned, ned_to_body
+from skdgp.dynamics._aerodynamics import Drift
 from skdgp.dynamics._air import (
     LENGTH,
     Air,
@@ -23,6 +25,7 @@ from skdgp.dynamics._air import (
     TooShort,
     Turbulence,
     dryden_gusts,
+    dryden_system,
 )
 from skdgp.dynamics._inputs import as_tables, interpolated, tables_of
 from skdgp.dynamics._motion import Motion
@@ -32,6 +35,13 @@ from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, VELOCITY
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3
 """Over which the wind of a function is differentiated [s]."""
+ROUGHEST = 2.0
+"""Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
+aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
+(docs/simulation.md)."""
+HORIZON, POINTS = 1.0, 101
+"""Time [s] over which the effects of rotation and drift are compared, and points of the integral.
+"""
 
 
 def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
@@ -86,18 +96,18 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
 
 
 def met_turbulence(
-    described: Air, air: AirAt, motion: Motion, states: Array
+    described: Air, air: AirAt, motion: Motion, clock: Clock, states: Array
 ) -> tuple[Turbulence | None, str]:
     """Return the turbulence to fly in, None if unknown, and a sentence about it."""
     flown = motion.aerodynamics.turbulence
     if described.gusts is None:
         return STILL, "Air without gusts, as asked."
     if isinstance(described.gusts, Turbulence):
-        return described.gusts, f"Gusts {_sizes(described.gusts)}, as asked."
-    if tables := tables_of(described.wind):
-        of_wind = _turbulence_of(tables, airspeeds(states, air), motion.aircraft.span)
-        if of_wind is not None:
-            return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
+        return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
+    if _has_gusts(described.wind):
+        found = _turbulence_of(described.wind, air, motion, clock, states)
+        if found is not None:
+            return found, f"Gusts as those of the wind, {_sizes(found)}."
     if flown is None:
         return (
             None,
@@ -121,10 +131,24 @@ def _has_gusts(wind: Any) -> bool:
     return callable(wind) or bool(tables_of(wind))
 
 
-def _turbulence_of(tables: list, speeds: Vector, span: float) -> Turbulence | None:
-    """Return the turbulence of winds, None if they are too short to show it."""
+def _turbulence_of(
+    wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array
+) -> Turbulence | None:
+    """Return the turbulence of a wind, None if it is too short to show it; a function is followed straight ahead."""
+    speeds, tables = airspeeds(states, air), tables_of(wind)
+    if not tables:
+        ground = body_to_ned(states[:, ATTITUDE], states[:, VELOCITY])
+        met = []
+        for k in range(clock.n_steps + 1):
+            moved = states.copy()
+            moved[:, POSITION] += k * clock.dt * ground
+            met.append(np.broadcast_to(air(2 * k, moved).wind, (len(states), 3)))  # type: ignore[union-attr]
+        time = clock.dt * np.arange(clock.n_steps + 1)
+        tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
     try:
-        return Turbulence.from_wind(tables, speeds if len(tables) > 1 else speeds.mean(), span)
+        return Turbulence.from_wind(
+            tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span
+        )
     except TooShort:
         return None
 
@@ -151,6 +175,63 @@ def gusty_air(
     if _has_gusts(described.wind):
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
     return GustyAir(air, Gusts(*parts), motion.is_implicit)
+
+
+def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
+    r"""Return the drift in the turbulence that is met, besides the rates of its gusts, which are drawn.
+
+    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function,
+    and the rates of their gusts explain g. The rest are other effects of gusts, and errors of
+    regressors that a simulation lacks. It is
+
+    .. math:: m + \min(1, \rho) (\tau^2 - g - m),
+              \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
+
+    where :math:`\sigma_0` is what sensors show of calm air.
+    """
+    model = motion.aerodynamics
+    drift, flown = model.drift, model.turbulence
+    if drift is None or flown is None or met is None:
+        return drift
+    speed = start_speed if flown.airspeed is None else flown.airspeed
+    middle = np.zeros(len(model.regressors)) if model.limits is None else model.limits.mean(axis=0)
+    gradient = model.gradient(middle[None])[0]
+    slopes = np.zeros((6, 3))
+    for k, name in enumerate(motion.regressors):
+        if name in RATES:
+            slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(speed))
+    besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
+    ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
+    in_gusts = 1.0 - SENSOR_GUST**2 / (
+        np.square(flown.intensity).sum() + SENSOR_GUST**2
+    )  # none of it in calm air
+    largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
+    variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
+    return drift._replace(variance=variance)
+
+
+def without_rotation(
+    drift: Drift, flown: Turbulence, slopes: Array, airspeed: float, span: float
+) -> Vector:
+    """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
+
+    Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral
+    over 1 s. ``slopes`` (6, 3) are those of the coefficients by p, q, r [s], at this airspeed
+    [m/s].
+    """
+    A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
+    covariance, step = solve_continuous_lyapunov(A, -B @ B.T), expm(A * HORIZON / (POINTS - 1))
+    lags = np.linspace(0.0, HORIZON, POINTS)
+    autocovariance = np.empty((POINTS, 3))
+    for k in range(POINTS):
+        autocovariance[k] = np.einsum("ij,jk,ik->i", C[6:], covariance, C[6:])
+        covariance = step @ covariance
+    weight = 2 * np.gradient(lags) * (HORIZON - lags)
+    weight[[0, -1]] *= 0.5
+    rotation = slopes**2 @ (weight @ autocovariance)
+    whole = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
+    share = np.divide(rotation, whole, out=np.zeros(6), where=whole > 0)
+    return drift.variance * np.maximum(1 - share, 0.0)
 
 
 def airspeeds(states: Array, air: AirAt) -> Vector:

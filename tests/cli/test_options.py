@@ -46,7 +46,10 @@ def test_values_are_of_their_types():
         ("demo --sampels 40", "unrecognized arguments --sampels 40: did you mean --samples?"),
         ("demo --xyz 1", "unrecognized arguments --xyz 1: --help lists the options"),
         ("demo --config run.toml", "unrecognized arguments"),
-        ("identify a --mass 3x", "got 3x, but expected a number > 0, or with its standard deviation"),
+        (
+            "identify a --mass 3x",
+            "got 3x, but expected a number > 0, or with its standard deviation",
+        ),
         ("identify a --mass 3+--1", "but expected a number > 0, or with its standard deviation"),
         ("identify a --mass 3 --propeller 10", "got 10, but expected two numbers > 0"),
         ("identify a.csv", "got no aircraft, but expected --aircraft FILE, or --mass and --span"),

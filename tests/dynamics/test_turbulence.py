@@ -20,8 +20,10 @@ from skdgp.dynamics import (
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._aerodynamics import Drift, turbulence_of
+from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
 from skdgp.dynamics._air import dryden_gusts
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
@@ -180,13 +182,72 @@ class TestPipeline:
         assert fitted.turbulence_ is None
 
 
-def test_draws_of_a_drift_have_its_covariance():
-    drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.full(6, 0.5))
-    time = np.array([0.0, 0.05, 1.0])
-    drawn = drift.draw(time, (20000,), 0)
-    lag = np.abs(np.subtract.outer(time, time))
-    for values, variance in zip(np.moveaxis(drawn, -1, 0), drift.variance, strict=True):
-        np.testing.assert_allclose(np.cov(values), variance * np.exp(-lag / 0.5), atol=0.06)
+class TestDrift:
+    slopes = np.zeros((6, 3))
+    slopes[3, 0], slopes[4, 1], slopes[5, 2] = 0.5, 2.0, 0.3
+
+    def test_the_effect_of_rotation_is_that_of_drawn_gusts(self):
+        """A drift whose integral over one second varies twice as much as that of the rotation keeps one half."""
+        n, flown = round(1.0 / STEP), 4000
+        rates = dryden_gusts(
+            n + 1,
+            STEP,
+            SPEED,
+            [TRUE.length],
+            [TRUE.intensity],
+            SPAN,
+            np.random.default_rng(0),
+            n_draws=flown,
+        ).rates
+        effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
+        memory = np.full(6, 0.4)
+        unit = (
+            2 * memory**2 * (1 / memory + np.expm1(-1 / memory))
+        )  # of the integral of a drift with tau = 1
+        drift = Drift(np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit[3:]), memory)
+        left = without_rotation(drift, TRUE, self.slopes, SPEED, SPAN)
+        np.testing.assert_allclose(left[:3], 1.0)
+        np.testing.assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
+
+    def test_calm_air_leaves_the_misfit_and_rougher_air_adds_up_to_as_much_again(self, model):
+        """What gusts explain of a variance is proportional to theirs; errors of the function stay."""
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
+        factors = np.array([0.0, 0.5, 1.0, 2.0])
+        known = learned_in(TRUE, model, drift)
+        left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
+        np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
+        assert left == pytest.approx([0.1, 0.33, 1.0, 1.9], abs=0.03)
+        calm = learned_in(TRUE.scaled(0.0), model, drift)
+        for air in (
+            TRUE.scaled(0.0),
+            TRUE,
+            None,
+        ):  # learned in calm air, all of it is errors of the function
+            np.testing.assert_allclose(drift_in(air, calm, SPEED).variance, drift.variance)
+
+    def test_two_processes(self):
+        """The misfit lasts longer than the rest; draws have the stated covariance."""
+        drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.full(6, 0.1), np.full(6, 0.5))
+        time = np.array([0.0, 0.05, 1.0])
+        drawn = drift.draw(time, (20000,), 0)
+        for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
+            lag = np.abs(np.subtract.outer(time, time))
+            rest = drift.variance[k] - drift.misfit[k]
+            expected = rest * np.exp(-lag / 0.1) + drift.misfit[k] * np.exp(-lag / MISFIT_MEMORY)
+            np.testing.assert_allclose(np.cov(found), expected, atol=0.06)
+        assert expected[0, 2] == pytest.approx(0.5 * np.exp(-1 / MISFIT_MEMORY), abs=1e-4)
+
+
+def learned_in(turbulence, model, drift):
+    """The motion of an aircraft whose model was learned in some turbulence."""
+    known = Aerodynamics(
+        coefficients,
+        model.regressors,
+        drift=drift,
+        turbulence=turbulence._replace(airspeed=SPEED),
+        sampler=sampler,
+    )
+    return Motion(known, AIRCRAFT, thrust=None)
 
 
 def coefficients(X):
@@ -245,6 +306,15 @@ class TestSimulate:
         asked = flown(known, air=Air(wind, Turbulence.from_wind([wind], 12.0, SPAN)))
         np.testing.assert_allclose(by_table["p"], asked["p"], rtol=0.2, atol=0.05)
         assert "those of the wind" in by_table.attrs["air"]
+
+        def field(t, position):
+            return np.array([np.interp(t, wind["time"], wind[name]) for name in WIND])
+
+        spread = [
+            flown(known, air=air, duration=5.0).query("time > 2")["p"].std()
+            for air in (wind, field)
+        ]
+        assert spread[1] == pytest.approx(spread[0], rel=0.6)
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
@@ -259,6 +329,15 @@ class TestSimulate:
         assert "without gusts" in calm.attrs["air"]
         assert "is not known" in unknown.attrs["air"]
 
+    def test_rotation_leaves_the_drift(self, model):
+        """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
+        drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
+        known = Aerodynamics(
+            coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE
+        )
+        with_drift, without = (flown(known, air=Air(drift=drift))["p"] for drift in (True, False))
+        np.testing.assert_allclose(with_drift, without, atol=1e-12)
+
     @pytest.mark.parametrize(
         ("options", "message"),
         [
@@ -266,7 +345,7 @@ class TestSimulate:
             ({"gusts": 3.0}, "expected 'auto', a Turbulence"),
             ({"gusts": np.ones(3)}, "expected 'auto', a Turbulence"),
             ({"density": np.nan}, "Got density=nan"),
-            ({"density": "thin"}, "Got density='thin', but expected a number"),
+            ({"density": "thin"}, "Got density='thin', but expected a number >= 0"),
             ({"gravity": np.nan}, "Got gravity=nan"),
             ({"gravity": "x"}, "Got gravity='x', but expected a finite number"),
             ({"drift": 3}, "Got drift=3, but expected True or False"),

@@ -386,3 +386,12 @@ def test_table_that_is_too_short_is_refused():
     table, plane = simulated("calm", seconds=1.5, pulses=False)
     with pytest.raises(ValueError, match="Got no record of 100 samples"):
         estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))
+
+
+def test_without_a_thrust_gusts_are_not_estimated_which_is_said():
+    table, plane = simulated("calm", seconds=4.0)
+    table = table.drop(columns=["alpha_true", "thrust_x"])
+    with pytest.warns(UserWarning, match=r"lack the gusts, which are not estimated: .*propeller"):
+        step = FlightPathReconstruction(aircraft=as_aircraft(plane)).fit(table)
+    assert step.air_motion_ is None
+    assert np.isfinite(step.transform(table)["alpha"]).all()

@@ -169,9 +169,9 @@ def likeliest(model: GaussianProcessRegressor) -> Kernel:
         value, gradient = model.log_marginal_likelihood(theta, eval_gradient=True)
         return -value, -gradient
 
-    kernel: Any = model.kernel_
+    start: Any = model.kernel_
     options: Any = {"maxiter": ITERATIONS}
     end = minimize(
-        loss, kernel.theta, jac=True, method="L-BFGS-B", bounds=kernel.bounds, options=options
+        loss, start.theta, jac=True, method="L-BFGS-B", bounds=start.bounds, options=options
     )
-    return kernel.clone_with_theta(end.x)
+    return start.clone_with_theta(end.x)

@@ -519,11 +519,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if added is not None:
             added = self._check_regressors(added)
         X = self._check_regressors(X)
-        errors = slope_errors(self.posterior_, X, added)
-        if errors is None:
+        now = slope_errors(self.posterior_, X)
+        errors = now if added is None else slope_errors(self.posterior_, X, added)
+        if now is None or errors is None:
             return None
         if self._slopes is not None:
-            now = errors if added is None else slope_errors(self.posterior_, X)
             errors = self._slopes.applied(errors, errors.white / now.white)
         return errors.scaled(self.scale_[:, None])
 

@@ -10,7 +10,8 @@ from skdgp import DependentGPRegressor
 from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
-from skdgp.dynamics import STATE_NAMES
+from skdgp.datasets._brumby import BRUMBY
+from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._inputs import as_starts
 from skdgp.dynamics._replay import coefficient_array
 from skdgp.metrics import coverage_curve, score_outputs
@@ -98,7 +99,7 @@ def test_flights_of_another_library_are_refused():
     polars = pytest.importorskip("polars")
     flight = polars.DataFrame({"time": [0.0, 0.1], "alpha": [0.0, 0.1]})
     with pytest.raises(TypeError, match=r"expected a pandas DataFrame .* its to_pandas\(\)"):
-        FlightSmoother().fit(flight)
+        aerodynamic_coefficients(flight, BRUMBY)
     assert LinearRegression().fit(flight[["alpha"]], [0, 1]).feature_names_in_.tolist() == ["alpha"]
 
 

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from sklearn.dummy import DummyRegressor
 
-from skdgp._display.flights import named_flights
 from skdgp._flight.checks import check_flight
 from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts, true_runs
 from skdgp._flight.faults import find_faults
@@ -85,7 +84,6 @@ ASKING = {
     "CalibratedRegressor": lambda flights: CalibratedRegressor(DummyRegressor()).fit(
         flights[["alpha"]], flights["alpha"], groups=flights["flight"]
     ),
-    "plotting": named_flights,
     "identify": flights_of,
 }
 

@@ -402,8 +402,7 @@ class TestIdentify:
         aircraft, train, _ = example
         table = train.iloc[:200].assign(thrust_x=9.0, thrust_y=0.0, thrust_z=0.0)
         known, unknown = (
-            aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None)
-            for t in ("columns", None)
+            aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None) for t in ("auto", None)
         )
         expected = 9.0 / (0.5 * table["density"] * table["airspeed"] ** 2 * aircraft.wing_area)
         np.testing.assert_allclose(unknown["CX"] - known["CX"], expected)

@@ -21,6 +21,7 @@ from skdgp.dynamics import (
     Air,
     Aircraft,
     SimulationWarning,
+    Turbulence,
     as_aerodynamics,
     linearize,
     simulate,
@@ -146,6 +147,14 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     if seconds >= horizon:
         reason = f"it follows the test flights for the {horizon:.2g} s that were simulated"
         return Use(purpose, "yes", reason)
+    apart = float(table["lasts_without_gusts"].min())
+    if seconds < THRESHOLDS.seconds <= apart:
+        reason = (
+            f"not testable in this air: it follows the test flights for {seconds:.2g} s, and gusts "
+            f"of {table['gusts'].iloc[0]:.2g} m/s, of which the log tells no more, explain the "
+            f"difference for {apart:.2g} s"
+        )
+        return Use(purpose, "unknown", reason)
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
     steady = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
     reason = f"it follows the test flights for {seconds:.2g} s: {_some(late)}{steady}"
@@ -367,8 +376,9 @@ def simulation_errors(
     horizon. Columns: ``spread``, the standard
     deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times
     the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
-    time [s] at which the error passes the limit, at most ``horizon``. Raises ValueError if it
-    cannot be simulated.
+    time [s] at which the error passes the limit, at most ``horizon``; ``lasts_without_gusts``, the
+    same for the part of the error that ``gusts`` [m/s], where they are not estimated, do not
+    explain. Raises ValueError if it cannot be simulated.
     """
     if settings["external_forces"]:
         raise ValueError(
@@ -388,22 +398,69 @@ def simulation_errors(
     )
     simulated = np.array([flight[list(STATES)].to_numpy().T for flight in flights])
     squares = np.nan_to_num(simulated - measured, nan=np.inf) ** 2  # inf where it ended
+    met = _met(pipeline, aircraft, tables, parts)
+    gusts = np.zeros(simulated.shape[1:])
+    if met is not None:
+        several = max(1, MOST_STARTS // len(parts))
+        drawn = _flown(
+            _certain(pipeline), aircraft, starts, parts, settings, gusts=met, n_paths=several
+        )
+        paths = drawn[list(STATES)].to_numpy().reshape(several, *simulated.swapaxes(1, 2).shape)
+        gusts = np.nan_to_num((paths.swapaxes(2, 3) - simulated) ** 2).mean(axis=(0, 1))
     edges = np.unique(np.arange(PARTS) * len(elapsed) // PARTS)
     counts = np.diff([*edges, len(elapsed)])
-    error = np.sqrt(np.add.reduceat(squares.mean(axis=0), edges, axis=1) / counts)
+    total, explained = (
+        np.add.reduceat(each, edges, axis=1) / counts for each in (squares.mean(axis=0), gusts)
+    )
+    error = np.sqrt(total)
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     noise = np.median([list(sensor_noise(table, STATES).values()) for table in tables], axis=0)
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
-    late = np.column_stack([error > limit[:, None], np.ones(len(STATES), bool)])
-    lasts = np.append(elapsed[edges], elapsed[-1])[late.argmax(axis=1)]
+    ends = np.append(elapsed[edges], elapsed[-1])
+
+    def lasts(squared):
+        late = np.column_stack([squared > limit[:, None] ** 2, np.ones(len(STATES), bool)])
+        return ends[late.argmax(axis=1)]
+
     columns = {
         "spread": spread,
         "limit": limit,
         "error": error[:, -1],
-        "lasts": lasts,
+        "lasts": lasts(total),
+        "lasts_without_gusts": lasts(total - explained),
+        "gusts": 0.0 if met is None else float(np.sqrt(np.mean(np.square(met.intensity)))),
         "horizon": elapsed[-1],
     }
     return pd.DataFrame(columns, index=list(STATES))
+
+
+def _met(
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    tables: Sequence[pd.DataFrame],
+    parts: Sequence[pd.DataFrame],
+) -> Turbulence | None:
+    """Return the gusts that a simulation of these parts lacks, else those of the training flights; None if known."""
+    if _air(parts).wind is not None:
+        return None
+    named = [table.assign(flight=str(k)) for k, table in enumerate(tables)]
+    try:
+        return Turbulence.from_flight(pd.concat(named), aircraft.span)
+    except ValueError:  # they are too short, or lack attitude or velocity
+        return as_aerodynamics(pipeline).turbulence
+
+
+def _certain(pipeline: Pipeline) -> Aerodynamics:
+    """Return the mean of a model as one whose paths differ by the gusts alone."""
+    mean = as_aerodynamics(pipeline)
+    shown = {name: getattr(mean, name) for name in ("limits", "span", "chord", "mixing", "units")}
+    return Aerodynamics(
+        mean,
+        mean.regressors,
+        gradient=mean.gradient,
+        sampler=lambda n_paths, random_state: (mean, mean.gradient),
+        **shown,
+    )
 
 
 def simulated_flight(
@@ -428,13 +485,15 @@ def _flown(
     starts: pd.DataFrame,
     parts: list[pd.DataFrame],
     settings: dict,
+    gusts: Turbulence | None = None,
     **options: Any,
 ) -> pd.DataFrame:
-    """Return a simulation of parts of flights with their controls, in their air."""
+    """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
     controls: Any = [
         part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore") for part in parts
     ]
     air = _air(parts)
+    air = air if gusts is None else replace(air, gusts=gusts)
     start: Any = starts
     if len(parts) == 1:
         start, controls = starts.iloc[0], controls[0]

@@ -92,7 +92,8 @@ CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 
 
 def simulated(lasts):
-    return pd.DataFrame({"lasts": lasts, "horizon": 4.0}, index=["theta", "p"])
+    columns = {"lasts": lasts, "lasts_without_gusts": lasts, "gusts": 0.0, "horizon": 4.0}
+    return pd.DataFrame(columns, index=["theta", "p"])
 
 
 def verdict(evaluations=None, mechanics_=None, messages=(), **fit):
@@ -157,6 +158,13 @@ class TestSimulation:
         assert found[0] == fit
         assert words in found[1]
 
+    @pytest.mark.parametrize(("apart", "fit"), [([4.0, 1.2], "unknown"), ([4.0, 0.6], "no")])
+    def test_gusts_that_explain_the_error_leave_it_open(self, apart, fit):
+        table = simulated([4.0, 0.5]).assign(lasts_without_gusts=apart, gusts=0.7)
+        found = use(verdict(mechanics_=mechanics(simulation=table)), "simulate")
+        assert found[0] == fit
+        assert ("not testable in this air" in found[1]) == (fit == "unknown")
+
     def test_says_why_it_is_not_known(self):
         lacking = mechanics(simulation=None, simulation_note="no alpha")
         assert use(verdict(mechanics_=lacking), "simulate") == ("unknown", "no alpha")
@@ -172,20 +180,25 @@ class TestSimulation:
         assert wrong.loc["q", "lasts"] < 2
         assert (wrong["error"] >= true["error"]).all()
 
-    def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self, flight):
+    def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
         steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
-        wind = dryden_wind(26.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
-        controls = flight[["time", "elevator", "aileron", "rudder"]]
+        wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
+        controls = pd.DataFrame({"time": np.arange(0, 40, 0.05), **steady.controls})
+        controls["elevator"] += 0.03 * np.sign(np.sin(1.5 * controls["time"]))
+        controls["aileron"] += 0.02 * np.sin(controls["time"])
         options = {"dt": 0.05, "thrust": None}
         flown = simulate(glider(), AIRCRAFT, steady, controls, air=Air(wind, gusts=None), **options)
         gusty = flown.drop(columns=["ended", "beyond", "flight"], errors="ignore")
         gusty = gusty.assign(density=1.225)
         felt = {name: np.interp(gusty["time"], wind["time"], wind[name]) for name in WIND}
-        still = simulation_errors(
-            glider(), AIRCRAFT, [gusty.drop(columns=WIND, errors="ignore")], SETTINGS
-        )
+        unknown = gusty.drop(columns=WIND, errors="ignore")
+        still = simulation_errors(glider(), AIRCRAFT, [unknown], SETTINGS)
         known = simulation_errors(glider(), AIRCRAFT, [gusty.assign(**felt)], SETTINGS)
         assert still["lasts"].min() < 1
+        assert still["lasts_without_gusts"].min() >= 1
+        wrong = simulation_errors(glider(elevator=1.0), AIRCRAFT, [unknown], SETTINGS)
+        assert wrong["lasts_without_gusts"].min() < 1
+        assert known["gusts"].eq(0).all()
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
         found = simulation_errors(glider(), AIRCRAFT, [turns], SETTINGS)

@@ -41,8 +41,7 @@ AnySignal = TypeVar("AnySignal", bound="Signal")
 class Signal(ABC):
     """Deviation of one control from trim as a function of the time since its start [s], zero before it and after it."""
 
-    duration: float
-    """How long it lasts [s]."""
+    duration: float  #: How long it lasts [s]
 
     @abstractmethod
     def __call__(self, time: ArrayLike) -> Array:

@@ -40,19 +40,16 @@ from skdgp.identification import (
 from skdgp.plotting import DerivativeDisplay, TimeHistoryDisplay
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
+# Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
+# MIL-F-8785C
 NOTABLE_GUSTS = 0.5
-"""Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
-MIL-F-8785C.
-"""
 DURATION = 10.0
+# Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a guess
 PULSE = 1.0
-"""Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a
-guess.
-"""
 START = (*AIR_DATA, *EULER, *RATES, "altitude")
 THRUST = (*THRUST_FORCES, *THRUST_MOMENTS)
+# Steps of a pipeline that estimate the flight from its sensors
 MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
-"""Steps of a pipeline that estimate the flight from its sensors."""
 
 
 def read_model(options) -> Bunch:

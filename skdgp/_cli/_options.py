@@ -12,8 +12,8 @@ from typing import Any, TypeAlias, TypeVar
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
 
 Value = TypeVar("Value")
+# Functions of commands, with their options by groups
 Commands: TypeAlias = "dict[Callable, dict[str, dict[str, dict[str, Any]]]]"
-"""Functions of commands, with their options by groups."""
 TRUST = "loading runs code that is in it, so open only files that you trust"
 
 
@@ -105,6 +105,7 @@ def regressors(text: str) -> str | list[str]:
     return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",")]
 
 
+# Options of every command that reads logs: how `reading` reads them
 LOG: dict[str, dict[str, Any]] = {
     "--servos": {
         "metavar": "FILE",
@@ -124,13 +125,13 @@ LOG: dict[str, dict[str, Any]] = {
         "(default: estimated)",
     },
 }
-"""Options of every command that reads logs: how `reading` reads them."""
 AXIS_VALUES: dict[str, Any] = {
     "metavar": "AXIS=X",
     "type": axis_value,
     "nargs": "+",
     "default": [],
 }
+# Options that several commands have, with their arguments of ``add_argument``
 SHARED: dict[str, dict[str, Any]] = LOG | {
     "model": {
         "metavar": "MODEL",
@@ -175,12 +176,11 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
         "help": "further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
     },
 }
-"""Options that several commands have, with their arguments of ``add_argument``."""
+# Options of every command
 COMMON: dict[str, dict[str, Any]] = {
     "--json": {"action": "store_true", "help": "print JSON instead of text"},
     "--traceback": {"action": "store_true", "help": "on an error also show where it arose"},
 }
-"""Options of every command."""
 
 
 def add_command(commands: Any, run: Callable, options: Mapping[str, Mapping[str, dict]]) -> None:

@@ -103,10 +103,10 @@ CHANNELS = {
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 LONGITUDINAL = ("CX", "CZ", "Cm")
 LATERAL = ("CY", "Cl", "Cn")
+# Coefficients and regressors whose sign changes in a mirror at the x-z plane
 MIRRORED = frozenset(
     (*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder")
 )
-"""Coefficients and regressors whose sign changes in a mirror at the x-z plane."""
 
 TRUTH_SUFFIX = "_true"  # columns that end so are noise-free truth of a simulation: for scoring only
 
@@ -114,6 +114,7 @@ HAT = "_hat"  # ends the name of a non-dimensional rate
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
+# Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`
 REGRESSOR_SETS = {
     "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
     "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
@@ -131,7 +132,6 @@ REGRESSOR_SETS = {
         ),
     ),
 }
-"""Regressors by the names of :class:`skdgp.preprocessing.RegressorSelector`."""
 # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
 LEAST_GUST = 1e-3
 # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air

@@ -42,6 +42,7 @@ FASTEST_TURN = {
 }  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
 # of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
 SLOW_TURN, MOST_TURNS = (1.0, 10.0)
+# Names in other programs and textbooks, in lower case
 ALIASES = {
     **dict.fromkeys(("ias", "tas", "va", "vtas", "vias", "aspd"), "airspeed"),
     **dict.fromkeys(("aoa", "alfa"), "alpha"), **dict.fromkeys(("aos", "ssa", "sideslip"), "beta"),
@@ -55,7 +56,6 @@ ALIASES = {
     "gx": "p", "gy": "q", "gz": "r", "gyrx": "p", "gyry": "q", "gyrz": "r",
     "accx": "ax", "accy": "ay", "accz": "az",
 }  # fmt: skip
-"""Names in other programs and textbooks, in lower case."""
 MOST_NAMES = 8  # unknown columns that a message names
 HEADING_UNIT = re.compile(r"[\[(].*")
 ENOUGH = 5  # least number of changes to judge an angle by

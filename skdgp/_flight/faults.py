@@ -32,6 +32,7 @@ from skdgp._flight.clock import GAP, flight_codes, true_runs
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 # noise and motion never let them stand still
 SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
+# Outside of these nothing can have been measured
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
     **{
@@ -49,7 +50,6 @@ POSSIBLE = {
     "propeller_speed": (-1e4, 1e4),
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
-"""Outside of these nothing can have been measured."""
 # impossible values more frequent than this are of another unit: the checks of units name it
 RARE = 0.05
 # missing samples over more seconds are findings of their own, shorter ones one finding together
@@ -105,8 +105,8 @@ class Finding(NamedTuple):
     end: float
     rows: np.ndarray
     description: str
+    # Origin of the times in messages [s]: the first row where the clock counts from 1970
     origin: float = 0.0
-    """Origin of the times in messages [s]: the first row where the clock counts from 1970."""
 
     @property
     def message(self) -> str:
@@ -266,8 +266,7 @@ class Runs(NamedTuple):
     start: np.ndarray
     length: np.ndarray
     k: np.ndarray
-    chance: np.ndarray
-    """Expected number of runs at least so long in the flight."""
+    chance: np.ndarray  # Expected number of runs at least so long in the flight
 
 
 def equal_runs(values: np.ndarray) -> Runs:

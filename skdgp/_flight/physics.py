@@ -66,11 +66,12 @@ MOST = 8  # most findings of one table
 FLYING = 0.5  # rows slower than this fraction of the median airspeed do not count
 
 CONTROLS = frozenset(ALL_SURFACES)
+# Channels that only slopes, and only equalities, depend on
 INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
-"""Channels that only slopes, and only equalities, depend on."""
 MOTION = (*VANES, *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION)
 SIGNED = (*MOTION, "altitude", *SURFACES)
 USED = ("airspeed", *SIGNED, *ELEVONS, "throttle")
+# Channels whose signs are changed together, and the cause
 SIGNS = {
     "q r": "the gyro's axes are y left, z up",
     "ay az": "the accelerometer's axes are y left, z up",
@@ -87,7 +88,7 @@ SIGNS = {
     "q r ay az theta psi v w v_east v_down east down": "all axes are y left, z up and north, "
     "west, up",
 }
-"""Channels whose signs are changed together, and the cause."""
+# Factor to SI, and channels that are in this unit together
 UNITS = {
     "degrees": (
         np.pi / 180,
@@ -103,12 +104,12 @@ UNITS = {
     "knots": (0.514444, ("airspeed", "v_north v_east v_down", "u v w")),
     "km/h": (1 / 3.6, ("airspeed", "v_north v_east v_down", "u v w")),
 }
-"""Factor to SI, and channels that are in this unit together."""
+# Positions by velocities, which they integrate
 CLIMBS = {
     **dict(zip(POSITION, EARTH_VELOCITY, strict=True)),
     "altitude": "v_down",
 }
-"""Positions by velocities, which they integrate."""
+# Response, its regressors, and the expected sign of the slope of the first of these
 SLOPES = {
     "CZ": ("az", "alpha q elevator", -1, "lift grows with alpha"),
     "CY": ("ay", "beta p r aileron rudder", -1, "the side force opposes beta"),
@@ -117,7 +118,6 @@ SLOPES = {
     "Cn": ("r", "rudder beta p r aileron", -1, "a positive rudder yaws left"),
     "energy": ("airspeed", "sink throttle induced", 1, "the aircraft gains airspeed in descents"),
 }
-"""Response, its regressors, and the expected sign of the slope of the first of these."""
 STAND_INS = {"alpha": "az", "beta": "ay"}  # specific forces, which grow with the angles
 
 Signals = dict[str, np.ndarray]
@@ -130,8 +130,8 @@ class Contradiction(NamedTuple):
     flight: object
     channels: tuple[str, ...]
     message: str
+    # Whether it is the sign of the channels, and no other cause is as probable
     is_sign: bool = False
-    """Whether it is the sign of the channels, and no other cause is as probable."""
 
     def __str__(self) -> str:
         return self.message if self.flight is None else f"flight {self.flight}: {self.message}"
@@ -144,10 +144,9 @@ class Cause(NamedTuple):
     words: str
     remedy: str
     correct: Callable[[Signals], Signals]
-    needs: tuple[str, ...] = ()
-    """Channels that it is looked for in."""
+    needs: tuple[str, ...] = ()  # Channels that it is looked for in
+    # Whether equal signals stay equal, so that only slopes show the fault
     keeps_equalities: bool = False
-    """Whether equal signals stay equal, so that only slopes show the fault."""
 
 
 class Relation(NamedTuple):
@@ -158,8 +157,7 @@ class Relation(NamedTuple):
     contradicts: bool = False
     t: float = 0.0
     pair: tuple[np.ndarray, np.ndarray] | None = None
-    explained: float = 0.0
-    """Explained fraction of the variance of a slope's response."""
+    explained: float = 0.0  # Explained fraction of the variance of a slope's response
 
     @property
     def t_value(self) -> float:
@@ -622,6 +620,7 @@ def _turned_over(signals: Signals) -> Signals:
     return _with_gravity(_with_gravity(_scaled(names.split(), -1.0)(signals)))
 
 
+# Possible faults beside signs and units
 OTHERS = (
     Cause(
         ELEVONS,
@@ -681,4 +680,3 @@ OTHERS = (
         keeps_equalities=True,
     ),
 )
-"""Possible faults beside signs and units."""

@@ -17,18 +17,16 @@ from skdgp._flight.frames import euler_to_matrix
 
 # a flight is averaged over so many blocks, each of so many seconds or more
 MOST_BLOCKS, SHORTEST_BLOCK = (200, 1.0)
+# Correlation times [s] of gusts (as of `FlightPathReconstruction`), of the mean wind, of the
+# airspeed; guesses
 GUST_TIME, CHANGE_TIME, SPEED_TIME = 10.0, 3600.0, 15.0
-"""Correlation times [s] of gusts (as of `FlightPathReconstruction`), of the mean wind, of the
-airspeed; guesses.
-"""
+# Prior standard deviations: mean wind, its change [m/s], mean airspeed [m/s], heading offset [rad];
+# guesses
 MEAN_WIND_STD, CHANGE_STD, MEAN_SPEED_STD, HEADING_STD = 30.0, 0.5, 100.0, 0.05
-"""Prior standard deviations: mean wind, its change [m/s], mean airspeed [m/s], heading offset
-[rad]; guesses.
-"""
+# Logarithms of the usual standard deviations [m/s] of gusts (.1 times 7.7 m/s, the light turbulence
+# of MIL-F-8785C), of the airspeed, and of what is left across and along the direction of flight in
+# the mean of a block; guesses
 USUAL = np.log([0.77, 1.0, 0.5, 0.1])
-"""Logarithms of the usual standard deviations [m/s] of gusts (.1 times 7.7 m/s, the light turbulence of MIL-F-8785C),
-of the airspeed, and of what is left across and along the direction of flight in the mean of a
-block; guesses."""
 LOG_STD = np.array(
     [0.7, 2.0, 2.0, 2.0]
 )  # how well these are known: gusts within a factor of two, the rest hardly

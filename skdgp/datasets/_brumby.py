@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 
+# Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)
 REGRESSORS = (
     "alpha",
     "beta",
@@ -26,9 +27,6 @@ REGRESSORS = (
     "aileron",
     "rudder",
 )
-"""Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q,
-alpha_dot).
-"""
 
 PROPELLER = Propeller(
     diameter=0.6, thrust_coefficients=(0.10, -0.045, -0.065), torque_coefficients=(0.0070, 0.0010, -0.0060),

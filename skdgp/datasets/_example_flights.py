@@ -86,21 +86,20 @@ AIRSPEED = 36.0  # at which the gusts are crossed [m/s]
 # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
 PASSES = 8
 DEGREE = np.pi / 180.0
+# Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit,
+# GPS
 SENSOR_NOISE = {
     "airspeed": 0.3, "alpha": 0.3 * DEGREE, "beta": 0.3 * DEGREE, **dict.fromkeys(RATES, 0.002),
     **dict.fromkeys(SPECIFIC_FORCE, 0.05), **dict.fromkeys(EULER, 0.3 * DEGREE), "north": 0.5, "east": 0.5,
     **dict.fromkeys(EARTH_VELOCITY, 0.1),
 }  # fmt: skip
-"""Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit,
-GPS.
-"""
+# Columns that a logger would write; the truth comes after them
 MEASURED = (
     "time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
     "north", "east", "v_north", "v_east", "v_down", "altitude", "density", "throttle", "elevator", "aileron",
     "rudder", "elevon_left", "elevon_right", "thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m",
     "thrust_n", "propeller_speed",
 )  # fmt: skip
-"""Columns that a logger would write; the truth comes after them."""
 TRUTH = (
     *(
         "airspeed",
@@ -125,8 +124,8 @@ class FlightPlan:
     """Plan of one flight: path, wind, and manoeuvres added to the controls."""
 
     name: str
+    # (from time [s], centre north, centre east, radius [m]); a negative radius turns left
     orbits: tuple[tuple[float, float, float, float], ...]
-    """(from time [s], centre north, centre east, radius [m]); a negative radius turns left."""
     altitudes: tuple[tuple[float, float], ...]  # (from time [s], altitude [m])
     airspeeds: tuple[tuple[float, float], ...]  # (from time [s], airspeed [m/s])
     wind: tuple[float, float, float]  # mean velocity of the air, NED [m/s]

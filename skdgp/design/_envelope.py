@@ -15,16 +15,16 @@ from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp.design._information import regressors_of
 from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, trajectory_bands
 
+# What an envelope limits, and the options of the command line
 OPTIONS = {
     "alpha": "--alpha", "beta": "--beta", "load_factor": "--load-factor", "bank": "--max-bank", "airspeed": "--speeds",
     "altitude": "--floor",
 }  # fmt: skip
-"""What an envelope limits, and the options of the command line."""
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "  # before the name of a limit from the training range
+# Least and largest of each number of an envelope
 BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
            "margin": (0, np.inf)}  # fmt: skip
-"""Least and largest of each number of an envelope."""
 WHOLE_RANGE = {
     "throttle": (0.0, 1.0)
 }  # lowest and highest value that a control can have, beyond which no limit grows
@@ -83,8 +83,8 @@ class Envelope:
     margin: float = 0.15
     gusts: Turbulence | Literal["auto"] | None = "auto"
     n_paths: int = 200
+    #: What it limits, and the options of the command line
     command_options: ClassVar[Mapping[str, str]] = OPTIONS
-    """What it limits, and the options of the command line."""
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):

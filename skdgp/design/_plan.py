@@ -65,10 +65,10 @@ class Plan:
     limits: pd.DataFrame
     aircraft: Aircraft
     gusts: tuple[float, ...] | None = None
+    #: Time after a manoeuvre in which the flight tells of the aircraft [s]
     response: ClassVar[float] = RESPONSE
-    """Time after a manoeuvre in which the flight tells of the aircraft [s]."""
+    #: Time after a manoeuvre in which nobody acts, for which its risk counts [s]
     reaction: ClassVar[float] = REACTION
-    """Time after a manoeuvre in which nobody acts, for which its risk counts [s]."""
 
     @property
     def risk(self) -> float:

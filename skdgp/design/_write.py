@@ -14,28 +14,26 @@ from skdgp._excitation import ROUNDING, UNLIMITED, Multisine, Signal, Steps, Wav
 from skdgp._flight.checks import check_names
 
 SCRIPT = Path(__file__).with_name("replay.lua")
+# SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move
+# elevons and halves of a V-tail up. Flaperons roll right, flaps lower the left and raise the right
+# command; later versions turn the left one (ArduPlane/servos.cpp), which the script sees by the
+# command of the ailerons.
 ARDUPILOT = {
     "elevator": (19, -1.0), "aileron": (4, 1.0), "rudder": (21, -1.0), "throttle": (70, 1.0),
     "elevon_left": (77, -1.0), "elevon_right": (78, -1.0), "vtail_left": (79, -1.0), "vtail_right": (80, -1.0),
     "flaperon_left": (24, 1.0), "flaperon_right": (25, -1.0),
 }  # fmt: skip
-"""SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves
-of a V-tail up. Flaperons roll right, flaps lower the left and raise the right command; later
-versions turn the left one (ArduPlane/servos.cpp), which the script sees by the command of the
-ailerons."""
+# Surfaces that several axes move
 MIXES = {
     "elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0},
     "vtail_left": {"elevator": 1.0, "rudder": 1.0}, "vtail_right": {"elevator": 1.0, "rudder": -1.0},
     "flaperon_left": {"aileron": 1.0}, "flaperon_right": {"aileron": -1.0},
 }  # fmt: skip
-"""Surfaces that several axes move."""
+# ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45
 THROTTLE_SCALE, SURFACE_SCALE = 100.0, 4500.0
-"""ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45."""
 NO_LIMIT = 1e30
-FASTEST = 1000.0
-"""Rate of a script [Hz]: ArduPilot counts milliseconds."""
-SWITCHES = range(300, 308)
-"""RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft."""
+FASTEST = 1000.0  # Rate of a script [Hz]: ArduPilot counts milliseconds.
+SWITCHES = range(300, 308)  # RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft
 
 
 def ardupilot_script(

@@ -20,16 +20,16 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
+# Of central differences, where a model has no slopes: a fraction of the range of a regressor, or
+# absolute
 DIFFERENCE = 1e-4
-"""Of central differences, where a model has no slopes: a fraction of the range of a regressor, or
-absolute.
-"""
+# Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-"""Names that a regressor gives to outputs without names."""
+# Time [s] for which an error of the function lasts: that in which a manoeuvre changes the
+# regressors. A guess: on eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by
+# .02, with the same coverage to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s,
+# bands hold down to 83 %.
 MISFIT_MEMORY = 2.0
-"""Time [s] for which an error of the function lasts: that in which a manoeuvre changes the regressors. A guess: on
-eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by .02, with the same coverage
-to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s, bands hold down to 83 %."""
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -44,14 +44,11 @@ class Mixing(NamedTuple):
 class Drift(NamedTuple):
     """Errors of the coefficients along a flight: tau^2 exp(-|t - t'| / T), independent of the regressors."""
 
-    variance: Array
-    """tau^2 of each coefficient, (6,)."""
-    memory: Array
-    """T [s], (6,)."""
+    variance: Array  # tau^2 of each coefficient, (6,)
+    memory: Array  # T [s], (6,)
+    # Part of the variance that is an error of the function, whatever the air, (6,). Its T is
+    # `MISFIT_MEMORY`.
     misfit: Array | float = 0.0
-    """Part of the variance that is an error of the function, whatever the air, (6,). Its T is
-    `MISFIT_MEMORY`.
-    """
 
     def _processes(self) -> list[tuple[Array, Array]]:
         """Return variances and memories (6,) of the independent processes."""
@@ -124,18 +121,15 @@ class Aerodynamics:
     array([-0.5,  0. , -8. , -0.6])
     """
 
+    #: Regressors (n, d) to errors of the slopes that the paths do not contain, see
+    #: ``DependentGPRegressor``
     slope_errors: Callable | None = None
-    """Regressors (n, d) to errors of the slopes that the paths do not contain, see
-    ``DependentGPRegressor``.
-    """
+    #: () to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or
+    #: to None
     function_errors: Callable | None = None
-    """() to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or
-    to None.
-    """
+    #: () to the regressors (n, d) that the model was learned from, or to None
     training_rows: Callable | None = None
-    """() to the regressors (n, d) that the model was learned from, or to None."""
-    training_seconds: float | None = None
-    """Duration of the flights of these rows [s]."""
+    training_seconds: float | None = None  #: Duration of the flights of these rows [s]
 
     def __init__(
         self,

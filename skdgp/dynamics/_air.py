@@ -32,49 +32,36 @@ from skdgp._flight.frames import air_velocity, body_to_ned, cross, euler_to_quat
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 FEET = 0.3048
-CEILING = 1000 * FEET
-"""Height [m] at which the low-altitude model ends."""
-SHORTEST = 30.0
-"""Flight [s] below which gusts cannot be told from the mean wind."""
-SLOWEST = 0.03
-"""Frequency [rad/s] below which the wind changes for other reasons than turbulence."""
-LONGEST = 3000.0
-"""Scale length [m] beyond which there is none."""
+CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
+SHORTEST = 30.0  # Flight [s] below which gusts cannot be told from the mean wind
+SLOWEST = 0.03  # Frequency [rad/s] below which the wind changes for other reasons than turbulence
+LONGEST = 3000.0  # Scale length [m] beyond which there is none
+# Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the
+# sensors
 SAMPLES = 10
-"""Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the
-sensors.
-"""
+# Frequency, over that of the lag of a wing, up to which spectra are fitted. Sensors measure the
+# wind at a point, the wing meets its mean over the span. Below, both are the same to a factor of 2.
+# With the lag in the spectra, gusts of JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m,
+# and their rates were 1.3 to 4 times too large.
 BAND = 1.0
-"""Frequency, over that of the lag of a wing, up to which spectra are fitted.
-
-Sensors measure the wind at a point, the
-wing meets its mean over the span. Below, both are the same to a factor of 2. With the lag in the
-spectra, gusts of JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m, and their rates were
-1.3 to 4 times too large."""
+# Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a
+# flight at that height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds
+# do not show it.
 LENGTH, LENGTH_STD = 126.0, 0.72
-"""Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a flight at that
-height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds do not show
-it."""
+# Values of the periodogram from which an intensity is estimated: its standard error is then 30 %
 FEWEST = 3
-"""Values of the periodogram from which an intensity is estimated: its standard error is then 30 %.
-"""
-LEVEL = 0.95
-"""Of the test that intensity and length of u and v differ: the usual one."""
-CALM = 1e-12
-"""Power [m^2/s^2] of the wind below which it is round-off."""
+LEVEL = 0.95  # Of the test that intensity and length of u and v differ: the usual one
+CALM = 1e-12  # Power [m^2/s^2] of the wind below which it is round-off
+# From a time or a stage, and states (..., 13), to the air there; None where it is at rest.
 AirAt: TypeAlias = "Callable[[Any, Array], LocalAir | None]"
-"""From a time or a stage, and states (..., 13), to the air there; None where it is at rest."""
 
 
 class Gusts(NamedTuple):
     """Motion of the air around the aircraft, body axes, each (n_times, n_flights, 3)."""
 
-    velocity: np.ndarray
-    """u, v, w of the air [m/s]."""
-    acceleration: np.ndarray
-    """Rate of change of the velocity [m/s^2]."""
-    rates: np.ndarray
-    """p, q, r of the air as if it turned like a rigid body [rad/s]."""
+    velocity: np.ndarray  # u, v, w of the air [m/s]
+    acceleration: np.ndarray  # Rate of change of the velocity [m/s^2]
+    rates: np.ndarray  # p, q, r of the air as if it turned like a rigid body [rad/s]
 
 
 def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -273,17 +260,15 @@ class Turbulence(NamedTuple):
     array([0.53, 0.53, 0.38])
     """
 
-    intensity: Array
-    """(3,) [m/s]."""
-    length: Array
-    """(3,) [m]."""
+    intensity: Array  #: (3,) [m/s]
+    length: Array  #: (3,) [m]
+    #: Standard errors of the intensities, (3,); None where they are given.
     intensity_std: Array | None = None
-    """Standard errors of the intensities, (3,); None where they are given."""
     length_std: Array | None = None
+    #: Mean of the flights [m/s]; None where intensity and length are given.
     airspeed: float | None = None
-    """Mean of the flights [m/s]; None where intensity and length are given."""
+    #: Whether u and v share intensity and length, since the wind does not tell them apart
     is_tied: bool = False
-    """Whether u and v share intensity and length, since the wind does not tell them apart."""
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -426,12 +411,10 @@ class _Spectra(NamedTuple):
     values: Array
     step: float
     airspeed: float
-    shortest: float
-    """Scale length [m] that they can show."""
+    shortest: float  # Scale length [m] that they can show
+    # Whether the axes are along the flight, across, down, with noise of sensors; else north, east,
+    # down
     is_along: bool
-    """Whether the axes are along the flight, across, down, with noise of sensors; else north, east,
-    down.
-    """
 
     def unit(self, length: float, axis: int) -> Array:
         """Return Dryden's spectrum of an axis for unit variance: of north and east the mean spectrum of u and v."""
@@ -445,10 +428,8 @@ class _Spectra(NamedTuple):
 class _Fit(NamedTuple):
     """Intensity and length of some axes."""
 
-    estimate: tuple[float, float, float, float]
-    """Intensity, length, and their standard errors."""
-    loss: float
-    """The negative logarithm of likelihood and prior, but for a constant."""
+    estimate: tuple[float, float, float, float]  # Intensity, length, and their standard errors
+    loss: float  # The negative logarithm of likelihood and prior, but for a constant
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
@@ -617,12 +598,10 @@ def as_air(air: Any) -> Air:
 class LocalAir(NamedTuple):
     """Motion of the air at the aircraft."""
 
-    wind: Array
-    """Velocity, north, east, down, (..., 3) [m/s]."""
-    wind_rate: Array | None = None
-    """Its rate of change along the flight, (..., 3) [m/s^2]."""
+    wind: Array  #: Velocity, north, east, down, (..., 3) [m/s]
+    wind_rate: Array | None = None  #: Its rate of change along the flight, (..., 3) [m/s^2]
+    #: Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it
     rotation: Array | None = None
-    """Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it."""
 
 
 @dataclass(frozen=True)
@@ -630,12 +609,10 @@ class GustyAir:
     """Gusts around each aircraft, on top of a wind."""
 
     wind: AirAt
-    gusts: Gusts
-    """At each stage, (n_stages, ..., 3)."""
+    gusts: Gusts  #: At each stage, (n_stages, ..., 3)
+    #: Whether the rate of change is asked for: a model whose regressors do not follow from the
+    #: loads needs none
     with_rate: bool = True
-    """Whether the rate of change is asked for: a model whose regressors do not follow from the
-    loads needs none.
-    """
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""

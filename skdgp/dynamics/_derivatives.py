@@ -23,10 +23,10 @@ from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._trim import Trim
 
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
+# Rates about the x and the z axis, which turn with the axes
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
-"""Rates about the x and the z axis, which turn with the axes."""
+# Columns whose squares add up to that of ``std``
 PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
-"""Columns whose squares add up to that of ``std``."""
 NORMAL_95 = 1.959963984540054
 
 

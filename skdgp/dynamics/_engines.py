@@ -22,18 +22,19 @@ from skdgp._flight.checks import (
 )
 
 USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
+# c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter: least squares of the wind-tunnel
+# data of 178 propellers of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig,
+# AIAA 2011-1255), 20,098 points, each propeller with the same weight, in the ranges below.
 USUAL_TORQUE = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
-"""c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter: least squares of the wind-tunnel data of 178 propellers
-of two blades (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098
-points, each propeller with the same weight, in the ranges below."""
+# Relative error of the thrust of propellers whose family is not in the fit, root mean square, at
+# advance ratios of 0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero thrust it
+# grows.
 USUAL_STD = 0.23
-"""Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance ratios of
-0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero thrust it grows."""
+# Of these propellers: diameter [m], pitch / diameter
 MEASURED_DIAMETERS, MEASURED_PITCHES = (0.17, 0.49), (0.35, 1.1)
-"""Of these propellers: diameter [m], pitch / diameter."""
+# Speed at full throttle over the speed of the motor without load, and the deviation of the thrust
+# by its 0.1, which goes with its third power or so in flight; guesses
 LOADED_SPEED, LOADED_THRUST_STD = 0.75, 0.35
-"""Speed at full throttle over the speed of the motor without load, and the deviation of the thrust by its 0.1, which
-goes with its third power or so in flight; guesses."""
 
 
 @dataclass(frozen=True)

@@ -12,24 +12,23 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
 from skdgp._flight.checks import as_floats, check_choice, check_number
 
+# Sizes of an aircraft and their units
 QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
-"""Sizes of an aircraft and their units."""
 MOMENTS = ("Ixx", "Iyy", "Izz")
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
 PRODUCT = "Ixz"
 PRESSURE = "dynamic pressure"
 FORCE = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
+# A measured coefficient is proportional to these powers: m f / (qbar S), and I omega_dot / (qbar S
+# b) but for products of inertia and gyroscopic moments
 POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {
     name: {moment: 1.0, "wing_area": -1.0, length: -1.0, PRESSURE: -1.0}
     for name, moment, length in zip(
         COEFFICIENTS[3:], MOMENTS, ("span", "chord", "span"), strict=True
     )
 }
-"""A measured coefficient is proportional to these powers: m f / (qbar S), and I omega_dot / (qbar S b) but for products
-of inertia and gyroscopic moments."""
+# A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure
 SPEED_POWERS = dict.fromkeys(RATE_LENGTHS, 0.5) | dict.fromkeys(ACCELERATION_LENGTHS, 1.0)
-"""A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure.
-"""
 
 
 @dataclass(frozen=True)
@@ -69,17 +68,12 @@ class ScaleFactor:
 class Kind(NamedTuple):
     """A class of aircraft: sizes, radii of gyration, and relative standard deviations of all."""
 
-    aspect_ratio: tuple[float, float]
-    """b^2 / S."""
-    length: tuple[float, float]
-    """Overall length over span."""
-    radii: tuple[float, float, float]
-    """Radii of gyration over half of: span, length, their mean."""
-    inertia_std: tuple[float, float, float]
-    """Of the moments that these radii give."""
+    aspect_ratio: tuple[float, float]  # b^2 / S
+    length: tuple[float, float]  # Overall length over span
+    radii: tuple[float, float, float]  # Radii of gyration over half of: span, length, their mean
+    inertia_std: tuple[float, float, float]  # Of the moments that these radii give
     words: str
-    chord: tuple[float, float] = (1.0, 0.0)
-    """Mean aerodynamic chord over the mean one, S / b."""
+    chord: tuple[float, float] = (1.0, 0.0)  # Mean aerodynamic chord over the mean one, S / b
 
 
 # Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those
@@ -129,10 +123,11 @@ KINDS = {
         "of twin propellers, Raymer",
     ),
 }
+# Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
+# 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
+# (tests/dynamics/test_estimate.py).
 PRODUCT_STD = 0.07
-"""Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
-25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
-(tests/dynamics/test_estimate.py)."""
+# Measurements of an hour at most, by the scale factor that they narrow
 REMEDIES = {
     "mass": "weigh it",
     "span": "measure the span",
@@ -144,7 +139,6 @@ REMEDIES = {
     "airspeed": "fit an airspeed sensor",
     **dict.fromkeys(INERTIAS, "swing it about each axis on two cords (bifilar pendulum)"),
 }
-"""Measurements of an hour at most, by the scale factor that they narrow."""
 
 
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:

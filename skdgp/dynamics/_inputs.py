@@ -44,14 +44,11 @@ from skdgp.dynamics._record import Clock
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
+# States of a start that may have standard deviations
 DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
-"""States of a start that may have standard deviations."""
+# By which the airspeed of a start may differ from that of its ground speed and the wind, as a share
 AIRSPEED_TOLERANCE = 0.15
-"""By which the airspeed of a start may differ from that of its ground speed and the wind, as a
-share.
-"""
-LOWEST_LAND = -450.0
-"""Altitude of the lowest land there is [m]."""
+LOWEST_LAND = -450.0  # Altitude of the lowest land there is [m]
 
 
 def as_starts(x0: Any) -> pd.DataFrame | Array:
@@ -231,8 +228,7 @@ class FlightComputer(NamedTuple):
     By itself a law is asked at every stage of a step, as if it acted without a delay.
     """
 
-    law: Callable
-    """(t, state) to controls by name."""
+    law: Callable  #: (t, state) to controls by name
 
 
 def control_schedule(

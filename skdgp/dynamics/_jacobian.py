@@ -34,22 +34,18 @@ from skdgp._flight.frames import (
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
+# Rates of change, and the rates whose slopes theirs are shares of
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
-"""Rates of change, and the rates whose slopes theirs are shares of."""
 SHARES = np.array([0.4, 0.2])
-STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
-"""States of a linear model."""
-ANGLES_OF_STATE = slice(6, 9)
-"""Places of phi, theta, psi in `STATES`."""
+STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of a linear model
+ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
-ANGLES = slice(1, 3)
-"""Places of alpha and beta in `OUTPUTS`."""
+ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
+# Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
+# themselves
 POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
-"""Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
-themselves.
-"""
+# Of the central difference of fourth order
 WEIGHTS = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
-"""Of the central difference of fourth order."""
 
 
 def jacobian(
@@ -151,13 +147,10 @@ def _responses(instant: Instant, x: Array, motion: Motion) -> Array:
 class Lag(NamedTuple):
     """What alpha_dot and beta_dot may change of C: slopes @ (missing * rates - relation @ regressors)."""
 
-    slopes: Array
-    """One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)."""
+    slopes: Array  # One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)
+    # S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d)
     relation: Array
-    """S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d).
-    """
-    missing: Array
-    """Whether they are no regressors, (2, 1)."""
+    missing: Array  # Whether they are no regressors, (2, 1)
 
     @property
     def errors(self) -> Array:

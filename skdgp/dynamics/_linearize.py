@@ -33,8 +33,8 @@ from skdgp.dynamics._motion import Motion
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
 ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
 ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
+# States of the modes along and across the plane of symmetry
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
-"""States of the modes along and across the plane of symmetry."""
 
 
 class Matrices(NamedTuple):
@@ -57,11 +57,9 @@ class LinearModel:
     B: pd.DataFrame
     C: pd.DataFrame
     D: pd.DataFrame
-    state: Array
-    """Of the flight, (13,)."""
+    state: Array  #: Of the flight, (13,)
     controls: dict[str, float]
-    paths: Matrices | None = None
-    """A, B, C, D of each path of the posterior, (n_paths, ...)."""
+    paths: Matrices | None = None  #: A, B, C, D of each path of the posterior, (n_paths, ...)
 
     @property
     def states(self) -> list[str]:

@@ -18,8 +18,7 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._engines import Propeller, ThrustLine
 
 CENTRED = ThrustLine()
-Thrust: TypeAlias = "str | Callable | None"
-"""Sources of the thrust in a simulation."""
+Thrust: TypeAlias = "str | Callable | None"  # Sources of the thrust in a simulation
 
 
 def aerodynamic_loads(

@@ -32,15 +32,13 @@ from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsive_loads
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
+# Channels that are set, not rebuilt from the state; a control may also have a name that is no
+# channel
 CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
-"""Channels that are set, not rebuilt from the state; a control may also have a name that is no
-channel.
-"""
+# Largest one of a control of a model that does not say what it was learned from
 DEFLECTION = np.pi / 4
-"""Largest one of a control of a model that does not say what it was learned from."""
+# Channels that follow from the loads, and so from the coefficients that they may be regressors of
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
-"""Channels that follow from the loads, and so from the coefficients that they may be regressors of.
-"""
 STATES = (
     "airspeed",
     "alpha",
@@ -58,33 +56,25 @@ STATES = (
     "psi",
 )
 MOST_ITERATIONS = 60
-MEMORY = 4
-"""Changes that Anderson's method mixes."""
+MEMORY = 4  # Changes that Anderson's method mixes
 RIDGE, TINY = 1e-12, 1e-300
-TOLERANCE = 1e-10
-"""Of the implicit regressors, each over 1 + its size."""
+TOLERANCE = 1e-10  # Of the implicit regressors, each over 1 + its size
 
 
 class Instant(NamedTuple):
     """Loads, accelerations and coefficients at states (..., 13)."""
 
-    derivative: Array
-    """Of the state, (..., 13)."""
-    coefficients: Array
-    """(..., 6)."""
-    regressors: Array
-    """(..., d)."""
+    derivative: Array  #: Of the state, (..., 13)
+    coefficients: Array  #: (..., 6)
+    regressors: Array  #: (..., d)
     airspeed: Array
     alpha: Array
     beta: Array
     density: Array
-    force: Array
-    """All but gravity, body axes, (..., 3) [N]."""
+    force: Array  #: All but gravity, body axes, (..., 3) [N]
     moment: Array
-    implicit: Array | None
-    """The regressors of `IMPLICIT`, (..., 8), where the model has any."""
-    settled: Array | bool
-    """Whether the fixed point of the implicit regressors was found."""
+    implicit: Array | None  #: The regressors of `IMPLICIT`, (..., 8), where the model has any
+    settled: Array | bool  #: Whether the fixed point of the implicit regressors was found
 
 
 class Motion:

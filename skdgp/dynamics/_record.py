@@ -18,10 +18,9 @@ from skdgp.dynamics._air import AirAt
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rk4_step
 
-SLOWEST = 1.0
-"""Airspeed [m/s] below which a trajectory ends: no angle of attack is known there."""
+SLOWEST = 1.0  # Airspeed [m/s] below which a trajectory ends: no angle of attack is known there
+# Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
 FASTEST, SPINNING = 1000.0, 60.0
-"""Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged."""
 FLYING = ""
 REASONS = {
     "airspeed": "airspeed under 1 m/s",
@@ -94,8 +93,7 @@ class Clock(NamedTuple):
 class Record(NamedTuple):
     """Simulated trajectories: arrays (n_steps + 1, ...) over time, NaN after the end of a trajectory."""
 
-    time: np.ndarray
-    """Since the start, (n_steps + 1,)."""
+    time: np.ndarray  #: Since the start, (n_steps + 1,)
     states: Array
     regressors: Array
     coefficients: Array
@@ -104,10 +102,8 @@ class Record(NamedTuple):
     density: Array
     wind: Array | None
     controls: dict[str, Array]
-    ended: Array
-    """Why each trajectory ended, (...), `FLYING` where it did not."""
-    end: Array
-    """The step at which it did, (...)."""
+    ended: Array  #: Why each trajectory ended, (...), `FLYING` where it did not
+    end: Array  #: The step at which it did, (...)
 
     def rows(self, part: slice) -> Record:
         """Return the record of some of the steps."""

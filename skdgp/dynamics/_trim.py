@@ -24,8 +24,7 @@ from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_con
 from skdgp.dynamics._motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
 
-ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]
-"""Controls that give the thrust of any engine."""
+ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]  # Controls that give the thrust of any engine
 ANGLES = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
@@ -39,19 +38,15 @@ FIXED_LIMITS = {
     "thrust": (0.0, np.inf),
     "throttle": (0.0, 1.0),
 }
+# Least distance by which a control or alpha may leave what a model was learned from [rad]
 LEAST_MARGIN = 0.1
-"""Least distance by which a control or alpha may leave what a model was learned from [rad]."""
 ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
-TOLERANCE = 1e-6
-"""Largest acceleration of a trim [m/s^2, rad/s^2]."""
+TOLERANCE = 1e-6  # Largest acceleration of a trim [m/s^2, rad/s^2]
+# Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is
+# as given
 DEMAND = 100.0
-"""Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is
-as given.
-"""
-JACOBIAN_STEP = 1e-5
-"""Of differences of the residual, by an unknown or a fraction of it."""
-STARTS = (0.5, 0.25, 0.75, 0.05)
-"""Where between its limits alpha starts."""
+JACOBIAN_STEP = 1e-5  # Of differences of the residual, by an unknown or a fraction of it
+STARTS = (0.5, 0.25, 0.75, 0.05)  # Where between its limits alpha starts
 
 
 FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
@@ -61,10 +56,8 @@ FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
 class Trim:
     """A steady flight: airspeed [m/s], altitude [m], angles, climb angle of the path [rad], turn rate [rad/s]."""
 
-    state: Array
-    """(13,), see `STATE_NAMES`; above the origin, heading north."""
-    controls: dict
-    """Controls of the model and the engine."""
+    state: Array  #: (13,), see `STATE_NAMES`; above the origin, heading north
+    controls: dict  #: Controls of the model and the engine
     airspeed: float
     altitude: float
     climb: float
@@ -73,18 +66,12 @@ class Trim:
     beta: float
     phi: float
     theta: float
-    rates: Array
-    """p, q, r [rad/s]."""
-    coefficients: Array
-    """CX CY CZ Cl Cm Cn."""
-    thrust: float
-    """Thrust of the engine along its line [N]."""
-    solved: tuple[str, ...]
-    """The unknowns."""
-    residual: float
-    """The largest acceleration that remains [m/s^2 or rad/s^2]."""
-    beyond: dict
-    """Regressors outside their training ranges: name to (value, smallest, largest)."""
+    rates: Array  #: p, q, r [rad/s]
+    coefficients: Array  #: CX CY CZ Cl Cm Cn
+    thrust: float  #: Thrust of the engine along its line [N]
+    solved: tuple[str, ...]  #: The unknowns
+    residual: float  #: The largest acceleration that remains [m/s^2 or rad/s^2]
+    beyond: dict  #: Regressors outside their training ranges: name to (value, smallest, largest)
 
     def __repr__(self) -> str:
         named = {name: getattr(self, name) for name in FLIGHT[1:]} | self.controls

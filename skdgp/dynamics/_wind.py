@@ -33,15 +33,13 @@ from skdgp.dynamics._record import Clock
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, VELOCITY
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
-WIND_STEP = 1e-3
-"""Over which the wind of a function is differentiated [s]."""
+WIND_STEP = 1e-3  # Over which the wind of a function is differentiated [s]
+# Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
+# aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
+# (docs/simulation.md).
 ROUGHEST = 2.0
-"""Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
-aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
-(docs/simulation.md)."""
+# Time [s] over which the effects of rotation and drift are compared, and points of the integral
 HORIZON, POINTS = 1.0, 101
-"""Time [s] over which the effects of rotation and drift are compared, and points of the integral.
-"""
 
 
 def wind_field(wind: Any, n_starts: int = 1) -> AirAt:

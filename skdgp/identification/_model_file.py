@@ -29,8 +29,8 @@ FORMAT = 3
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14
+# Packages whose versions may change predictions of a model that can be read
 MATTERS = ("skdgp", "scikit-learn", "numpy")
-"""Packages whose versions may change predictions of a model that can be read."""
 
 
 class ModelFileError(ValueError):

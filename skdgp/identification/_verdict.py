@@ -33,11 +33,11 @@ from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
 
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
+# Signs of derivatives of a conventional stable aircraft (docs/notation.md)
 SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
-"""Signs of derivatives of a conventional stable aircraft (docs/notation.md)."""
 FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
 ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for end in ("", "_hat"))}
 # functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),

@@ -46,10 +46,10 @@ LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the cloc
 MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
 MOST_GAPS = 0.05  # larger fractions of gaps are the pauses between bursts; a guess
 LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
+# Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
 }  # fmt: skip
-"""Readers of logs by suffix; another format is one more entry."""
 # corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
 RATE_CUTOFF = 0.2
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")  # parameters [m/s]

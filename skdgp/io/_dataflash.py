@@ -97,19 +97,20 @@ RULES = (
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
+# By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign
 SERVOS = {
     4: ("aileron", False), 19: ("elevator", True), 21: ("rudder", True),
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
-"""By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign."""
 MOST_SERVOS = 16
+# Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
+# commands that go up and right; of flaperons left = aileron + flap, right = aileron - flap
+# (ArduPlane/servos.cpp)
 MIXES = {
     "elevator": {79: -0.5, 80: -0.5},
     "rudder": {79: -0.5, 80: 0.5},
     "aileron": {24: 0.5, 25: 0.5},
 }
-"""Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of commands that go up
-and right; of flaperons left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
 Outputs: TypeAlias = Topic | Mapping[str, Any]
 Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 

@@ -31,6 +31,8 @@ from skdgp.io._read import PathLike, read_flight
 from skdgp.io._servos import template
 from skdgp.io._tables import FlightReadError, reading
 
+# Columns that each step reads; alternatives are joined by "or", among them steps that compute the
+# column
 NEEDS = {
     "coefficients": ("airspeed", "density", *SPECIFIC_FORCE, *RATES, "thrust_x or propeller_speed"),
     "reconstruction": (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed"),
@@ -40,7 +42,6 @@ NEEDS = {
     ),
     "replay": (*EULER, "v_north or u", "v_east or v", "v_down or w"),
 }
-"""Columns that each step reads; alternatives are joined by "or", among them steps that compute the column."""
 ADVICE = {
     "servos": "angles of the surfaces: a servo file gives them (--servo-template FILE writes one "
     "to fill in)",

@@ -31,10 +31,10 @@ from skdgp.io._tables import (
 )
 
 UNKNOWN = "unknown_columns"
+# Readers of tables by suffix; another format is one more entry
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat,
 }  # fmt: skip
-"""Readers of tables by suffix; another format is one more entry."""
 DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
 PathLike: TypeAlias = "str | os.PathLike[str]"
 

@@ -19,9 +19,9 @@ from skdgp.io._tables import FlightReadError
 MOVED = (*ALL_SURFACES, "throttle")
 MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+# What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to
+# 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
 FULL_THROW = "full throw"
-"""What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to 1; with
-", reversed rudder" after it, some of the other sign than the autopilot's parameters say."""
 REVERSED = ", reversed "
 NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")

@@ -102,19 +102,17 @@ RULES = (
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
+# By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
+# against our signs.
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
-"""By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
-against our signs.
-"""
+# Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No
+# flaps, airbrakes, wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp).
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
-"""Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No flaps, airbrakes,
-wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp)."""
+# Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
+# torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
-"""Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a
-positive torque.
-"""
+# Fields of actuator_controls, and whether more turns the surface against our sign
 CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
-"""Fields of actuator_controls, and whether more turns the surface against our sign."""
 
 
 def read_ulog(path: Path) -> Log:

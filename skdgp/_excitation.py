@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 import pandas as pd
@@ -15,11 +15,10 @@ from scipy.optimize import minimize, newton
 
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.checks import as_floats, check_names, check_number
+from skdgp._flight.checks import check_names, check_number
 
 EDGE = 1e-5  # a sample this little before a step counts as after it [s]: clocks are rounded
 ROUNDING = 1e-9  # relative excess over a limit that is rounding
-RMS_SAMPLES = 10_000  # samples of a signal for its root mean square
 MOST_PERIODS = 5000  # periods of a multisine: 100 s at 50 Hz
 POWERS = (4, 8, 16, 32, 64, 128, 256)  # norms that approach the peak in the search for phases
 SEARCH_SAMPLES = 32  # samples per period of the highest harmonic in the search for phases
@@ -35,7 +34,6 @@ SAMPLES_PER_PERIOD = (
 AXES = (
     "elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust",
 )  # fmt: skip
-AnySignal = TypeVar("AnySignal", bound="Signal")
 
 
 class Signal(ABC):
@@ -54,11 +52,6 @@ class Signal(ABC):
 
     @property
     @abstractmethod
-    def speed(self) -> float:
-        """Bound of the rate of change [1/s], the smallest that is known."""
-
-    @property
-    @abstractmethod
     def period(self) -> float:
         """Shortest period of a sine, or of a pulse and the one after it [s]."""
 
@@ -66,168 +59,63 @@ class Signal(ABC):
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor."""
 
-    @property
-    def rms(self) -> float:
-        """Root mean square over its duration; its square is the power."""
-        return float(
-            np.sqrt(
-                np.mean(self(np.linspace(0.0, self.duration, RMS_SAMPLES, endpoint=False)) ** 2)
-            )
-        )
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Largest deviation of an axis from trim, and its largest rate; raises ValueError if one is not > 0.
-
-    Parameters
-    ----------
-    amplitude : float
-        [rad, or 1 of the throttle].
-    rate : float, default=inf
-        [1/s]. Steps become ramps of this rate.
-
-    Examples
-    --------
-    >>> from skdgp.design import Limits, doublet
-    >>> Limits(amplitude=0.05, rate=0.5).check(doublet(0.5, 0.1), "elevator")
-    Traceback (most recent call last):
-    ...
-    ValueError: Got an input of the elevator with a peak of 0.1, but the limit is 0.05: make it
-    smaller or raise the limit.
-    """
-
-    amplitude: float
-    rate: float = np.inf
-
-    def __post_init__(self) -> None:
-        for name in ("amplitude", "rate"):
-            value = as_floats(getattr(self, name))
-            if value.shape != () or not value > 0:
-                raise ValueError(
-                    f"Got a limit {name}={getattr(self, name)!r}, which forbids every input, but "
-                    f"expected a number > 0."
-                )
-
-    def check(self, signal: AnySignal, axis: str = "") -> AnySignal:
-        """Return an input, or raise ValueError if it exceeds a limit; ``axis`` is its name in the error."""
-        pairs = {"peak": (signal.peak, self.amplitude), "rate": (signal.speed, self.rate)}
-        for name, (value, limit) in pairs.items():
-            if value > limit * (1.0 + ROUNDING):
-                remedy = "give its steps ramps" if np.isinf(value) else "make it smaller"
-                raise ValueError(
-                    f"Got an input{axis and ' of the ' + axis} with a {name} of {value:.4g}, but "
-                    f"the limit is {limit:g}: {remedy} or raise the limit."
-                )
-        return signal
-
-    def largest(self, signal: AnySignal) -> AnySignal:
-        """Return an input scaled to the limits; raise ValueError if it is zero, or its steps are no ramps."""
-        if not signal.peak > 0:
-            raise ValueError("Got an input that is zero, but expected one to scale.")
-        by_rate = self.rate / signal.speed if np.isfinite(signal.speed) else np.inf
-        return self.check(signal.scaled(min(self.amplitude / signal.peak, by_rate)))
-
-
-UNLIMITED = Limits(np.inf)
-
-
-def as_limits(limit: Limits | float) -> Limits:
-    """Return limits; a number is the amplitude."""
-    return limit if isinstance(limit, Limits) else Limits(limit)
-
 
 @dataclass(frozen=True)
 class Steps(Signal):
-    r"""Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
+    """Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
 
-    With a finite ``rate`` [1/s] the steps are ramps, each centred on its edge, so that the mean is
-    unchanged; the first begins at time 0, and the input lasts :math:`(|l_1| + |l_n|) / 2r`
-    longer. Raises ValueError if there is no level, a duration is not > 0, or the ramps do not fit
-    into the durations.
+    Raises ValueError if there is no level, or a duration is not > 0.
 
     Examples
     --------
     >>> from skdgp.design import Steps
-    >>> Steps([1.0, 2.0], [0.1, -0.1], rate=1.0)([0.05, 0.5, 1.0, 2.0, 4.0])
-    array([ 0.05,  0.1 ,  0.05, -0.1 ,  0.  ])
+    >>> Steps([1.0, 2.0], [0.1, -0.1])([0.5, 1.0, 2.0, 4.0])
+    array([ 0.1, -0.1, -0.1,  0. ])
     """
 
     durations: Sequence[float]
     levels: Sequence[float]
-    rate: float = np.inf
-    duration: float = field(init=False)
 
     def __post_init__(self) -> None:
         freeze(self, float, "durations", "levels")
-        if not self.levels or len(self.levels) != len(self.durations):
-            raise ValueError(
-                f"Got durations {self.durations} of levels {self.levels}, but expected one finite "
-                f"level for each."
-            )
         numbers = np.array([*self.durations, *self.levels])
-        if not (np.isfinite(numbers).all() and min(*self.durations, self.rate) > 0):
+        is_complete = 0 < len(self.levels) == len(self.durations)
+        if not (is_complete and np.isfinite(numbers).all() and min(self.durations) > 0):
             raise ValueError(
-                f"Got durations {self.durations} [s], levels {self.levels} and rate {self.rate}, "
-                f"but expected finite levels, and all others > 0."
+                f"Got durations {self.durations} [s] of levels {self.levels}, but expected one "
+                f"finite level for each duration > 0."
             )
-        needed = 0.5 * (self.ramps[:-1] + self.ramps[1:])
-        if (needed > np.array(self.durations) * (1.0 + ROUNDING)).any():
-            k = int(np.argmax(needed - self.durations))
-            raise ValueError(
-                f"Got a level of {self.levels[k]:g} held for {self.durations[k]:g} s, but at a "
-                f"rate of {self.rate:g} "
-                f"1/s its ramps need {needed[k]:.3g} s: choose a longer duration, a smaller level "
-                f"or a higher rate."
-            )
-        object.__setattr__(self, "duration", float(self.edges[-1] + 0.5 * self.ramps[-1]))
 
     def __call__(self, time: ArrayLike) -> Array:
-        since = np.asarray(time, dtype=float)
         held = np.array([0.0, *self.levels, 0.0])
-        if np.isinf(self.rate):
-            return held[np.searchsorted(self.edges, since + EDGE, side="right")]
-        corners = np.stack([self.edges - 0.5 * self.ramps, self.edges + 0.5 * self.ramps], axis=-1)
-        return np.interp(since, corners.ravel(), np.stack([held[:-1], held[1:]], axis=-1).ravel())
-
-    @property
-    def swings(self) -> Vector:
-        """Change of the deviation at each edge."""
-        return np.diff([0.0, *self.levels, 0.0])
-
-    @property
-    def ramps(self) -> Vector:
-        """How long each change takes [s]."""
-        return np.abs(self.swings) / self.rate
+        since = np.asarray(time, dtype=float)
+        return held[np.searchsorted(self.edges, since + EDGE, side="right")]
 
     @property
     def edges(self) -> Vector:
-        """Middle of each change [s]."""
-        return np.cumsum([0.5 * self.ramps[0], *self.durations])
+        """When each level begins, and when the last one ends [s]."""
+        return np.cumsum([0.0, *self.durations])
+
+    @property
+    def duration(self) -> float:  # type: ignore[override]
+        return float(self.edges[-1])
 
     @property
     def peak(self) -> float:
         return max(map(abs, self.levels))
 
     @property
-    def speed(self) -> float:
-        return self.rate
-
-    @property
     def period(self) -> float:
         return 2.0 * min(self.durations)
 
     def scaled(self, factor: float) -> Self:
-        """Return it multiplied by a factor, the rate of its ramps too."""
-        levels = [factor * level for level in self.levels]
-        return replace(self, levels=levels, rate=abs(factor) * self.rate)
+        return replace(self, levels=[factor * level for level in self.levels])
 
 
-def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
+def doublet(width: float, amplitude: float) -> Steps:
     """Return a doublet: a pulse up and one down, each ``width`` seconds long; down first if the amplitude is < 0.
 
-    Its spectrum peaks at 2.33 / width [rad/s]. The rate of ``limits`` is the rate of its ramps.
-    Raises ValueError if a limit is exceeded, or the ramps do not fit into the width.
+    Its spectrum peaks at 2.33 / width [rad/s].
 
     Examples
     --------
@@ -235,30 +123,23 @@ def doublet(width: float, amplitude: float, *, limits: Limits | None = None) -> 
     >>> doublet(0.5, 0.1)([0.0, 0.25, 0.75, 1.0])
     array([ 0.1,  0.1, -0.1,  0. ])
     """
-    return _pulses((1, 1), width, amplitude, limits)
+    return Steps([width, width], [amplitude, -amplitude])
 
 
-def three_two_one_one(width: float, amplitude: float, *, limits: Limits | None = None) -> Steps:
+def three_two_one_one(width: float, amplitude: float) -> Steps:
     """Return a 3-2-1-1: pulses up, down, up, down of 3, 2, 1 and 1 times ``width`` seconds.
 
     It excites a wider band than a doublet (Jategaonkar, Flight Vehicle System Identification, 2nd
-    edition, 2015, section 2.3). Its mean is not zero. Amplitude, limits and errors are as of
-    `doublet`.
+    edition, 2015, section 2.3). Its mean is not zero.
 
     Examples
     --------
-    >>> from skdgp.design import Limits, three_two_one_one
-    >>> round(three_two_one_one(0.5, 0.1, limits=Limits(0.1, rate=1.0)).duration, 9)
-    3.6
+    >>> from skdgp.design import three_two_one_one
+    >>> three_two_one_one(0.5, 0.1).duration
+    3.5
     """
-    return _pulses((3, 2, 1, 1), width, amplitude, limits)
-
-
-def _pulses(units: Sequence[int], width: float, amplitude: float, limits: Limits | None) -> Steps:
-    """Return pulses of alternating sign, of ``units`` times the width."""
-    allowed = limits or UNLIMITED
-    levels = [amplitude * (-1) ** k for k in range(len(units))]
-    return allowed.check(Steps([unit * width for unit in units], levels, allowed.rate))
+    levels = [amplitude, -amplitude, amplitude, -amplitude]
+    return Steps([3 * width, 2 * width, width, width], levels)
 
 
 def freeze(signal: Signal, kind: Callable, *names: str) -> None:
@@ -320,16 +201,18 @@ class Multisine(Signal):
 
     @property
     def rms(self) -> float:
+        """Root mean square over the period."""
         return float(np.linalg.norm(self.amplitudes) / np.sqrt(2.0))
 
     @property
     def peak(self) -> float:
-        return _bound(self.harmonics, self.amplitudes, self.phases)
+        # the largest sample, and how far a curve can rise between two, step^2 / 8 |s''|
+        signal = self._sampled(PEAK_SAMPLES)
+        step = 2.0 * np.pi * np.array(self.harmonics) / len(signal)
+        return float(np.abs(signal).max() + step**2 @ np.abs(self.amplitudes) / 8.0)
 
-    @property
-    def speed(self) -> float:
-        rates = 2.0 * np.pi / self.duration * np.multiply(self.harmonics, self.amplitudes)
-        return _bound(self.harmonics, rates, np.add(self.phases, 0.5 * np.pi))
+    def _sampled(self, samples: int) -> Vector:
+        return _sampled(self.harmonics, self.amplitudes, self.phases, samples)
 
     @property
     def period(self) -> float:
@@ -338,8 +221,7 @@ class Multisine(Signal):
     @property
     def relative_peak_factor(self) -> float:
         r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
-        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
-        return float(np.ptp(signal) / (2.0 * np.linalg.norm(self.amplitudes)))
+        return float(np.ptp(self._sampled(PEAK_SAMPLES)) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
         return replace(self, amplitudes=[factor * amplitude for amplitude in self.amplitudes])
@@ -369,14 +251,12 @@ class Multisine(Signal):
         return replace(self, phases=np.mod(phases + turn * shift, 2.0 * np.pi).tolist())
 
 
-def multisine(
-    duration: float, harmonics: Sequence[int], *, rms: float, limits: Limits | None = None
-) -> Multisine:
+def multisine(duration: float, harmonics: Sequence[int], *, rms: float) -> Multisine:
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
     With the fractions :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE
     Trans. Inf. Theory 16, 1970). `Multisine.optimized` finds better ones. Raises ValueError as of
-    `Multisine`, if the rms is not > 0, or a limit is exceeded.
+    `Multisine`, or if the rms is not > 0.
 
     Parameters
     ----------
@@ -386,7 +266,6 @@ def multisine(
         Its frequencies are these over T.
     rms : float
         Root mean square.
-    limits : Limits, optional
 
     Returns
     -------
@@ -401,11 +280,11 @@ def multisine(
     amplitude = check_number("rms", rms) * float(np.sqrt(2.0 / len(harmonics)))
     amplitudes = [amplitude] * len(harmonics)
     phases = _schroeder(np.ones(len(harmonics))).tolist()
-    return (limits or UNLIMITED).check(Multisine(duration, harmonics, amplitudes, phases))
+    return Multisine(duration, harmonics, amplitudes, phases)
 
 
 def orthogonal_multisines(
-    limits: Mapping[str, Limits | float],
+    limits: Mapping[str, float],
     duration: float,
     band: tuple[float, float],
     *,
@@ -422,8 +301,8 @@ def orthogonal_multisines(
 
     Parameters
     ----------
-    limits : mapping of str to Limits or float
-        Of each axis; a float is the amplitude.
+    limits : mapping of str to float
+        Largest deviation of each axis [rad, or 1 of the throttle].
     duration : float
         [s].
     band : tuple of float
@@ -460,7 +339,9 @@ def orthogonal_multisines(
     inputs = {}
     for axis, harmonics in zip(limits, _dealt(available, len(limits), n_each), strict=True):
         signal = multisine(duration, harmonics.tolist(), rms=1.0).optimized()
-        inputs[axis] = as_limits(limits[axis]).largest(signal)
+        inputs[axis] = signal.scaled(
+            check_number(f"limit of the {axis}", limits[axis]) / signal.peak
+        )
     return inputs
 
 
@@ -486,13 +367,6 @@ def _sampled(
     spectrum = np.zeros(n // 2 + 1, dtype=complex)
     spectrum[list(harmonics)] = -0.5j * n * np.asarray(amplitudes) * np.exp(1j * np.asarray(phases))
     return irfft(spectrum, n)
-
-
-def _bound(harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike) -> float:
-    """Return a bound of a multisine: the largest sample, and what a curve can rise between two, step^2 / 8 |s''|."""
-    signal = _sampled(harmonics, amplitudes, phases, PEAK_SAMPLES)
-    step = 2.0 * np.pi * np.array(harmonics) / len(signal)
-    return float(np.abs(signal).max() + step**2 @ np.abs(np.asarray(amplitudes, dtype=float)) / 8.0)
 
 
 def _schroeder(power: Vector) -> Vector:
@@ -522,9 +396,9 @@ class Wavetrain:
     """Inputs of several axes, each at its time: for each axis a mapping of start [s] to `Signal`.
 
     The axes are elevator, aileron, rudder, elevons [rad], throttle, propeller_speed [rad/s] and
-    thrust [N]. Every input is checked against ``limits``, `Limits` by axis, and so is every row of
-    `table`. Raises ValueError if an axis is unknown, an input has no time or begins before time 0,
-    or a limit is no `Limits` or exceeded.
+    thrust [N]. Every input is checked against ``limits``, the largest deviations by axis, and so is
+    every row of `table`. Raises ValueError if an axis is unknown, an input has no time or begins
+    before time 0, or a limit is not > 0 or exceeded.
 
     Examples
     --------
@@ -540,23 +414,29 @@ class Wavetrain:
     """
 
     inputs: Mapping[str, Mapping[float, Signal]]
-    limits: Mapping[str, Limits] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_names([*self.inputs, *self.limits], AXES, "axes")
-        kinds = (
-            ("inputs", Mapping, "{start: signal}"),
-            ("limits", Limits, "Limits(amplitude, rate)"),
-        )
-        for name, kind, expected in kinds:
-            for axis, value in getattr(self, name).items():
-                if not isinstance(value, kind):
-                    raise ValueError(
-                        f"Got {value!r} as {name} of the {axis}, but expected {expected}."
-                    )
+        for axis, limit in self.limits.items():
+            check_number(f"limit of the {axis}", limit)
+        for axis, signals in self.inputs.items():
+            if not isinstance(signals, Mapping):
+                raise ValueError(
+                    f"Got {signals!r} as inputs of the {axis}, but expected {{start: signal}}."
+                )
         for axis, start, signal in self.events():
             check_number(f"start of an input of the {axis}", start, is_open=False, unit="s")
-            self.limits.get(axis, UNLIMITED).check(signal, axis)
+            self._check_peak(f"an input of the {axis}", axis, signal.peak)
+
+    def _check_peak(self, what: str, axis: str, peak: float) -> None:
+        """Raise ValueError if a peak exceeds the limit of its axis."""
+        limit = self.limits.get(axis, np.inf)
+        if peak > limit * (1.0 + ROUNDING):
+            raise ValueError(
+                f"Got {what} with a peak of {peak:.4g}, but the limit is {limit:g}: make it "
+                f"smaller, let one input begin after the other, or raise the limit."
+            )
 
     def __call__(self, axis: str, time: ArrayLike) -> Array:
         """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
@@ -624,15 +504,7 @@ class Wavetrain:
         time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
         columns = {axis: self(axis, time) for axis in self.axes}
         for axis, values in columns.items():
-            limit = self.limits.get(axis, UNLIMITED)
-            peak, speed = np.abs(values).max(), np.abs(np.diff(values, prepend=0.0)).max() * rate
-            if peak > limit.amplitude * (1.0 + ROUNDING) or speed > limit.rate * (1.0 + ROUNDING):
-                raise ValueError(
-                    f"Got inputs of the {axis} that overlap with a peak of {peak:.4g} and a rate "
-                    f"of {speed:.4g}, but "
-                    f"the limits are {limit.amplitude:g} and {limit.rate:g}: let one begin after "
-                    f"the other."
-                )
+            self._check_peak(f"overlapping inputs of the {axis}", axis, np.abs(values).max())
         if trim is not None:
             check_names(columns, trim, "controls of the trim")
             columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
@@ -643,7 +515,7 @@ def wavetrain(
     manoeuvres: Sequence[Mapping[str, Signal]],
     *,
     pause: float = 5.0,
-    limits: Mapping[str, Limits] | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> Wavetrain:
     """Return manoeuvres one after another, with flight at trim before, between and after them.
 

@@ -19,7 +19,6 @@ from skdgp._compute.progress import listening
 from skdgp._excitation import AXES
 from skdgp.design import (
     Envelope,
-    Limits,
     Plan,
     ardupilot_script,
     surface_mixes,
@@ -59,7 +58,7 @@ def plan(run: Run) -> None:
     """
     options, console = run.options, run.console
     axes = list(dict.fromkeys(options.axes))
-    limits, full = _limits(options), dict(options.full)
+    full = dict(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
     limits_of_envelope = {
@@ -93,7 +92,7 @@ def plan(run: Run) -> None:
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,
-            limits=limits,
+            limits=dict(options.limits),
             envelope=envelope,
             thrust=thrust,
             random_state=options.seed,
@@ -102,16 +101,6 @@ def plan(run: Run) -> None:
     earlier = r"plan(_\d+)?\.(csv|lua)"
     files = run.write(_writers(options, planned), "plan.json", numbers, earlier)
     run.print(_text(planned, options, files), numbers)
-
-
-def _limits(options) -> dict[str, Limits]:
-    amplitudes, rates = dict(options.limits), dict(options.rates)
-    if lacking := sorted({*rates} - {*amplitudes}):
-        raise ValueError(
-            f"Got --rates of {', '.join(lacking)} without --limits, but expected both: add "
-            f"--limits."
-        )
-    return {axis: Limits(size, rates.get(axis, np.inf)) for axis, size in amplitudes.items()}
 
 
 def _writers(options, planned: Plan) -> dict[str, Writer]:
@@ -244,8 +233,6 @@ COMMANDS: opt.Commands = {
         "limits": {
             "--limits": opt.AXIS_VALUES
             | {"help": "largest deviations from trim [rad] (default: as flown)"},
-            "--rates": opt.AXIS_VALUES
-            | {"help": "largest rates of change [rad/s] of axes with --limits (default: none)"},
             "--max-bank": {"metavar": "RAD", "type": opt.positive("rad"), "help": "to either side"},
             "--floor": {
                 "metavar": "M",

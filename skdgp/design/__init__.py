@@ -1,7 +1,6 @@
 """Design of flights: inputs that excite an aircraft, plans of manoeuvres, and their promises."""
 
 from skdgp._excitation import (
-    Limits,
     Multisine,
     Signal,
     Steps,
@@ -20,7 +19,6 @@ from skdgp.design._write import ardupilot_script, surface_mixes
 
 __all__ = [
     "Envelope",
-    "Limits",
     "Multisine",
     "Plan",
     "PlanCheck",

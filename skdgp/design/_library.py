@@ -10,7 +10,6 @@ import pandas as pd
 
 from skdgp._excitation import (
     SAMPLES_PER_PERIOD,
-    Limits,
     Signal,
     doublet,
     orthogonal_multisines,
@@ -73,19 +72,15 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def library(bands: pd.DataFrame, limits: Mapping[str, Limits]) -> Iterator[tuple[str, Inputs]]:
+def library(bands: pd.DataFrame, limits: Mapping[str, float]) -> Iterator[tuple[str, Inputs]]:
     """Yield names and inputs, as large as the limits of the axes allow."""
     shortest = SAMPLES_PER_PERIOD / RATE  # period that the autopilot can set [s]
     for axis, limit in limits.items():
         for factor in WIDTHS:
-            for kind, make, fraction in (
-                ("doublet", doublet, 2 / 3),
-                ("3-2-1-1", three_two_one_one, 1 / 2),
-            ):
+            for kind, make in (("doublet", doublet), ("3-2-1-1", three_two_one_one)):
                 widest: Any = bands.loc[axis, f"{make.__name__}_width"]
                 width = max(factor * float(widest), 0.5 * shortest)
-                most = min(limit.amplitude, fraction * limit.rate * width)  # its ramps fit
-                yield f"{axis} {kind} {width:.2f} s", {axis: make(width, most, limits=limit)}
+                yield f"{axis} {kind} {width:.2f} s", {axis: make(width, limit)}
     groups = [[axis] for axis in limits] + [[*limits]] * (len(limits) > 1)
     for group in groups:
         low = float(np.min(bands.loc[group, "lowest"].to_numpy(dtype=float)))

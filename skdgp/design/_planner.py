@@ -15,9 +15,9 @@ from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Matrix, Seed
-from skdgp._excitation import Limits, as_limits, wavetrain
+from skdgp._excitation import wavetrain
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.checks import check_names
+from skdgp._flight.checks import check_names, check_number
 from skdgp.design._envelope import OPTIONS, WHOLE_RANGE, Envelope, with_band
 from skdgp.design._information import (
     check_goal,
@@ -57,7 +57,7 @@ def plan(
     seconds: float,
     axes: Sequence[str],
     goal: Sequence[str] | None = None,
-    limits: Mapping[str, Limits | float] | None = None,
+    limits: Mapping[str, float] | None = None,
     envelope: Envelope | None = None,
     thrust: Any = "auto",
     random_state: Seed = 0,
@@ -107,8 +107,9 @@ def plan(
     goal : sequence of str, optional
         Derivatives such as ``Cm_q`` or ``Cn_rudder``, of body-axis coefficients, rates
         non-dimensional. By default all of the model.
-    limits : mapping of str to Limits or float, optional
-        Of the axes; by default the deviation from trim that the model was learned from.
+    limits : mapping of str to float, optional
+        Largest deviations of the axes from trim [rad, or 1 of the throttle]; by default the
+        deviations that the model was learned from.
     envelope : Envelope, optional
         By default that which was flown, and a fifth more; no lower than was flown.
     thrust
@@ -161,11 +162,10 @@ def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> 
         raise ValueError(f"Got n_paths={envelope.n_paths!r}, but expected a number, 0 or more.")
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
-        amplitude = as_limits(limit).amplitude
         most = np.inf if axis in UNBOUNDED else MOST
-        if not amplitude < most:
+        if not check_number(f"limit of the {axis}", limit) < most:
             raise ValueError(
-                f"Got a limit of {amplitude:g} for the {axis}, but expected less than {most:.3g}: "
+                f"Got a limit of {limit:g} for the {axis}, but expected less than {most:.3g}: "
                 f"rad, not degrees, or 0 to 1 of the throttle."
             )
 
@@ -272,16 +272,16 @@ class _Planner:
                 f"as many."
             )
 
-    def _checked_limits(self, axes: Sequence[str], limits: Mapping) -> dict[str, Limits]:
+    def _checked_limits(self, axes: Sequence[str], limits: Mapping) -> dict[str, float]:
         """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
         checked = {}
         for axis in axes:
-            checked[axis] = as_limits(limits[axis] if axis in limits else self._flown(axis))
+            checked[axis] = limits[axis] if axis in limits else self._flown(axis)
             if axis in WHOLE_RANGE:
                 room = self._room(
                     axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes"
                 )
-                checked[axis] = replace(checked[axis], amplitude=min(checked[axis].amplitude, room))
+                checked[axis] = min(checked[axis], room)
         return checked
 
     def _flown(self, axis: str) -> float:

@@ -12,7 +12,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._excitation import ROUNDING, Limits, Steps, Wavetrain
+from skdgp._excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, RATE, Inputs
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Trim, as_aerodynamics, simulate
@@ -69,7 +69,7 @@ class Rehearsal:
     model: Aerodynamics | BaseEstimator
     aircraft: Aircraft
     point: Trim
-    limits: Mapping[str, Limits]
+    limits: Mapping[str, float]
     envelope: Envelope
     pause: float  # at the trim before and after each manoeuvre [s]
     thrust: Any
@@ -103,7 +103,7 @@ class Rehearsal:
             return self.flown([inputs])[0]
         (train,), tables = self._tables([inputs])
         rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
-        spreads = {axis: ENTRY_CONTROLS * limit.amplitude for axis, limit in self.limits.items()}
+        spreads = {axis: ENTRY_CONTROLS * limit for axis, limit in self.limits.items()}
         beside = {
             axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()
         }

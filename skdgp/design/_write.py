@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation import ROUNDING, UNLIMITED, Multisine, Signal, Steps, Wavetrain
+from skdgp._excitation import ROUNDING, Multisine, Signal, Steps, Wavetrain
 from skdgp._flight.checks import check_names
 
 SCRIPT = Path(__file__).with_name("replay.lua")
@@ -31,7 +31,7 @@ MIXES = {
 }  # fmt: skip
 # ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45
 THROTTLE_SCALE, SURFACE_SCALE = 100.0, 4500.0
-NO_LIMIT = 1e30
+NO_LIMIT = 1e30  # amplitude of an axis without a limit
 FASTEST = 1000.0  # Rate of a script [Hz]: ArduPilot counts milliseconds.
 SWITCHES = range(300, 308)  # RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft
 
@@ -90,13 +90,11 @@ def ardupilot_script(
     _check_room(train.table(rate), mixes, full)
     axes = []
     for axis in train.axes:
-        limit = train.limits.get(axis, UNLIMITED)
         signals = [
             _parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()
         ]
-        axes.append(
-            {"name": axis, "amplitude": limit.amplitude, "rate": limit.rate, "signals": signals}
-        )
+        amplitude = train.limits.get(axis, NO_LIMIT)
+        axes.append({"name": axis, "amplitude": amplitude, "signals": signals})
     surfaces = []
     for name, mix in mixes.items():
         (servo, sign), scale = (
@@ -152,9 +150,8 @@ def _parts(signal: Signal) -> dict[str, Any]:
     """Return the numbers from which the script evaluates a signal."""
     kind = {"kind": type(signal).__name__, "duration": signal.duration}
     if isinstance(signal, Steps):
-        return kind | {
-            name: getattr(signal, name).tolist() for name in ("edges", "swings", "ramps")
-        }
+        swings = np.diff([0.0, *signal.levels, 0.0])
+        return kind | {"edges": signal.edges.tolist(), "swings": swings.tolist()}
     if isinstance(signal, Multisine):
         return kind | vars(signal)
     raise ValueError(
@@ -169,4 +166,4 @@ def _lua(value: Any) -> str:
         return "{" + ", ".join(f"{name} = {_lua(part)}" for name, part in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "{" + ", ".join(map(_lua, value)) + "}"
-    return json.dumps(min(value, NO_LIMIT) if isinstance(value, float) else value)
+    return json.dumps(value)

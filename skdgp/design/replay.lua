@@ -14,9 +14,7 @@ end
 function signals.Steps(s, t)
   local value = 0.0
   for k, edge in ipairs(s.edges) do
-    local after, ramp = t - edge, s.ramps[k]
-    local risen = after >= -EDGE and 1.0 or 0.0
-    value = value + s.swings[k] * (ramp > 0 and limited(after / ramp + 0.5, 0.0, 1.0) or risen)
+    value = value + (t - edge >= -EDGE and s.swings[k] or 0.0)
   end
   return value
 end
@@ -74,7 +72,7 @@ for _, surface in ipairs(plan.surfaces) do
   end
 end
 
-local began, before, ready = nil, 0.0, false
+local began, ready = nil, false
 
 local LEFT, RIGHT, AILERON = 24, 25, 4 -- functions of the flaperons and the aileron
 local sign = 1.0 -- of the left flaperon: aileron + flap, of later versions -aileron - flap; right: aileron - flap
@@ -92,9 +90,7 @@ end
 local function set(t)
   local values = {}
   for k, axis in ipairs(plan.axes) do
-    local most = axis.rate * (t - before)
-    axis.value = limited(planned(axis, t), axis.value - most, axis.value + most)
-    values[k] = axis.value
+    values[k] = planned(axis, t)
   end
   sign = sign_of_flaperon()
   for _, surface in ipairs(plan.surfaces) do
@@ -108,7 +104,6 @@ local function set(t)
       SRV_Channels:set_output_pwm_chan_timeout(servo.channel, width, 5 * plan.period) -- then the autopilot's own again
     end
   end
-  before = t
   logger:write("PLAN", plan.labels, plan.format, t, table.unpack(values))
 end
 
@@ -121,10 +116,7 @@ local function update()
     end
     began, ready = nil, true
   elseif began == nil and ready then -- not at once if the switch was high when the script began
-    began, before, ready = millis(), -0.001 * plan.period, false
-    for _, axis in ipairs(plan.axes) do
-      axis.value = 0.0
-    end
+    began, ready = millis(), false
     gcs:send_text(6, "plan: begins")
   end
   if began then

@@ -507,4 +507,3 @@ class TestPlan:
             "elevon_left",
         )
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")
-        refused("add --limits", "plan", *self.WORDS, "--rates", "rudder=1")

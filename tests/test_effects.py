@@ -12,7 +12,7 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, effects
 from skdgp.calibration import CalibratedRegressor
-from skdgp.inference import SparsePosterior, shares_of
+from skdgp.inference import SparsePosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, inducing_features
 
 NAMES, OUTPUTS = ["alpha", "beta", "elevator"], ["CZ", "Cm"]
@@ -122,8 +122,8 @@ def test_sparse_terms_approach_the_exact_ones(data):
     kernel, noise = exact.kernel_, exact.posterior_.noise
     sparse = copy(exact)
     X = data[0].to_numpy() / SCALE
-    shares = shares_of(exact.posterior_.samples())
-    sparse.posterior_ = SparsePosterior(kernel, inducing_features(kernel, X), noise, shares)
+    values = exact.posterior_.samples()
+    sparse.posterior_ = SparsePosterior(kernel, inducing_features(kernel, X), noise, values)
     found, expected = effects(sparse, data[0] / SCALE), effects(exact)
     for name, curve in expected.curves.items():
         np.testing.assert_allclose(found.curves[name].std, curve.std, rtol=0.02)

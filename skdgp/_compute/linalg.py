@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Sized
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import eigh, lapack
@@ -210,6 +211,11 @@ def cluster_centres(
         )  # of rows that are alike but for rounding; KMeans has no other way to be silent
         means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
     return means.cluster_centers_ * scale
+
+
+def consecutive(parts: Sequence[Sized]) -> list[slice]:
+    """Return the places of parts that stand one after another."""
+    return [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, parts)]).tolist())]
 
 
 def unexplained_variance(prior: Array, explained: Array) -> Array:

@@ -37,7 +37,7 @@ from skdgp.inference._slopes import (
     function_errors,
     slope_errors,
 )
-from skdgp.inference._sparse import SparsePosterior, shares_of
+from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [
     "AveragePosterior",
@@ -67,7 +67,6 @@ __all__ = [
     "misfit_variance",
     "n_searched",
     "residual_drift",
-    "shares_of",
     "slope_errors",
     "stratified",
     "training_inputs",

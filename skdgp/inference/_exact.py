@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import (
+    consecutive,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
@@ -181,10 +182,7 @@ class ExactPosterior(SinglePosterior):
     @cached_property
     def _mean_function(self):
         """The mean as a function that is fast for few points."""
-        edges = np.cumsum([0, *map(len, self.data.X)])
-        return covariance_paths(
-            self.kernel, self.data.X, [self.alpha[None, a:b] for a, b in pairwise(edges)]
-        )
+        return covariance_paths(self.kernel, self.data.X, self.alpha[None])
 
     def _mean(self, Xs):
         """Return the mean; covariances are computed and used tile by tile, within the cache."""
@@ -237,17 +235,12 @@ class ExactPosterior(SinglePosterior):
     def paths(self, n_paths: int, random_state: Seed) -> Paths:
         """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
         rng, data = check_random_state(random_state), self.data
-        edges = np.cumsum([0, *map(len, data.X)])
         with threads_for(self.size):
             prior = prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
             points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
             f = prior.values(points[None])
-            f = np.hstack([f[:, row.ravel()[a:b], i] for i, (a, b) in enumerate(pairwise(edges))])
+            places = enumerate(consecutive(data.X))
+            f = np.hstack([f[:, row.ravel()[place], i] for i, place in places])
             residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
-            coefficients = self.solve(residual.T).T
-            by_output = [np.ascontiguousarray(coefficients[:, a:b]) for a, b in pairwise(edges)]
-            return Paths(
-                prior + covariance_paths(self.kernel, data.X, by_output),
-                n_paths,
-                self.kernel.n_features,
-            )
+            correction = covariance_paths(self.kernel, data.X, self.solve(residual.T).T)
+            return Paths(prior + correction, n_paths, self.kernel.n_features)

@@ -33,7 +33,7 @@ from skdgp.inference._search import (
     search,
     some_rows,
 )
-from skdgp.inference._sparse import SparsePosterior, shares_of
+from skdgp.inference._sparse import SparsePosterior
 from skdgp.kernels import MultiOutputKernel, inducing_features
 
 MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white measurement noise
@@ -172,9 +172,7 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
     noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
     default by the slopes of the posterior.
     """
-    posterior = SparsePosterior(
-        learned.kernel, features, learned.noise, shares_of(Data.from_table(X, Y))
-    )
+    posterior = SparsePosterior(learned.kernel, features, learned.noise, Data.from_table(X, Y))
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
     value = float(posterior.log_marginal_likelihood)
@@ -188,8 +186,8 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
         loading = input_noise_loading(posterior, X, learned.root) if loading is None else loading
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
         noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
-        shares = shares_of(Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None]))
-        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, shares)
+        data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
+        posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
     return Fit(posterior, learned._replace(noise=noise), value)
 
 
@@ -343,7 +341,5 @@ def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
     else:  # the few weights of a trend are all that there is to know, so this is exact, and small
-        posterior = SparsePosterior(
-            kernel, inducing_features(kernel, X[:1]), noise, shares_of(data)
-        )
+        posterior = SparsePosterior(kernel, inducing_features(kernel, X[:1]), noise, data)
     return Fit(posterior, learned._replace(noise=noise, n_evaluations=n_evaluations), whole.value)

@@ -18,15 +18,16 @@ another machine can run them.
 from __future__ import annotations
 
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.linalg
 from sklearn.utils import check_random_state, gen_batches
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
     cholesky_solve,
+    consecutive,
     jittered_cholesky,
     log_determinant,
     semidefinite_root,
@@ -56,8 +57,7 @@ class SparsePosterior(SinglePosterior):
     features : Features
     noise : ndarray (P,)
         Noise variance of each output.
-    shares : list of SampleShare
-        The observed values, see ``shares_of``.
+    data : Data
 
     Attributes
     ----------
@@ -69,17 +69,17 @@ class SparsePosterior(SinglePosterior):
     statistics: Any  # list of Statistics, None if the noise is correlated
 
     def __init__(
-        self, kernel: MultiOutputKernel, features: Features, noise: Vector, shares: list
+        self, kernel: MultiOutputKernel, features: Features, noise: Vector, data: Data
     ) -> None:
         self.kernel = kernel
         self.features = features
         self.noise = np.asarray(noise, dtype=float)
-        self.shares = shares
+        self.data = data
         self._begin()
 
     def __getstate__(self):
         # A saved model holds the samples, from which the sums are computed again.
-        return {name: getattr(self, name) for name in ("kernel", "features", "noise", "shares")}
+        return {name: getattr(self, name) for name in ("kernel", "features", "noise", "data")}
 
     def __setstate__(self, state):
         self.__dict__.update(state)
@@ -94,7 +94,7 @@ class SparsePosterior(SinglePosterior):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         self.sums, self.statistics = compute_sums(
-            self.kernel, self.features, self.noise, self.Lu, self.shares
+            self.kernel, self.features, self.noise, self.Lu, shares_of(self.data)
         )
         self._condition()
 
@@ -125,7 +125,7 @@ class SparsePosterior(SinglePosterior):
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
         new = object.__new__(SparsePosterior)
-        kept = ("kernel", "features", "Lu", "shares", "statistics")
+        kept = ("kernel", "features", "Lu", "data", "statistics")
         vars(new).update({name: getattr(self, name) for name in kept})
         new.noise = np.asarray(noise, dtype=float)
         new.sums = SampleSums.combine(self.features, noise, self.statistics)
@@ -157,11 +157,11 @@ class SparsePosterior(SinglePosterior):
 
     def samples(self) -> Data:
         """Return the values that the posterior has learned from."""
-        return data_from_shares(self.shares, self.kernel.n_outputs)
+        return self.data
 
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
-        return SparsePosterior(self.kernel, self.features, noise, shares_of(data))
+        return SparsePosterior(self.kernel, self.features, noise, data)
 
     def likelihood_at(
         self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
@@ -173,23 +173,17 @@ class SparsePosterior(SinglePosterior):
                 "inference='exact', or leave it out."
             )
         features = self.features.rebuild(kernel)
-        return SparsePosterior(kernel, features, noise, self.shares).log_marginal_likelihood
+        return SparsePosterior(kernel, features, noise, self.data).log_marginal_likelihood
 
     @cached_property
     def _readout(self):
-        """The function of Kfu of all outputs side by side (n, C), the columns of each, and the weights of means (C, P).
+        """The function of the rows of `Features.rows`, the columns of each output, and weights of means (C, P).
 
         Like ``roots``, it is computed at the first prediction.
         """
-        columns = [self.features.columns(i) for i in range(self.kernel.n_outputs)]
-        edges = np.cumsum([0, *map(len, columns)])
-        slices, weights = (
-            [slice(*ends) for ends in pairwise(edges)],
-            np.zeros((edges[-1], len(columns))),
-        )
-        for i, (own, of_output) in enumerate(zip(slices, columns, strict=True)):
-            weights[own, i] = self.weights[of_output]
-        return self.features.rows(), slices, weights
+        rows, variables = self.features.rows()
+        weights = scipy.linalg.block_diag(*(self.weights[own][:, None] for own in variables))
+        return rows, consecutive(variables), weights
 
     @cached_property
     def roots(self) -> list[np.ndarray]:
@@ -330,26 +324,23 @@ class SampleShare(NamedTuple):
     loading: np.ndarray
 
 
-def _one_output(i, X, y):
-    return SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
-
-
 def shares_of(data: Data) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
-    if data.sample_noise is None:
-        return [
-            _one_output(i, *part)
-            for i, values in enumerate(zip(data.X, data.y, strict=True))
-            if len(values[1])
-            for part in zip(
-                *(np.array_split(a, min(SHARES, -(-len(a) // ROWS))) for a in values), strict=True
-            )
+    if data.sample_noise is not None:
+        tables = [(tuple(range(len(data.y))), *_sample_table(data))]
+    else:
+        tables = [
+            ((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
+            for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
+            if len(y)
         ]
-    table = _sample_table(data)
-    parts = zip(
-        *(np.array_split(a, min(SAMPLE_SHARES, -(-len(a) // ROWS))) for a in table), strict=True
-    )
-    return [SampleShare(tuple(range(len(data.y))), *part) for part in parts]
+    shares = []
+    for outputs, *table in tables:
+        most = SHARES if len(outputs) == 1 else SAMPLE_SHARES
+        n_shares = min(most, -(-len(table[0]) // ROWS))
+        parts = zip(*(np.array_split(part, n_shares) for part in table), strict=True)
+        shares += [SampleShare(outputs, *part) for part in parts]
+    return shares
 
 
 def _sample_table(data):
@@ -361,24 +352,6 @@ def _sample_table(data):
         rows = np.searchsorted(samples, sample)
         Y[rows, i], loading[rows, i] = y, G
     return np.concatenate(data.X)[first], Y, loading
-
-
-def data_from_shares(shares, n_outputs) -> Data:
-    """Return the observed values of all shares."""
-    if _independent(shares):
-        empty = _one_output(-1, shares[0].X[:0], np.empty(0))
-        by_output = [
-            [empty, *(share for share in shares if share.outputs == (i,))] for i in range(n_outputs)
-        ]
-        X = [np.concatenate([share.X for share in parts]) for parts in by_output]
-        return Data(X, [np.concatenate([share.Y[:, 0] for share in parts]) for parts in by_output])
-    table = [np.concatenate([share[k] for share in shares]) for k in (1, 2, 3)]
-    return Data.from_table(table[0], table[1], table[2])
-
-
-def _independent(shares) -> bool:
-    """Return whether the noise of all values is independent."""
-    return all(share.loading.shape[2] == 0 for share in shares)
 
 
 # -- sums for conditioning
@@ -429,7 +402,7 @@ class Statistics(NamedTuple):
 
 def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
     """Return the sums over all values, and their parts by output if the noise is independent, else None."""
-    if shares and not _independent(shares):
+    if shares and shares[0].loading.shape[2]:  # correlated noise
         outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
         sums = partial(_share_sums, kernel, features, noise, Lu)
         for share, part in zip(shares, thread_map(sums, shares), strict=True):
@@ -489,14 +462,6 @@ def _share_sums(kernel, features, noise, Lu, share):
         square += np.sum(Y * weighted)
         log_determinant += log_determinants.sum()
     return outer, inner, square, variance, log_determinant
-
-
-# -- the gradient of the bound
-# ----------------------------------------------------------------------------------------
-
-
-# -- common to both
-# ---------------------------------------------------------------------------------------------------
 
 
 def sub_factor(Lu, columns):

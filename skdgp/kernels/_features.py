@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from functools import singledispatch
+from functools import reduce, singledispatch
+from itertools import pairwise
+from operator import add
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
 from skdgp._compute.linalg import cluster_centres, column_scale
@@ -41,11 +44,15 @@ class Features(ABC):
 
     kernel: MultiOutputKernel
     size: int
+    arguments: tuple = ()
+    """Arguments of the constructor behind the kernel."""
 
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs P."""
-        return self.kernel.n_outputs
+    def __reduce__(self) -> tuple:
+        return type(self), (self.kernel, *self.arguments)
+
+    def rebuild(self, kernel: MultiOutputKernel) -> Features:
+        """Return the features of another kernel of the same shape, with the same inducing inputs."""
+        return type(self)(kernel, *self.arguments)  # type: ignore[call-arg]
 
     def summands(self) -> list[Features]:
         """Return the features that are joined in these, which are not sums themselves."""
@@ -71,68 +78,103 @@ class Features(ABC):
         """Return dKfu / dX, (d, n, c_i)."""
 
     @abstractmethod
-    def rebuild(self, kernel: MultiOutputKernel) -> Features:
-        """Return the features of another kernel of the same shape, with the same inducing inputs."""
-
-    @abstractmethod
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
-    def rows(self) -> Callable[[Matrix], Matrix]:
-        """Return a function X (n, d) -> Kfu of all outputs side by side, for few samples at a time."""
-        return lambda X: np.hstack([self.Kfu(i, X) for i in range(self.n_outputs)])
+    def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
+        """Return a function X (n, d) -> A (n, C) for few samples at a time, and the variable of each column.
+
+        A holds the columns of the first output, then of the second; ``variables[i]`` are the
+        variables of those of output i. Columns of one variable and output add up to Kfu.
+        """
+        outputs = range(self.kernel.n_outputs)
+        return (
+            lambda X: np.hstack([self.Kfu(i, X) for i in outputs]),
+            [self.columns(i) for i in outputs],
+        )
 
     def paths(self, coefficients: Matrix) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
         return FeaturePaths(self, coefficients)
 
 
-class PointFeatures(Features):
-    """The values of all outputs at inducing inputs Z (k, d), for any kernel.
+class ValueFeatures(Features):
+    """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
 
-    An output covaries with the values of all outputs to which the kernel couples it, directly or
-    through others.
+    The first outputs of ``joint`` are those of the kernel. An output covaries with the blocks to
+    which ``joint`` couples it, directly or through other blocks.
     """
 
-    def __init__(self, kernel, Z):
-        self.kernel, self.Z = kernel, np.asarray(Z, dtype=float)
-        outputs, self.size = range(kernel.n_outputs), kernel.n_outputs * len(self.Z)
-        couples = np.array([[kernel.couples(i, j) for j in outputs] for i in outputs])
-        _, groups = connected_components(couples, directed=False)
-        self._coupled = [np.flatnonzero(groups == group) for group in groups]
+    def __init__(
+        self,
+        kernel: MultiOutputKernel,
+        joint: MultiOutputKernel,
+        outputs: Sequence[int],
+        Z: Sequence[Matrix],
+    ) -> None:
+        self.kernel, self.joint, self.outputs = kernel, joint, outputs
+        self.Z = [np.asarray(z, dtype=float) for z in Z]
+        edges = np.cumsum([0, *map(len, self.Z)])
+        self.size = int(edges[-1])
+        self._variables = [np.arange(*ends) for ends in pairwise(edges)]
+        couples = np.array([[joint.couples(a, b) for b in outputs] for a in outputs])
+        group = connected_components(couples, directed=False)[1]
+        fed = [[joint.couples(i, j) for j in outputs] for i in range(kernel.n_outputs)]
+        self.blocks = [np.flatnonzero(np.isin(group, group[mask])).tolist() for mask in fed]
 
-    def _slice(self, j):
-        return slice(j * len(self.Z), (j + 1) * len(self.Z))
+    def columns(self, i: int) -> Indices:
+        return np.concatenate([np.arange(0), *(self._variables[f] for f in self.blocks[i])])
 
-    def columns(self, i):
-        return np.concatenate([np.arange(self.size)[self._slice(j)] for j in self._coupled[i]])
-
-    def Kuu(self):
-        K = self.kernel(self.Z)
+    def Kuu(self) -> Matrix:
+        K, blocks = np.zeros((self.size, self.size)), list(zip(self.outputs, self.Z, strict=True))
+        for (f, z), rows in zip(blocks, self._variables, strict=True):
+            for (g, x), columns in zip(blocks, self._variables, strict=True):
+                if self.joint.couples(f, g):
+                    K[np.ix_(rows, columns)] = self.joint.block(f, g, z, x)
         np.einsum("ii->i", K)[:] *= 1.0 + JITTER
         return K
 
-    def Kfu(self, i, X):
-        return np.hstack([self.kernel.block(i, j, X, self.Z) for j in self._coupled[i]])
+    def Kfu(self, i: int, X: Matrix) -> Matrix:
+        blocks = [self.joint.block(i, self.outputs[f], X, self.Z[f]) for f in self.blocks[i]]
+        return np.hstack([np.empty((len(X), 0)), *blocks])
 
-    def Kfu_derivative(self, i, X):
-        return np.concatenate(
-            [self.kernel.block_derivative(i, j, X, self.Z) for j in self._coupled[i]], axis=2
-        )
+    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
+        blocks = [
+            self.joint.block_derivative(i, self.outputs[f], X, self.Z[f]) for f in self.blocks[i]
+        ]
+        return np.concatenate([np.empty((*np.shape(X)[::-1], 0)), *blocks], axis=2)
+
+    def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
+        if not isinstance(self.joint, ConvolvedGaussian):
+            return super().rows()
+        pairs, variables = [], []
+        for i, blocks in enumerate(self.blocks):
+            of_output = [self.joint.pair(i, self.outputs[f]) for f in blocks]
+            pairs += [(pair, self.Z[f]) for pair, f in zip(of_output, blocks, strict=True)]
+            tiles = zip(blocks, of_output, strict=True)
+            tiled = [np.tile(self._variables[f], len(pair.gain)) for f, pair in tiles]
+            variables.append(np.concatenate([np.arange(0), *tiled]))
+        return CovarianceColumns(self.kernel.n_features, pairs), variables
+
+
+class PointFeatures(ValueFeatures):
+    """The values of all outputs at one array of inputs for each, for any kernel."""
+
+    def __init__(self, kernel: MultiOutputKernel, Z: Sequence[Matrix]) -> None:
+        super().__init__(kernel, kernel, range(kernel.n_outputs), Z)
+        self.arguments = (self.Z,)
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         paths = prior_paths(self.kernel, n_paths, n_frequencies, random_state)
-        u = paths.values(self.Z[None]).swapaxes(1, 2).reshape(n_paths, -1)
-        u += np.sqrt(JITTER * self.kernel.diag(self.Z)) * random_state.standard_normal(u.shape)
+        u = np.hstack([paths.values(z[None])[..., i] for i, z in enumerate(self.Z)])
+        variance = [self.kernel.block_diag(i, z) for i, z in enumerate(self.Z)]
+        u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)
         return paths, u
 
-    def rebuild(self, kernel):
-        return PointFeatures(kernel, self.Z)
 
-
-class LatentFeatures(Features):
+class LatentFeatures(ValueFeatures):
     r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
     Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances
@@ -144,94 +186,28 @@ class LatentFeatures(Features):
     def __init__(
         self, kernel: ConvolvedGaussian, latents: Iterable[int], Z: Sequence[Matrix], width: Matrix
     ) -> None:
-        self.kernel = kernel
-        self.Z = list(Z)
-        self.width = width
-        self.latents = [int(m) for m in latents]
-        self.joint = self._with_blocks()
-        self._edges = np.cumsum([0, *map(len, self.Z)])
-        self.size = int(self._edges[-1])
-        feeds = kernel.value("feeds").astype(bool)
-        self.blocks = [[f for f, m in enumerate(self.latents) if mask[m]] for mask in feeds.T]
-        pairs = [(f, g) for f in range(len(self.latents)) for g in range(len(self.latents))]
-        self._block_pairs = [(f, g) for f, g in pairs if self.latents[f] == self.latents[g]]
-
-    def __getstate__(self):
-        return {name: self.__dict__[name] for name in ("kernel", "latents", "Z", "width")}
-
-    def __setstate__(self, state):
-        vars(self).update(vars(LatentFeatures(**state)))
-
-    def _with_blocks(self):
-        """Return the kernel with one further output of unit variance for each block."""
-        kernel, arrays = self.kernel, {}
+        latents = [int(m) for m in latents]
+        self.arguments = latents, Z, width
+        P, unit = kernel.n_outputs, np.eye(len(kernel.value("feeds")))[:, latents]
+        further = {"amplitude": unit, "feeds": unit, "length_scale": width}
+        arrays: dict[str, Any] = {}
         for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
             value = kernel.value(name)
-            if name in ("amplitude", "feeds"):
-                extra = np.eye(len(value))[:, self.latents]
-            elif name == "length_scale":
-                extra = self.width
-            else:
-                extra = np.zeros((len(self.latents), value.shape[2]))
-            arrays[name] = np.concatenate(
-                [value, np.broadcast_to(extra, (len(value), *extra.shape[-value.ndim + 1 :]))],
-                axis=1,
-            )
-        return type(kernel)(
-            covariance_type="full" if kernel.covariance_type == "full" else "diag", **arrays
-        )
-
-    def _slice(self, f):
-        return slice(self._edges[f], self._edges[f + 1])
-
-    def columns(self, i: int) -> Indices:
-        return np.concatenate(
-            [np.arange(0), *(np.arange(self.size)[self._slice(f)] for f in self.blocks[i])]
-        )
-
-    def Kuu(self) -> Matrix:
-        P, K = self.kernel.n_outputs, np.zeros((self.size, self.size))
-        for f, g in self._block_pairs:
-            K[self._slice(f), self._slice(g)] = self.joint.block(P + f, P + g, self.Z[f], self.Z[g])
-        np.einsum("ii->i", K)[:] = 1.0 + JITTER
-        return K
-
-    def Kfu(self, i: int, X: Matrix) -> Matrix:
-        blocks = [
-            self.joint.block(i, self.kernel.n_outputs + f, X, self.Z[f]) for f in self.blocks[i]
-        ]
-        return np.hstack([np.empty((len(X), 0)), *blocks])
-
-    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
-        P, (n, d) = self.kernel.n_outputs, np.shape(X)
-        blocks = [self.joint.block_derivative(i, P + f, X, self.Z[f]) for f in self.blocks[i]]
-        return np.concatenate([np.empty((d, n, 0)), *blocks], axis=2)
-
-    def rows(self) -> Callable[[Matrix], Matrix]:
-        P = self.kernel.n_outputs
-        pairs = [
-            (self.joint.pair(i, P + f), self.Z[f])
-            for i, blocks in enumerate(self.blocks)
-            for f in blocks
-        ]
-        return CovarianceColumns(self.kernel.n_features, pairs)
+            shape = len(value), len(latents), *value.shape[2:]
+            added = np.broadcast_to(further.get(name, 0.0), shape)
+            arrays[name] = np.concatenate([value, added], axis=1)
+        kind = "full" if kernel.covariance_type == "full" else "diag"
+        joint = ConvolvedGaussian(covariance_type=kind, **arrays)
+        super().__init__(kernel, joint, range(P, P + len(latents)), Z)
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
-        P, latents = (
-            self.kernel.n_outputs,
-            draw_latents(self.joint, n_paths, n_frequencies, random_state),
-        )
-        parts = [
-            Waves.combine(latents, [P + f]).values(z[None])[..., 0] for f, z in enumerate(self.Z)
-        ]
-        u = np.concatenate(parts, axis=1)
+        latents = draw_latents(self.joint, n_paths, n_frequencies, random_state)
+        blocks = zip(self.outputs, self.Z, strict=True)
+        u = np.hstack([Waves.combine(latents, [f]).values(z[None])[..., 0] for f, z in blocks])
         u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
-        return Waves.combine(latents, range(P)), u
-
-    def rebuild(self, kernel: MultiOutputKernel) -> Features:
-        return LatentFeatures(kernel, self.latents, self.Z, self.width)
+        return Waves.combine(latents, range(self.kernel.n_outputs)), u
 
 
 class TrendFeatures(Features):
@@ -261,7 +237,8 @@ class TrendFeatures(Features):
         slopes = np.zeros((slope.shape[1], *constant.shape))
         np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
         slopes, constant = slopes.reshape(len(slopes), -1), constant.ravel()
-        return lambda X: X @ slopes + constant
+        variables = [self.columns(i) for i in range(self.kernel.n_outputs)]
+        return lambda X: X @ slopes + constant, variables
 
     def Kfu_derivative(self, i, X):
         slopes = self.kernel.basis_slopes(i)
@@ -274,20 +251,20 @@ class TrendFeatures(Features):
     def paths(self, coefficients):
         return TrendPaths(self.kernel, coefficients.reshape(len(coefficients), -1, self.n_weights))
 
-    def rebuild(self, kernel):
-        return TrendFeatures(kernel)
-
 
 class SumFeatures(Features):
     """The features of both terms of a sum."""
 
     def __init__(self, first: Features, second: Features):
         self.first, self.second = first, second
+        self.kernel = first.kernel + second.kernel
         self.size = first.size + second.size
 
-    @property
-    def n_outputs(self):
-        return self.first.n_outputs
+    def __reduce__(self):
+        return SumFeatures, (self.first, self.second)
+
+    def rebuild(self, kernel):
+        return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))
 
     def summands(self):
         return [*self.first.summands(), *self.second.summands()]
@@ -296,25 +273,18 @@ class SumFeatures(Features):
         return np.concatenate([self.first.columns(i), self.first.size + self.second.columns(i)])
 
     def Kuu(self):
-        K = np.zeros((self.size, self.size))
-        n = self.first.size
-        K[:n, :n], K[n:, n:] = self.first.Kuu(), self.second.Kuu()
-        return K
+        return block_diag(self.first.Kuu(), self.second.Kuu())
 
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
 
     def rows(self):
-        first, second = self.first.rows(), self.second.rows()
-        sizes = [
-            [len(term.columns(i)) for term in (self.first, self.second)]
-            for i in range(self.n_outputs)
-        ]
-        place = np.repeat(
-            [0, 1] * len(sizes), np.ravel(sizes)
-        )  # for each output its columns of both terms
-        order = np.argsort(np.argsort(place, kind="stable"))
-        return lambda X: np.take(np.hstack([first(X), second(X)]), order, axis=1)
+        (first, one), (second, other) = self.first.rows(), self.second.rows()
+        of_both = [[a, self.first.size + b] for a, b in zip(one, other, strict=True)]
+        term = np.repeat([0, 1] * len(one), [len(part) for pair in of_both for part in pair])
+        order = np.argsort(np.argsort(term, kind="stable"))  # for each output columns of both terms
+        variables = [np.concatenate(pair) for pair in of_both]
+        return lambda X: np.take(np.hstack([first(X), second(X)]), order, axis=1), variables
 
     def Kfu_derivative(self, i, X):
         return np.concatenate(
@@ -329,9 +299,6 @@ class SumFeatures(Features):
         n = self.first.size
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
-    def rebuild(self, kernel):
-        return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))
-
 
 # -- features of a kernel
 # -----------------------------------------------------------------------------------------------
@@ -344,7 +311,7 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
     By default they are the values of the outputs at Z. ``inducing_features.register`` adds a class
     of kernels with others.
     """
-    return PointFeatures(kernel, Z)
+    return PointFeatures(kernel, [Z] * kernel.n_outputs)
 
 
 @inducing_features.register
@@ -381,3 +348,20 @@ def _thinned(Z, without_effect):
     else:
         chosen[:, used] = cluster_centres(Z[:, used], column_scale(Z)[used], n, 0)
     return chosen
+
+
+def covariance_paths(
+    kernel: MultiOutputKernel, X: Sequence[Matrix], coefficients: Matrix
+) -> PathBundle:
+    """Return the functions cov(y, y(X)) c, with inputs X (n_j, d) for each output and coefficients c (S, N)."""
+    by_output = np.split(coefficients, np.cumsum([len(x) for x in X])[:-1], axis=1)
+
+    def of_term(term):
+        if not isinstance(term, LinearTrend):
+            return FeaturePaths(PointFeatures(term, X), coefficients)
+        pairs = zip(X, by_output, strict=True)
+        return TrendPaths(
+            term, np.stack([c @ term.basis(i, x) for i, (x, c) in enumerate(pairs)], 1)
+        )
+
+    return reduce(add, map(of_term, kernel.summands()))

@@ -151,7 +151,8 @@ class FilterPair:
             b = (Xj - middle) @ Sigma
             E = exponent.all(len(Xi), len(Xj))
             E *= self.gain[m]
-            D -= E * (a.T[:, :, None] - b.T[:, None, :])
+            for slope, a_k, b_k in zip(D, a.T, b.T, strict=True):  # one that fits the cache
+                slope -= E * np.subtract.outer(a_k, b_k)
         return D
 
     def derivative_times(self, Xi: Matrix, Xj: Matrix, weights: Vector) -> Matrix:

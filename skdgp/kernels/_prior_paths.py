@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import singledispatch
-from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from skdgp._compute.typing import Array, Matrix, Seed
+from skdgp._compute.linalg import consecutive
+from skdgp._compute.typing import Array, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
-from skdgp.kernels._gaussian_filters import CovarianceColumns
 from skdgp.kernels._trend import LinearTrend
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
-TILE = 512  # values in one block of covariances
 
 
 class PathBundle(ABC):
@@ -165,105 +163,32 @@ class FeaturePaths(PathBundle):
 
     def __init__(self, features, coefficients):
         self.features, self.coefficients = features, coefficients
-        self._rows, columns = (
-            features.rows(),
-            [features.columns(i) for i in range(features.n_outputs)],
-        )
-        self._own = [slice(a, b) for a, b in pairwise(np.cumsum([0, *map(len, columns)]))]
-        self._weights = [np.ascontiguousarray(coefficients[:, c]) for c in columns]
+        self._rows, variables = features.rows()
+        self._columns = consecutive(variables)
+        self._weights = [np.ascontiguousarray(coefficients[:, own]) for own in variables]
 
     def __reduce__(self):
+        # Pickle the coefficients only: they are smaller than the weights of all columns.
         return FeaturePaths, (self.features, self.coefficients)
 
     def take(self, index):
         return FeaturePaths(self.features, self.coefficients[index])
 
     def doubles(self, same_points):
-        return (1 if same_points else len(self.coefficients)) * self._own[-1].stop
+        return (1 if same_points else len(self.coefficients)) * self._columns[-1].stop
 
     def each(self, X):
         A = _unflatten_points(self._rows(_flatten_points(X)), X)
-        values = [
-            contract(A[..., columns], c)
-            for columns, c in zip(self._own, self._weights, strict=True)
-        ]
-        return np.stack(values, axis=-1)
+        pairs = zip(self._columns, self._weights, strict=True)
+        return np.stack([contract(A[..., columns], c) for columns, c in pairs], axis=-1)
 
     def gradient(self, X):
         slopes = []
-        for i, c in enumerate(self._weights):
+        for i in range(len(self._columns)):
             D = _unflatten_points(self.features.Kfu_derivative(i, _flatten_points(X)), X)
+            c = self.coefficients[:, self.features.columns(i)]
             slopes.append(np.moveaxis(contract(D, c), 0, -1))
         return np.stack(slopes, axis=2)
-
-
-class KernelPaths(PathBundle):
-    """Covariances with values of the outputs, times coefficients: sum_j cov(y, y_j(X_j)) c_j.
-
-    ``X`` is a list of one (n_j, d) array for each output, ``coefficients`` of (S, n_j).
-    """
-
-    def __init__(self, kernel, X, coefficients):
-        self.kernel, self.X, self.coefficients = kernel, X, coefficients
-
-    def take(self, index):
-        return type(self)(self.kernel, self.X, [c[index] for c in self.coefficients])
-
-    def doubles(self, same_points):
-        return (1 if same_points else len(self.coefficients[0])) * TILE
-
-    def each(self, X):
-        return self._summed(self.kernel.block, X, ())
-
-    def gradient(self, X):
-        return self._summed(self.kernel.block_derivative, X, X.shape[-1:])
-
-    def _summed(self, block, X, slopes):
-        P, points = self.kernel.n_outputs, _flatten_points(X)
-        values = np.zeros((*slopes, P, len(self.coefficients[0]), X.shape[1]))
-        for i, j in product(range(P), repeat=2):
-            if self.kernel.couples(i, j):
-                for a in range(0, len(self.X[j]), TILE):
-                    tile = slice(a, a + TILE)
-                    A = _unflatten_points(block(i, j, points, self.X[j][tile]), X)
-                    values[..., i, :, :] += contract(A, self.coefficients[j][:, tile])
-        return values.T.swapaxes(0, 1)
-
-
-class ValuePaths(KernelPaths):
-    """``KernelPaths`` of a convolved Gaussian: few points need one matrix product and one exponential."""
-
-    def __init__(self, kernel, X, coefficients):
-        super().__init__(kernel, X, coefficients)
-        outputs = range(kernel.n_outputs)
-        coupled = [[j for j in outputs if kernel.couples(i, j)] for i in outputs]
-        pairs = [(kernel.pair(i, j), X[j]) for i in outputs for j in coupled[i]]
-        self._rows = CovarianceColumns(kernel.n_features, pairs)
-        empty = np.empty((len(coefficients[0]), 0))
-        self._weights = [
-            np.hstack(
-                [empty, *(np.tile(coefficients[j], len(kernel.pair(i, j).gain)) for j in others)]
-            )
-            for i, others in enumerate(coupled)
-        ]
-        self._slices = [
-            slice(a, b) for a, b in pairwise(np.cumsum([0, *(w.shape[1] for w in self._weights)]))
-        ]
-
-    def __reduce__(self):
-        # Pickle the coefficients only: they are smaller than the weights of all latents.
-        return ValuePaths, (self.kernel, self.X, self.coefficients)
-
-    def doubles(self, same_points):
-        return (1 if same_points else len(self._weights[0])) * self._slices[-1].stop
-
-    def each(self, X):
-        A = _unflatten_points(self._rows(_flatten_points(X)), X)
-        values = [
-            contract(A[..., columns], c)
-            for columns, c in zip(self._slices, self._weights, strict=True)
-        ]
-        return np.stack(values, axis=-1)
 
 
 def _flatten_points(X):
@@ -470,32 +395,3 @@ def _(kernel: LinearTrend, n_paths, n_frequencies, random_state):
 def _(kernel: Sum, n_paths, n_frequencies, random_state):
     first = prior_paths(kernel.k1, n_paths, n_frequencies, random_state)
     return first + prior_paths(kernel.k2, n_paths, n_frequencies, random_state)
-
-
-@singledispatch
-def covariance_paths(
-    kernel: MultiOutputKernel, X: list[Matrix], coefficients: list[Matrix]
-) -> PathBundle:
-    """Return the functions sum_j cov(y, y_j(X_j)) c_j.
-
-    For each output ``X`` holds inputs (n_j, d), and ``coefficients`` c_j (S, n_j).
-    """
-    return KernelPaths(kernel, X, coefficients)
-
-
-@covariance_paths.register
-def _(kernel: ConvolvedGaussian, X, coefficients):
-    return ValuePaths(kernel, X, coefficients)
-
-
-@covariance_paths.register
-def _(kernel: LinearTrend, X, coefficients):
-    pairs = zip(X, coefficients, strict=True)
-    weights = [c @ kernel.basis(i, x) for i, (x, c) in enumerate(pairs)]
-    return TrendPaths(kernel, np.stack(weights, axis=1))
-
-
-@covariance_paths.register
-def _(kernel: Sum, X, coefficients):
-    first = covariance_paths(kernel.k1, X, coefficients)
-    return first + covariance_paths(kernel.k2, X, coefficients)

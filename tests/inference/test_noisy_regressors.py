@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, log_likelihood, shares_of
+from skdgp.inference import Data, ExactPosterior, SparsePosterior, log_likelihood
 from skdgp.kernels import inducing_features
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -35,9 +35,7 @@ def dense(problem, *scale):
 def sparse(problem, kernel=None, noise=None, features=None):
     kernel = problem.kernel if kernel is None else kernel
     noise = problem.noise if noise is None else noise
-    return SparsePosterior(
-        kernel, features or inducing_features(kernel, Z), noise, shares_of(problem.data)
-    )
+    return SparsePosterior(kernel, features or inducing_features(kernel, Z), noise, problem.data)
 
 
 def test_every_second_value_keeps_its_own_noise(noisy):
@@ -114,7 +112,7 @@ class TestSparse:
             noisy.kernel,
             inducing_features(noisy.kernel, Z),
             noisy.noise,
-            shares_of(Data.from_table(noisy.X, noisy.Y)),
+            Data.from_table(noisy.X, noisy.Y),
         )
         noisy.data = Data.from_table(noisy.X, noisy.Y, 0 * noisy.loading)
         together = sparse(noisy)

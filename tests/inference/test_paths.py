@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.inference import Data, ExactPosterior, SparsePosterior, shares_of
+from skdgp.inference import Data, ExactPosterior, SparsePosterior
 from skdgp.kernels import inducing_features
 
 N_PATHS = 4000
@@ -16,7 +16,7 @@ def exact(problem, data=None):
 
 def sparse(problem, data=None):
     features = inducing_features(problem.kernel, Z)
-    return SparsePosterior(problem.kernel, features, problem.noise, shares_of(data or problem.data))
+    return SparsePosterior(problem.kernel, features, problem.noise, data or problem.data)
 
 
 def points(problem):

@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute import parallel
-from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood, shares_of
+from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood
 from skdgp.kernels import inducing_features
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -18,7 +18,7 @@ def sparse(problem, inputs=Z):
         problem.kernel,
         inducing_features(problem.kernel, inputs),
         problem.noise,
-        shares_of(problem.data),
+        problem.data,
     )
 
 
@@ -57,7 +57,7 @@ class TestBound:
         noise = 1.1 * problem.noise
         features = posterior.features.rebuild(kernel)
         assert posterior.likelihood_at(kernel, noise) == pytest.approx(
-            SparsePosterior(kernel, features, noise, posterior.shares).log_marginal_likelihood
+            SparsePosterior(kernel, features, noise, posterior.data).log_marginal_likelihood
         )
         with pytest.raises(ValueError, match="has no gradient"):
             posterior.likelihood_at(kernel, noise, eval_gradient=True)
@@ -65,7 +65,7 @@ class TestBound:
     def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
         trend = one_problem.kernel.k1
         posterior = SparsePosterior(
-            trend, inducing_features(trend, Z), one_problem.noise, shares_of(one_problem.data)
+            trend, inducing_features(trend, Z), one_problem.noise, one_problem.data
         )
         exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
         assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
@@ -93,7 +93,7 @@ class TestNoise:
     def test_another_noise_needs_no_sample(self, problem):
         posterior, noise = sparse(problem), 2.5 * problem.noise
         got = posterior.with_noise(noise)
-        expected = SparsePosterior(problem.kernel, posterior.features, noise, posterior.shares)
+        expected = SparsePosterior(problem.kernel, posterior.features, noise, posterior.data)
         assert got.log_marginal_likelihood == pytest.approx(
             expected.log_marginal_likelihood, rel=1e-10
         )

@@ -98,6 +98,7 @@ class Steps(Signal):
 
     @property
     def duration(self) -> float:  # type: ignore[override]
+        """How long it lasts [s]."""
         return float(self.edges[-1])
 
     @property

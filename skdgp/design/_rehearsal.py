@@ -15,7 +15,15 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import GROWTH, Envelope, option_of
 from skdgp.design._library import MULTISINES, RATE, Inputs
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, Trim, as_aerodynamics, simulate
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    Trim,
+    UncertainStart,
+    as_aerodynamics,
+    simulate,
+)
 
 ROW_STEP = 0.04  # time between rows of a simulation [s]
 ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of angles of entry from trim [rad]
@@ -115,14 +123,9 @@ class Rehearsal:
                 for name, values in columns.items()
             }
 
-        start = ENTRY | {"u": ENTRY_SPEED * self.point.airspeed}
-        options = {
-            "n_paths": n_paths,
-            "random_state": self.seed,
-            "initial_std": start,
-            "air": Air(gusts=gusts),
-        }
-        return self._cut(self._simulated([self.point], controls, time[-1], **options), train)
+        entry = UncertainStart([self.point], ENTRY | {"u": ENTRY_SPEED * self.point.airspeed})
+        options = {"n_paths": n_paths, "random_state": self.seed, "air": Air(gusts=gusts)}
+        return self._cut(self._simulated(entry, controls, time[-1], **options), train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
         """Return manoeuvres, and the controls of their flights."""
@@ -137,7 +140,7 @@ class Rehearsal:
         ]
         return trains, tables
 
-    def _simulated(self, starts: list, controls: Any, until: float, **options: Any) -> pd.DataFrame:
+    def _simulated(self, starts: Any, controls: Any, until: float, **options: Any) -> pd.DataFrame:
         options |= {"duration": ROW_STEP * np.floor(until / ROW_STEP + 1e-6), "thrust": self.thrust}
         return simulate(self.model, self.aircraft, starts, controls, ROW_STEP, **options)
 

@@ -39,7 +39,7 @@ from skdgp.dynamics._estimate import (
     ScaleFactor,
     relative_errors,
 )
-from skdgp.dynamics._inputs import FlightComputer
+from skdgp.dynamics._inputs import FlightComputer, UncertainStart
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._loads import (
@@ -84,6 +84,7 @@ __all__ = [
     "ThrustLine",
     "Trim",
     "Turbulence",
+    "UncertainStart",
     "aerodynamic_coefficients",
     "aerodynamic_loads",
     "air_data",

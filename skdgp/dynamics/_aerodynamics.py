@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from itertools import takewhile
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 # .02, with the same coverage to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s,
 # bands hold down to 83 %.
 MISFIT_MEMORY = 2.0
+LEARNED = ("slope_errors", "function_errors", "training_rows")  # of a model with a posterior
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -73,6 +75,7 @@ class Drift(NamedTuple):
         return total
 
 
+@dataclass(eq=False, repr=False)
 class Aerodynamics:
     """The six coefficients of an aircraft as a function of named regressors.
 
@@ -83,7 +86,7 @@ class Aerodynamics:
     regressors : sequence of str
         Names of the d columns (docs/notation.md), with ``_hat`` behind a rate for its
         non-dimensional form, or controls by any name.
-    gradient : callable, optional
+    slopes : callable, optional
         Regressors (n, d) to slopes (n, 6, d); by default central differences.
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients
@@ -103,6 +106,15 @@ class Aerodynamics:
         How the model's controls follow from the aircraft's surfaces.
     units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
+    slope_errors, function_errors : callable, optional
+        Regressors (n, d) to errors of the slopes, and () to errors of the function or None, that
+        the paths do not contain: see ``DependentGPRegressor``.
+    training_rows : callable, optional
+        () to the regressors (n, d) that the model was learned from, or to None.
+    training_seconds : float, optional
+        Duration of the flights of these rows [s].
+    n_paths : int, optional
+        Number of paths of functions drawn from a posterior: see `sample`.
 
     Examples
     --------
@@ -121,53 +133,37 @@ class Aerodynamics:
     array([-0.5,  0. , -8. , -0.6])
     """
 
-    #: Regressors (n, d) to errors of the slopes that the paths do not contain, see
-    #: ``DependentGPRegressor``
+    function: Callable
+    regressors: Sequence[str]
+    _: KW_ONLY
+    slopes: Callable | None = None
+    sampler: Callable | None = None
+    drift: Drift | None = None
+    turbulence: Any = None
+    limits: Any = None
+    flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    span: float | None = None
+    chord: float | None = None
+    mixing: Mixing | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
     slope_errors: Callable | None = None
-    #: () to errors of the function that the paths do not contain, see ``DependentGPRegressor``; or
-    #: to None
     function_errors: Callable | None = None
-    #: () to the regressors (n, d) that the model was learned from, or to None
     training_rows: Callable | None = None
-    training_seconds: float | None = None  #: Duration of the flights of these rows [s]
+    training_seconds: float | None = None
+    n_paths: int | None = None
 
-    def __init__(
-        self,
-        function: Callable,
-        regressors: Sequence[str],
-        *,
-        gradient: Callable | None = None,
-        sampler: Callable | None = None,
-        drift: Drift | None = None,
-        turbulence: Any = None,
-        limits: ArrayLike | None = None,
-        flown: Mapping[str, tuple[float, float]] | None = None,
-        span: float | None = None,
-        chord: float | None = None,
-        mixing: Mixing | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> None:
-        if isinstance(regressors, str) or len(set(regressors)) != len(regressors):
+    def __post_init__(self) -> None:
+        if isinstance(self.regressors, str) or len(set(self.regressors)) != len(self.regressors):
             raise ValueError(
-                f"Got regressors={regressors!r}, but expected a list of names, each once."
+                f"Got regressors={self.regressors!r}, but expected a list of names, each once."
             )
-        self.function, self.regressors = function, tuple(str(name) for name in regressors)
-        self.limits = None if limits is None else np.asarray(limits, dtype=float)
+        self.regressors = tuple(map(str, self.regressors))
+        self.limits = None if self.limits is None else np.asarray(self.limits, dtype=float)
         if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
             raise ValueError(
                 f"Got limits of shape {self.limits.shape}, but expected (2, "
                 f"{len(self.regressors)})."
             )
-        self.span, self.chord, self.mixing, self.drift, self.turbulence = (
-            span,
-            chord,
-            mixing,
-            drift,
-            turbulence,
-        )
-        self.flown, self.units = dict(flown or {}), dict(units or {})
-        self.n_paths: int | None = None
-        self._gradient, self._sampler = gradient, sampler
 
     def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
@@ -176,7 +172,7 @@ class Aerodynamics:
     @property
     def is_uncertain(self) -> bool:
         """Whether functions can be drawn from a posterior."""
-        return self._sampler is not None
+        return self.sampler is not None
 
     def __call__(self, X: ArrayLike) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
@@ -185,9 +181,9 @@ class Aerodynamics:
     def gradient(self, X: ArrayLike) -> Array:
         """Return the slopes of the coefficients (..., 6, d) at regressors (..., d)."""
         X = np.asarray(X, dtype=float)
-        if self._gradient is None:
+        if self.slopes is None:
             return self._differences(X)
-        return self._evaluated(self._gradient, X, 6, X.shape[-1])
+        return self._evaluated(self.slopes, X, 6, X.shape[-1])
 
     def sample(
         self, n_paths: int, random_state: Any = 0, *, correlated: bool = False
@@ -198,28 +194,24 @@ class Aerodynamics:
         of its own. ``correlated``: with errors by noise that is correlated between the samples of a
         model learned from flights.
         """
-        if self._sampler is None:
+        if self.sampler is None:
             raise ValueError(
                 f"Got a model without posterior samples ({self!r}), but expected one that can "
                 f"draw functions: a "
                 "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
             )
-        values, slopes = self._sampler(n_paths, random_state)
-        drawn = copy.copy(self)
-        drawn.function, drawn._gradient, drawn._sampler, drawn.n_paths = (
-            values,
-            slopes,
-            None,
-            n_paths,
+        values, slopes = self.sampler(n_paths, random_state)
+        errors = self.function_errors() if correlated and self.function_errors else None
+        if errors is None:
+            return replace(self, function=values, slopes=slopes, sampler=None, n_paths=n_paths)
+        off = errors.draw(n_paths, random_state)
+        return replace(
+            self,
+            function=lambda X: values(X) + off(X),
+            slopes=None if slopes is None else lambda X: slopes(X) + off.gradient(X),
+            sampler=None,
+            n_paths=n_paths,
         )
-        if correlated and (function_errors := self._errors()) is not None:
-            errors = function_errors.draw(n_paths, random_state)
-            drawn.function = lambda X: values(X) + errors(X)
-            drawn._gradient = None if slopes is None else lambda X: slopes(X) + errors.gradient(X)
-        return drawn
-
-    def _errors(self) -> Any:
-        return None if self.function_errors is None else self.function_errors()
 
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
         """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
@@ -316,28 +308,25 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         mixing = Mixing(
             tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_)
         )
-    aerodynamics = Aerodynamics(
+    learned: dict[str, Any] = {}
+    if chain.can_sample:
+        learned = {name: getattr(chain, name) for name in LEARNED}
+        learned["training_seconds"] = getattr(model, "seconds_", None)
+    return Aerodynamics(
         chain.mean,
         list(names),
-        gradient=chain.slopes if chain.has_slopes else None,
+        slopes=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         drift=chain.drift(),
         turbulence=turbulence_of(model),
         limits=None if limits[0] is None else np.array(limits),
-        flown=getattr(chosen, "ranges_", None),
+        flown=dict(getattr(chosen, "ranges_", None) or {}),
         span=getattr(rates, "span", None),
         chord=getattr(rates, "chord", None),
         mixing=mixing,
-        units=getattr(model, "control_units_", None),
+        units=dict(getattr(model, "control_units_", None) or {}),
+        **learned,
     )
-    if chain.can_sample:
-        aerodynamics.slope_errors, aerodynamics.function_errors = (
-            chain.slope_errors,
-            chain.function_errors,
-        )
-        aerodynamics.training_rows = chain.training_rows
-        aerodynamics.training_seconds = getattr(model, "seconds_", None)
-    return aerodynamics
 
 
 class _Chain:

@@ -130,9 +130,7 @@ class Aircraft:
         chord: float | Sequence[float] | None = None,
         length: float | Sequence[float] | None = None,
         inertia: Any = None,
-        name: str = "aircraft",
-        thrust_line: ThrustLine | Mapping | None = None,
-        propeller: Propeller | Mapping | None = None,
+        **parts: Any,
     ) -> Aircraft:
         """Return an aircraft from a scale and a tape measure; its ``deviations`` say how wrong the other sizes may be.
 
@@ -153,8 +151,8 @@ class Aircraft:
             [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
         inertia : array-like of shape (3, 3), or pair, optional
             Where it was measured.
-        name, thrust_line, propeller
-            As of `Aircraft`.
+        **parts
+            name, thrust_line, propeller: as of `Aircraft`.
 
         Examples
         --------
@@ -170,7 +168,7 @@ class Aircraft:
             kind, inertia, mass=mass, span=span, wing_area=wing_area, aspect_ratio=aspect_ratio,
             chord=chord, length=length,
         )  # fmt: skip
-        return cls(name=name, **sizes | {"thrust_line": thrust_line, "propeller": propeller})
+        return cls(**sizes, **parts)
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
@@ -193,7 +191,8 @@ class Aircraft:
         value is not valid.
         """
         if isinstance(values, Mapping) and "kind" in values:
-            check_keys(values, list(signature(cls.estimate).parameters), ["mass", "span"], what)
+            known = [*signature(cls.estimate).parameters, "name", "thrust_line", "propeller"]
+            check_keys(values, known, ["mass", "span"], what)
             return cls.estimate(**values)
         return _build(cls, values, what)
 

@@ -51,6 +51,17 @@ AIRSPEED_TOLERANCE = 0.15
 LOWEST_LAND = -450.0  # Altitude of the lowest land there is [m]
 
 
+class UncertainStart(NamedTuple):
+    """A start of paths that is known with standard deviations: ``simulate(model, aircraft, UncertainStart(...), ...)``.
+
+    ``std`` is by name ("u", "v", "w", "v_north", ..., "phi", ...). Deviations of angles alone leave
+    the velocity over the ground as it is, which is how it is measured.
+    """
+
+    x0: Any
+    std: Mapping[str, float]
+
+
 def as_starts(x0: Any) -> pd.DataFrame | Array:
     """Return one start or several as a table of names or an array of states, with a row for each.
 
@@ -171,11 +182,11 @@ def perturbed(
 ) -> Array:
     """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
     std = std or {}
-    check_names(std, DRAWN, "names of initial_std")
+    check_names(std, DRAWN, "names of standard deviations of a start")
     for name, size in std.items():
         if not 0 <= size < np.inf:
             raise ValueError(
-                f"Got initial_std of {name} {size!r}, but expected a finite number, 0 or more."
+                f"Got a standard deviation of {name} {size!r}, but expected a finite number, 0 or more."
             )
     drawn = np.tile(states, (n_paths, 1, 1))
     draw = check_random_state(random_state).standard_normal

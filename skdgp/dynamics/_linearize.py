@@ -165,7 +165,6 @@ def linearize(
     *,
     states: Sequence[str] = STATES,
     inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
     n_paths: int = 0,
     random_state: Seed = 0,
     thrust: Thrust = "auto",
@@ -190,9 +189,6 @@ def linearize(
         still. With ``"down"`` the density changes with height.
     inputs : sequence of str, optional
         By default the model's controls and the one that sets the thrust.
-    outputs : sequence of str, optional
-        Of the states and airspeed, alpha, beta, ax, ay, az; by default all ``states`` and these
-        six.
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and
         the spread of the modes; with the other errors that
@@ -205,6 +201,7 @@ def linearize(
     Returns
     -------
     LinearModel
+        Its outputs are the states and airspeed, alpha, beta, ax, ay, az.
 
     Examples
     --------
@@ -235,9 +232,7 @@ def linearize(
     chosen_inputs = usual if inputs is None else list(inputs)
     check_names(chosen_inputs, controls, "controls of this flight, of which the inputs are chosen,")
     check_names(states, ALL_STATES, "states")
-    chosen_outputs = list(dict.fromkeys([*states, *OUTPUTS])) if outputs is None else list(outputs)
-    check_names(chosen_outputs, (*ALL_STATES, *OUTPUTS), "outputs")
-    chosen = list(states), chosen_inputs, chosen_outputs
+    chosen = list(states), chosen_inputs, list(dict.fromkeys([*states, *OUTPUTS]))
     paths = None
     if check_paths(n_paths):
         paths = _matrices(
@@ -308,8 +303,8 @@ def _drawn(
         scatter = 0.0 if errors is None else np.linalg.norm(errors.method[0], axis=-1)
         lag = lag_of(motion, now, model.gradient(now.regressors), scatter)
         added, lag = draw_errors(errors, lag, n_paths, random_state)
-        slopes: Any = drawn.aerodynamics._gradient
-        drawn.aerodynamics._gradient = lambda X: slopes(X) + added[:, None]
+        slopes: Any = drawn.aerodynamics.slopes
+        drawn.aerodynamics.slopes = lambda X: slopes(X) + added[:, None]
     return drawn, np.broadcast_to(state, (n_paths, 13)), lag
 
 

@@ -27,7 +27,7 @@ from skdgp._flight.checks import check_names
 from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
-from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._aircraft import Aircraft, check_aircraft
 from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsive_loads
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
 
@@ -103,11 +103,7 @@ class Motion:
     ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
-        if not isinstance(aircraft, Aircraft):
-            raise TypeError(
-                f"Got {type(aircraft).__name__} for aircraft, but expected a "
-                f"skdgp.dynamics.Aircraft."
-            )
+        check_aircraft(aircraft)
         air = as_air(air)
         self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
         self._density = air.density

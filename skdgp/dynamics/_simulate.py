@@ -30,6 +30,7 @@ from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._air import Turbulence, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import (
+    UncertainStart,
     as_starts,
     control_schedule,
     initial_states,
@@ -72,7 +73,6 @@ def simulate(
     air: Any = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
-    initial_std: Mapping[str, float] | None = None,
     thrust: Thrust = "auto",
 ) -> pd.DataFrame:
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
@@ -89,7 +89,7 @@ def simulate(
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like, (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
         ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
-        other values are zero.
+        other values are zero. Of paths also an `UncertainStart`.
     controls : DataFrame, list of DataFrame, mapping or callable
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
         gives the thrust: a table with ``time`` [s], its first row the start (linear between rows; a
@@ -109,10 +109,6 @@ def simulate(
         flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
-    initial_std : mapping of str to float, optional
-        Standard deviations of the start of paths, by name ("u", "v", "w",
-        "v_north", ..., "phi",
-        ...). Those of angles alone leave the velocity over the ground as it is, which is how it is measured.
     thrust : "auto", callable or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line,
         or the propeller at propeller_speed [rad/s] or throttle. A function (controls, airspeed,
@@ -161,6 +157,7 @@ def simulate(
     """
     described = as_air(air)
     motion = Motion(model, aircraft, thrust=thrust, air=described)
+    x0, start_std = x0 if isinstance(x0, UncertainStart) else (x0, None)
     starts = as_starts(x0)
     clock = Clock.of(dt, duration, tables_of(controls, described.wind))
     warn_of_clocks(starts, controls, described.wind, clock.dt)
@@ -171,8 +168,8 @@ def simulate(
         raise ValueError(
             "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
         )
-    if initial_std is not None and n_paths is None:
-        raise ValueError("Got initial_std without n_paths: nothing would show it.")
+    if start_std is not None and n_paths is None:
+        raise ValueError("Got an UncertainStart without n_paths: nothing would show it.")
     drifts, sentence = None, ""
     if n_paths is not None:
         met, sentence = met_turbulence(described, local, motion, clock, states)
@@ -181,7 +178,7 @@ def simulate(
         if met is not None and np.any(met.intensity):
             local = gusty_air(described, met, local, motion, clock, states, n_paths, random_state)
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
-        states = perturbed(states, initial_std, n_paths, random_state)
+        states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
     elif len(states) == 1:
@@ -292,18 +289,14 @@ class Simulator:
         shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
         return shown.reshape(-1, 13)[0] if self._single else shown
 
-    def reset(
-        self, x0: Any, *, random_state: Seed = None, initial_std: Mapping[str, float] | None = None
-    ) -> dict[str, Any]:
+    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, Any]:
         """Begin a flight, or several, and return ``time``, position, velocities, angles, rates, air data, altitude.
 
-        ``x0`` and ``initial_std`` are as for :func:`skdgp.dynamics.simulate`. Without a
-        ``random_state`` the mean of the model flies, else functions drawn from its posterior, one
-        for each start.
+        ``x0`` is as for :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean of
+        the model flies, else functions drawn from its posterior, one for each start.
         """
         starts = as_starts(x0)
         states = initial_states(starts, lambda start: self._air(0.0, start))
-        states = perturbed(states, initial_std, 1, random_state)[0]
         single, mean_flies = len(states) == 1, random_state is None
         drawn = (
             None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)

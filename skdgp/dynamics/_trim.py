@@ -94,9 +94,7 @@ def trim(
     *,
     altitude: float = 0.0,
     climb: float | None = 0.0,
-    turn_rate: float | None = None,
     bank: float | None = None,
-    beta: float | None = None,
     fixed: Mapping[str, float] | None = None,
     limits: Mapping[str, tuple[float, float]] | None = None,
     thrust: Thrust = "auto",
@@ -113,8 +111,8 @@ def trim(
 
     The unknowns are alpha, theta, phi and four controls: the model's, and the control of the
     thrust. With ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead
-    of zero, where there are fewer controls, as without a rudder, or where both ``bank`` and
-    ``turn_rate`` are given (a steady sideslip). Raises ValueError if there is no such flight, with
+    of zero, where there are fewer controls, as without a rudder, or where both ``bank`` and a
+    turn rate are given (a steady sideslip). Raises ValueError if there is no such flight, with
     the accelerations that remain and the unknowns at a limit; if a given value is not finite, or an
     angle of 90 degrees or more.
 
@@ -128,12 +126,12 @@ def trim(
         [m]; a climb is steady at the density of this altitude.
     climb : float or None
         Angle of the flight path [rad]; None: unknown, for a thrust that is ``fixed`` or None.
-    turn_rate, bank : float, optional
-        Rate of change of heading [rad/s], or phi [rad]; neither: straight flight.
-    beta : float, optional
-        Sideslip [rad]; by default 0 where four controls can hold it.
+    bank : float, optional
+        phi [rad]; without it and a turn rate, straight flight.
     fixed : mapping of str to float, optional
-        Values of controls that are not unknowns. A ``throttle`` that is a regressor but does not set
+        Values of controls that are not unknowns, of ``turn_rate``, the rate of change of heading
+        [rad/s], and of ``beta`` [rad], by default 0 where four controls can hold it.
+        A ``throttle`` that is a regressor but does not set
         the thrust (an aircraft without a propeller) is by default the middle of its training range.
     limits : mapping of str to pair of float, optional
         Of controls, alpha, beta, phi, theta. By default controls and alpha may leave the training
@@ -168,16 +166,11 @@ def trim(
     airspeeds = np.asarray(airspeed, dtype=float)
     if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
         raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
-    conditions = {
-        "altitude": altitude,
-        "climb": climb,
-        "turn_rate": turn_rate,
-        "phi": bank,
-        "beta": beta,
-    }
-    if bank is None and turn_rate is None:
-        conditions["turn_rate"] = 0.0
-    steady = SteadyFlight(motion, conditions, dict(fixed or {}), dict(limits or {}))
+    given = dict(fixed or {})
+    turn_rate = given.pop("turn_rate", 0.0 if bank is None else None)
+    conditions = {"altitude": altitude, "climb": climb, "turn_rate": turn_rate, "phi": bank}
+    conditions["beta"] = given.pop("beta", None)
+    steady = SteadyFlight(motion, conditions, given, dict(limits or {}))
     trims: list[Trim] = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
@@ -195,7 +188,9 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     aircraft = steady.motion.aircraft
     low, high = (-np.inf, np.inf) if model.limits is None else model.limits
     is_beyond = ~((low <= now.regressors) & (now.regressors <= high))
-    outside = pd.DataFrame({"value": now.regressors, "low": low, "high": high}, model.regressors)
+    outside = pd.DataFrame(
+        {"value": now.regressors, "low": low, "high": high}, list(model.regressors)
+    )
     engine = now.force - aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)[0]
     return Trim(
         state=state,

@@ -359,7 +359,7 @@ def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
     return Aerodynamics(
         values,
         aerodynamics.regressors,
-        gradient=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
+        slopes=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
         sampler=sampler,
         span=aerodynamics.span,
         chord=aerodynamics.chord,
@@ -457,7 +457,7 @@ def _certain(pipeline: Pipeline) -> Aerodynamics:
     return Aerodynamics(
         mean,
         mean.regressors,
-        gradient=mean.gradient,
+        slopes=mean.gradient,
         sampler=lambda n_paths, random_state: (mean, mean.gradient),
         **shown,
     )

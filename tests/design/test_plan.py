@@ -67,7 +67,7 @@ def model():
 
     low = np.array([-0.1, -0.2, -0.1, -0.03, -0.1, -0.3, -0.3, -0.3])
     return Aerodynamics(
-        lambda X: features(X) @ TABLE.T, NAMES, gradient=lambda X: np.broadcast_to(TABLE[:, 1:], (len(X), 6, 8)),
+        lambda X: features(X) @ TABLE.T, NAMES, slopes=lambda X: np.broadcast_to(TABLE[:, 1:], (len(X), 6, 8)),
         sampler=sampler, limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]], flown=FLOWN,
     )  # fmt: skip
 

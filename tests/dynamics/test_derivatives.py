@@ -19,7 +19,7 @@ from skdgp.dynamics._motion import Motion
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]
-MODEL = Aerodynamics(brumby_coefficients, NAMES, gradient=brumby_derivatives)
+MODEL = Aerodynamics(brumby_coefficients, NAMES, slopes=brumby_derivatives)
 CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04, "throttle": 0.6}
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 

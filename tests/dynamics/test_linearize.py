@@ -228,7 +228,7 @@ LOOP = Aerodynamics(  # pulled up where it is pushed down, and down where up: no
     (MODEL, lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
     (MODEL, lambda at: {"states": ["u", "tetha"]}, "states lack 'tetha'"),
     (MODEL, lambda at: {"inputs": ["flap"]}, "'flap'"),
-    (MODEL, lambda at: {"outputs": ["mach"]}, "'mach'"),
+    (MODEL, lambda at: {"states": ["mach"]}, "'mach'"),
     (MODEL, lambda at: {"point": at.state[:12], "controls": at.controls}, "expected a Trim or a state of 13"),
     (MODEL, lambda at: {"point": [at, at]}, "Got 2 trims, but expected one"),
     (MODEL, lambda at: {"point": at.state}, "state without controls"),

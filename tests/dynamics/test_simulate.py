@@ -19,6 +19,7 @@ from skdgp.dynamics import (
     Propeller,
     SimulationWarning,
     Simulator,
+    UncertainStart,
     aerodynamic_coefficients,
     simulate,
     standard_density,
@@ -72,7 +73,7 @@ def linear(slopes=SLOPES, intercept=INTERCEPT, **options):
     return Aerodynamics(
         lambda X: intercept + X @ slopes.T,
         NAMES,
-        gradient=lambda X: np.tile(slopes, (len(X), 1, 1)),
+        slopes=lambda X: np.tile(slopes, (len(X), 1, 1)),
         **options,
     )
 
@@ -333,7 +334,7 @@ class TestControls:
         (table_of(1.0), {"dt": 0.0}, "expected a time step"),
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
-        (table_of(1.0), {"initial_std": {"phi": 0.1}}, "nothing would show it"),
+        (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),
         (table_of(1.0), {"air": {"north": 5.0}}, "lack 'north'"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
@@ -343,7 +344,7 @@ class TestControls:
     ])  # fmt: skip
     def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
         with pytest.raises(ValueError, match=match):
-            simulate(linear(), aircraft, START, controls, **options)
+            simulate(linear(), aircraft, controls=controls, **{"x0": START} | options)
 
     def test_a_whole_log_may_be_given_whatever_tells_the_thrust(self, aircraft, flown):
         def thrust(controls, airspeed, density):
@@ -582,16 +583,9 @@ class TestEnsembles:
     def test_a_model_without_beliefs_has_no_ensemble(self, aircraft):
         with pytest.raises(ValueError, match="without posterior samples"):
             simulate(linear(), aircraft, START, commands, duration=1.0, n_paths=3)
-        with pytest.raises(ValueError, match="initial_std lack 'speed'"):
-            simulate(
-                uncertain(0.1),
-                aircraft,
-                START,
-                commands,
-                duration=1.0,
-                n_paths=3,
-                initial_std={"speed": 1.0},
-            )
+        start = UncertainStart(START, {"speed": 1.0})
+        with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
+            simulate(uncertain(0.1), aircraft, start, commands, duration=1.0, n_paths=3)
 
 
 class TestSimulator:

@@ -20,7 +20,7 @@ SLOPES[5, [1, 4, 6]] = 0.08, -0.1, -0.06
 LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
 CONTROLS = {"elevator": -0.02, "rudder": 0.03}
 LINEAR = Aerodynamics(
-    lambda X: LEVEL + X @ SLOPES.T, NAMES, gradient=lambda X: np.tile(SLOPES, (len(X), 1, 1))
+    lambda X: LEVEL + X @ SLOPES.T, NAMES, slopes=lambda X: np.tile(SLOPES, (len(X), 1, 1))
 )
 
 

@@ -92,7 +92,7 @@ class TestKnownAnswers:
 
     def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(self, glider):
         by_bank = trim(TEXTBOOK, glider, 20.0, bank=-0.5, **AIR)
-        by_rate = trim(TEXTBOOK, glider, 20.0, turn_rate=by_bank.turn_rate, **AIR)
+        by_rate = trim(TEXTBOOK, glider, 20.0, fixed={"turn_rate": by_bank.turn_rate}, **AIR)
         assert by_bank.turn_rate < 0
         assert by_rate.phi == pytest.approx(-0.5)
         assert by_rate.state == pytest.approx(by_bank.state)
@@ -105,9 +105,9 @@ class TestSteady:
             {},
             {"climb": 0.08},
             {"climb": -0.1, "bank": 0.4},
-            {"turn_rate": -0.2},
-            {"bank": 0.1, "turn_rate": 0.0},
-            {"beta": 0.05},
+            {"fixed": {"turn_rate": -0.2}},
+            {"bank": 0.1, "fixed": {"turn_rate": 0.0}},
+            {"fixed": {"beta": 0.05}},
             {"fixed": {"rudder": 0.0}, "bank": 0.3},
             {"fixed": {"throttle": 0.8}, "climb": None},
         ],

@@ -36,7 +36,7 @@ def sweep():
     )
     states = np.zeros((4, 13))
     states[:, 3:6], states[:, 6] = air_velocity(20.0, ALPHAS, 0.0), 1.0
-    model = Aerodynamics(coefficients, ["alpha", "elevon_left"], gradient=slopes, sampler=sampler)
+    model = Aerodynamics(coefficients, ["alpha", "elevon_left"], slopes=slopes, sampler=sampler)
     return stability_derivatives(model, aircraft, states, {"elevon_left": 0.0, "thrust": 0.0})
 
 

@@ -33,7 +33,7 @@ LARGEST_ANGLE = {
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
-# an angle that changes by so many times what the gyros turn is in degrees
+# an angle that changes by so many times the integral of the gyros is in degrees
 CLEARLY_FASTER = 57.3**0.5
 NO_TURN = 0.1  # change in a second [rad] that needs no turn
 FASTEST_TURN = {
@@ -160,7 +160,7 @@ def check_choice(name: str, value: object, choices: Collection[object]) -> None:
 
 
 def as_floats(values: object) -> Array:
-    """Return values as floats; a single NaN if one of them is a truth value or no number."""
+    """Return values as floats; a single NaN if any is a truth value or no number."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):

@@ -374,6 +374,6 @@ def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
 
 
 def usual_spacing(values: np.ndarray) -> float:
-    """Return how many rows lie between a sample and the next, but for a tenth of them."""
+    """Return the 90 % quantile of the rows between a sample and the next."""
     sampled = np.flatnonzero(np.isfinite(values))
     return float(np.quantile(np.diff(sampled), 0.9)) if sampled.size > 1 else 1.0

@@ -24,7 +24,7 @@ GUST_TIME, CHANGE_TIME, SPEED_TIME = 10.0, 3600.0, 15.0
 # guesses
 MEAN_WIND_STD, CHANGE_STD, MEAN_SPEED_STD, HEADING_STD = 30.0, 0.5, 100.0, 0.05
 # Logarithms of the usual standard deviations [m/s] of gusts (.1 times 7.7 m/s, the light turbulence
-# of MIL-F-8785C), of the airspeed, and of what is left across and along the direction of flight in
+# of MIL-F-8785C), of the airspeed, and of the residuals across and along the direction of flight in
 # the mean of a block; guesses
 USUAL = np.log([0.77, 1.0, 0.5, 0.1])
 LOG_STD = np.array(
@@ -43,7 +43,7 @@ class Blocks(NamedTuple):
 
     time: Vector  # (n,)
     along: Matrix  # (n, 2) unit vector of flight through the air, horizontal
-    across: Matrix  # (n, 2) to the right of it
+    across: Matrix  # (n, 2) to the right
     velocity: Matrix  # (n, 2) over the ground: along, across
 
 
@@ -51,7 +51,7 @@ def airspeed_from_turns(flight: pd.DataFrame) -> pd.DataFrame:
     r"""Return airspeed and wind of flights without an airspeed sensor, from their velocity over the ground.
 
     Wind triangle: with velocity over the ground v, wind w, and the horizontal direction of flight
-    through the air e, to the right of which is n,
+    through the air e, with n to its right,
 
     .. math:: e^T v = V_0 + \delta V + e^T w, \quad n^T v = n^T (w + g) + V_0 b + \epsilon, \quad V = |v - w - g|,
 
@@ -67,7 +67,7 @@ def airspeed_from_turns(flight: pd.DataFrame) -> pd.DataFrame:
     flight : DataFrame
         Columns ``time`` [s], ``v_north``, ``v_east``, ``v_down`` [m/s]; ``flight`` where there are
         several, each by itself; ``phi``, ``theta``, ``psi`` [rad] where there are. Velocity is not
-        used where one of them is NaN.
+        used where a component is NaN.
 
     Returns
     -------

@@ -105,7 +105,7 @@ def _fields(names: Sequence[str]) -> str:
 def _go(plan: Plan) -> str:
     """Return the wind and gusts that allow the flight to begin."""
     rows = [["gusts", "calm air: no gust was checked", "any that is felt"]]
-    caption = "When the flight may begin. Risks and expected responses are those of calm air."
+    caption = "When the flight may begin. Risks and expected responses are for calm air."
     if plan.gusts is not None:
         wind = f"{number(WIND_TO_GUST * plan.gusts[2], '.1f')}{THIN}m/s"
         swing = f"{number(2.0 * plan.gusts[0], '.1f')}{THIN}m/s"
@@ -207,7 +207,7 @@ def _promise(plan: Plan) -> str:
     shown_errors = table(
         ["derivative", "before", "promised", "left [%]"], rows, caption=caption, classes="narrow"
     )
-    heading = "For the engineer: what the flight promises"
+    heading = "For the engineer: promises of the flight"
     return _section(heading, shown_errors, "flight")
 
 

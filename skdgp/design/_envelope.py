@@ -49,7 +49,7 @@ class Envelope:
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        Fraction of its training range by which a regressor, or a quantity above that is not given,
+        Fraction of its training range by which a regressor, or a quantity above without a value,
         may exceed it: half at either end. inf: no limit.
     risk : float, default=0.05
         Largest probability that a manoeuvre leaves any of these.
@@ -83,7 +83,7 @@ class Envelope:
     margin: float = 0.15
     gusts: Turbulence | Literal["auto"] | None = "auto"
     n_paths: int = 200
-    #: What it limits, and the options of the command line
+    #: Limited quantities, and their options of the command line
     command_options: ClassVar[Mapping[str, str]] = OPTIONS
 
     def __post_init__(self) -> None:

@@ -40,7 +40,7 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     [s], ``lowest`` and ``highest`` frequency [Hz].
 
     The mode of the elevator is the short period, of aileron and rudder Dutch roll and roll, of the
-    thrust the phugoid. A doublet has the peak of its spectrum at the slowest of them,
+    thrust the phugoid. A doublet has the peak of its spectrum at the slowest mode,
     :math:`\omega`, if its pulses last :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts
     half a period: its unit is :math:`\pi / 2\omega` (Klein & Morelli, Aircraft System
     Identification, 2006, chapter 9). The band of multisines begins at 0.4 times the slowest

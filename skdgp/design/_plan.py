@@ -65,9 +65,9 @@ class Plan:
     limits: pd.DataFrame
     aircraft: Aircraft
     gusts: tuple[float, ...] | None = None
-    #: Time after a manoeuvre in which the flight tells of the aircraft [s]
+    #: Seconds of response after a manoeuvre that the flight records
     response: ClassVar[float] = RESPONSE
-    #: Time after a manoeuvre in which nobody acts, for which its risk counts [s]
+    #: Seconds after a manoeuvre without action of the pilot, which its risk includes
     reaction: ClassVar[float] = REACTION
 
     @property

@@ -81,7 +81,7 @@ def plan(
     controls 2 % of their limits). If K of N leave the envelope, the predicted risk is (K + 1) / (N
     + 2) (Laplace's rule of succession). A manoeuvre is as large as limits and allowed risk let it
     be, or left out, and the choice is made again. Controls are open loop during a manoeuvre and a
-    second after it, for which the risk is predicted. Before and after it is a pause at the trim, a
+    second after it, the time of the predicted risk. Before and after it is a pause at the trim, a
     quarter of the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), at least 3 s.
 
     Ctrl-C ends the search with the best checked manoeuvres. :func:`skdgp.listening` shows the
@@ -363,7 +363,7 @@ class _Planner:
         return sum(manoeuvre.seconds for manoeuvre in chosen) + last <= self.seconds + 1e-9
 
     def _filled(self, chosen: list, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return manoeuvres with more of them, each of the largest gain per second, until the time is used."""
+        """Return manoeuvres, and more with the largest gain per second until the time is used."""
         while options := [manoeuvre for manoeuvre in library if self._fits([*chosen, manoeuvre])]:
             now = self._gain(chosen)
             gains = [

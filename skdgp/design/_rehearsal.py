@@ -30,8 +30,8 @@ ENTRY = {"phi": 0.035, "theta": 0.035}  # standard deviations of angles of entry
 ENTRY_SPEED = 0.02  # standard deviation of the airspeed of entry, relative to it
 ENTRY_CONTROLS = 0.02  # standard deviation of held controls, relative to their limits
 LEAST = 0.2  # fraction of the limits below which a manoeuvre is left out
-RESPONSE = 3.0  # time after a manoeuvre in which the flight tells of the aircraft [s]
-REACTION = 1.0  # time after a manoeuvre in which nobody acts [s]
+RESPONSE = 3.0  # seconds of response after a manoeuvre that the flight records
+REACTION = 1.0  # seconds after a manoeuvre without action of the pilot
 
 
 class Hold(NamedTuple):
@@ -200,7 +200,7 @@ class Rehearsal:
         )
 
     def room(self, flight: pd.DataFrame) -> float:
-        """Return the factor by which the response of a manoeuvre fits into the envelope, for every aircraft drawn."""
+        """Return the largest factor of a manoeuvre whose response fits into the envelope, for all aircraft drawn."""
         response = self.hold.response(self.channels(self._unattended(flight)))
         return self.hold.largest((1 + self.hold.margin) * response[None])
 

@@ -147,7 +147,7 @@ def _check_room(table: pd.DataFrame, mixes: Mapping, full: Mapping[str, float]) 
 
 
 def _parts(signal: Signal) -> dict[str, Any]:
-    """Return the numbers from which the script evaluates a signal."""
+    """Return the numbers of a signal for the script."""
     kind = {"kind": type(signal).__name__, "duration": signal.duration}
     if isinstance(signal, Steps):
         swings = np.diff([0.0, *signal.levels, 0.0])

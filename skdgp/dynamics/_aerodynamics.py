@@ -26,7 +26,7 @@ from skdgp._flight.channels import COEFFICIENTS
 DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-# Time [s] for which an error of the function lasts: that in which a manoeuvre changes the
+# Correlation time [s] of an error of the function: the time in which a manoeuvre changes the
 # regressors. A guess: on eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by
 # .02, with the same coverage to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s,
 # bands hold down to 83 %.
@@ -64,7 +64,7 @@ class Drift(NamedTuple):
         """Return draws (n, *shape, 6) at times (n,) that increase."""
         seed = check_random_state(random_state).randint(
             2**31 - 1, size=4
-        )  # other numbers than those of the paths
+        )  # other numbers than the paths have
         rng, total = np.random.default_rng(seed), np.zeros((len(time), *shape, 6))
         for variance, memory in self._processes():
             if variance.any():

@@ -39,7 +39,7 @@ LONGEST = 3000.0  # Scale length [m] beyond which there is none
 # Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the
 # sensors
 SAMPLES = 10
-# Frequency, over that of the lag of a wing, up to which spectra are fitted. Sensors measure the
+# Frequency, over the frequency of a wing's lag, up to which spectra are fitted. Sensors measure the
 # wind at a point, the wing meets its mean over the span. Below, both are the same to a factor of 2.
 # With the lag in the spectra, gusts of JSBSim's aircraft had lengths of 8 to 90 m for 100 to 260 m,
 # and their rates were 1.3 to 4 times too large.
@@ -48,7 +48,7 @@ BAND = 1.0
 # flight at that height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds
 # do not show it.
 LENGTH, LENGTH_STD = 126.0, 0.72
-# Values of the periodogram from which an intensity is estimated: its standard error is then 30 %
+# Least values of the periodogram for an estimate of an intensity: its standard error is then 30 %
 FEWEST = 3
 LEVEL = 0.95  # Of the test that intensity and length of u and v differ: the usual one
 CALM = 1e-12  # Power [m^2/s^2] of the wind below which it is round-off

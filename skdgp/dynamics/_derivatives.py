@@ -25,7 +25,7 @@ from skdgp.dynamics._trim import Trim
 ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
 # Rates about the x and the z axis, which turn with the axes
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
-# Columns whose squares add up to that of ``std``
+# Columns whose squares add up to the square of ``std``
 PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
 NORMAL_95 = 1.959963984540054
 
@@ -60,7 +60,7 @@ def stability_derivatives(
     ----------
     model, aircraft
         As for :func:`skdgp.dynamics.simulate`.
-    point : Trim, array-like of shape (13,), or several of them
+    point : Trim, array-like of shape (13,), or several
         Trims, or states (`STATE_NAMES`) with their ``controls``.
     controls : mapping of str to float or array-like of shape (n,), optional
     axes : {"body", "stability"}

@@ -79,7 +79,7 @@ class Kind(NamedTuple):
 # Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those
 # of length and aspect ratio, of the conventional kind: published moments of five aircraft
 # (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
-# McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as that of the B-49 gives them a sixth
+# McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as the B-49's gives them a sixth
 # of their moment. Deltas: radii of four published aircraft and planforms of ten (the same file), as
 # Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as
 # those of the four are less, but of crewed ones; the chord is between those of F-16 (1.13), ADMIRE

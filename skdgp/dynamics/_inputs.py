@@ -46,7 +46,7 @@ from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
 START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 # States of a start that may have standard deviations
 DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
-# By which the airspeed of a start may differ from that of its ground speed and the wind, as a share
+# Relative difference of a start's airspeed and the airspeed of its ground speed and wind, at most
 AIRSPEED_TOLERANCE = 0.15
 LOWEST_LAND = -450.0  # Altitude of the lowest land there is [m]
 

@@ -148,7 +148,7 @@ class Lag(NamedTuple):
     """What alpha_dot and beta_dot may change of C: slopes @ (missing * rates - relation @ regressors)."""
 
     slopes: Array  # One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)
-    # S, their slopes by the regressors, less what they are as regressors themselves, (..., 2, d)
+    # S, their slopes by the regressors, less their slopes as regressors themselves, (..., 2, d)
     relation: Array
     missing: Array  # Whether they are no regressors, (2, 1)
 

@@ -230,7 +230,7 @@ def linearize(
     engine = thrust_control(aircraft, thrust)
     usual = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
     chosen_inputs = usual if inputs is None else list(inputs)
-    check_names(chosen_inputs, controls, "controls of this flight, of which the inputs are chosen,")
+    check_names(chosen_inputs, controls, "controls of this flight, its possible inputs,")
     check_names(states, ALL_STATES, "states")
     chosen = list(states), chosen_inputs, list(dict.fromkeys([*states, *OUTPUTS]))
     paths = None
@@ -378,7 +378,7 @@ def _named(
         return participation.loc[list(names), list(unit)].to_numpy().sum()
 
     def split(units, names, size):
-        """Return the units of ``size`` eigenvalues in which these states participate most, and the others."""
+        """Return the units, ``size`` eigenvalues, with the largest participation of these states, and the others."""
         every = (subset for number in range(1, size + 1) for subset in combinations(units, number))
         complete = (subset for subset in every if sum(map(len, subset)) == size)
         best = max(complete, key=lambda subset: sum(part(names, unit) for unit in subset))

@@ -35,7 +35,7 @@ PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_M
 # Channels that are set, not rebuilt from the state; a control may also have a name that is no
 # channel
 CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
-# Largest one of a control of a model that does not say what it was learned from
+# Largest deflection [rad] of a control whose training range is not known
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")

@@ -58,7 +58,7 @@ from skdgp.dynamics._wind import (
     wind_schedule,
 )
 
-BEYOND = 0.02  # Share of its range by which a regressor may exceed what was flown without a warning
+BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12
 
 

@@ -38,14 +38,16 @@ FIXED_LIMITS = {
     "thrust": (0.0, np.inf),
     "throttle": (0.0, 1.0),
 }
-# Least distance by which a control or alpha may leave what a model was learned from [rad]
+# Least distance by which a control or alpha may leave its training range [rad]
 LEAST_MARGIN = 0.1
 ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
 TOLERANCE = 1e-6  # Largest acceleration of a trim [m/s^2, rad/s^2]
 # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is
 # as given
 DEMAND = 100.0
-JACOBIAN_STEP = 1e-5  # Of differences of the residual, by an unknown or a fraction of it
+JACOBIAN_STEP = (
+    1e-5  # Step of an unknown, relative if it is above 1, for differences of the residual
+)
 STARTS = (0.5, 0.25, 0.75, 0.05)  # Where between its limits alpha starts
 
 

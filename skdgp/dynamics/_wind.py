@@ -34,7 +34,7 @@ from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, VELOCITY
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3  # Over which the wind of a function is differentiated [s]
-# Largest factor of a drift's variance, in rougher air than that of the training flights. On eleven
+# Largest factor of a drift's variance, in rougher air than in the training flights. On eleven
 # aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
 # (docs/simulation.md).
 ROUGHEST = 2.0
@@ -202,7 +202,7 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drif
     ratio = np.divide(*(np.square(part.intensity).sum() + SENSOR_GUST**2 for part in (met, flown)))
     in_gusts = 1.0 - SENSOR_GUST**2 / (
         np.square(flown.intensity).sum() + SENSOR_GUST**2
-    )  # none of it in calm air
+    )  # none in calm air
     largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
     variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
     return drift._replace(variance=variance)
@@ -214,7 +214,7 @@ def without_rotation(
     """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
 
     Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral
-    over 1 s. ``slopes`` (6, 3) are those of the coefficients by p, q, r [s], at this airspeed
+    over 1 s. ``slopes`` (6, 3) of the coefficients are by p, q, r [s], at this airspeed
     [m/s].
     """
     A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)

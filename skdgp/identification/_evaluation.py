@@ -229,7 +229,7 @@ def fit_least_squares(
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return "least_squares": intercept and slopes of each coefficient (n, 6), and "least_squares_std": their errors.
 
-    ``regressors`` (n, d) are those of the last step; the slopes are in the units before the scaler
+    ``regressors`` (n, d) are inputs of the last step; the slopes are in the units before the scaler
     of the pipeline. Standard deviations hold where errors are correlated within a block of
     consecutive rows (Liang & Zeger 1986).
     """

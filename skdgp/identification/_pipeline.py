@@ -58,7 +58,7 @@ def make_identification_pipeline(
     ``dependentgpregressor``     all six coefficients at once
     ============================ ======================================================================================
 
-    The names are those of the steps, so ``dependentgpregressor__n_latent`` is a parameter for
+    The names are the steps', so ``dependentgpregressor__n_latent`` is a parameter for
     ``GridSearchCV``. Fit it on whole flights at their full rate, and choose the rows to learn from
     in the targets (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out
     flights: ``groups=table["flight"]``. Raises TypeError if ``aircraft`` is not an Aircraft.
@@ -149,10 +149,10 @@ def default_regressor(**parameters: Any) -> DependentGPRegressor:
 
 
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
-    r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than those of the fit.
+    r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than in the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
-    proportional to that of the gusts. Where `FlightPathReconstruction` finds no contradiction of
+    proportional to the variance of the gusts. Where `FlightPathReconstruction` finds no contradiction of
     sensors, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio of
     variances (n,) is
 
@@ -202,7 +202,7 @@ class FlightPipeline(Pipeline):
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
         table, which says why.
     control_units_ : dict of str to str
-        Set by :func:`identify`: units of controls that are not those of docs/notation.md, such as
+        Set by :func:`identify`: units of controls that differ from docs/notation.md, such as
         "full throw".
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
@@ -282,7 +282,7 @@ class FlightPipeline(Pipeline):
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 
-        ``params`` are those of ``predict`` of the last step. ``return_std=True`` returns the
+        ``params`` are for ``predict`` of the last step. ``return_std=True`` returns the
         standard deviation, too, with ``include_noise=True`` of new measurements.
         ``include_input_noise`` replaces the ratio of this flight, unless it is True.
         """

@@ -265,7 +265,7 @@ def flight_mechanics(
     """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
 
     Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
-    what was flown.
+    the flights.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
     thrust = _thrust(settings)

@@ -13,8 +13,7 @@ from skdgp._excitation import (
 )
 from skdgp.design._card import write_flight_card
 from skdgp.design._envelope import Envelope
-from skdgp.design._plan import Plan, PlanCheck
-from skdgp.design._planner import plan
+from skdgp.design._planner import Plan, PlanCheck, plan
 from skdgp.design._write import ardupilot_script, surface_mixes
 
 __all__ = [

@@ -28,7 +28,7 @@ from skdgp._display.page import (
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._excitation import Signal, Steps
 from skdgp.design._envelope import QUANTITIES, quantities
-from skdgp.design._plan import Plan
+from skdgp.design._planner import Plan
 from skdgp.design._rehearsal import REACTION, RESPONSE
 
 QUICK = 0.5  # shortest step that a pilot can time by counting [s]

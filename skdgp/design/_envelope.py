@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +12,8 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp.design._information import regressors_of
+from skdgp._flight.channels import HAT, LENGTHS, rate_factor
+from skdgp._flight.checks import check_columns
 from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, trajectory_bands
 
 # What an envelope limits, and the options of the command line
@@ -196,3 +197,21 @@ def with_band(flight: pd.DataFrame, paths: pd.DataFrame) -> pd.DataFrame:
         paths.assign(path=paths["flight"], **quantities(paths)), 0.95, QUANTITIES
     )
     return flight.join(bands.filter(regex="_(low|high)$"))
+
+
+def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
+    """Return the regressors (n, d) of one simulated flight; alpha_dot and beta_dot are differentiated."""
+    columns = []
+    for name in names:
+        channel = name if name in flight else name.removesuffix(HAT)
+        is_slope = channel in ("alpha_dot", "beta_dot") and channel not in flight
+        source = channel.removesuffix("_dot") if is_slope else channel
+        check_columns(flight, [source, "airspeed"])
+        values = flight[source].to_numpy(float)
+        if is_slope:
+            values = np.gradient(values, flight["time"].to_numpy(float))
+        if channel != name and channel in LENGTHS:
+            length = getattr(aircraft, LENGTHS[channel])
+            values = values * rate_factor(channel, length, flight["airspeed"].to_numpy(float))
+        columns.append(values)
+    return np.stack(columns, axis=-1)

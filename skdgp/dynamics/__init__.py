@@ -27,18 +27,19 @@ from skdgp.dynamics._air import (
     dryden_wind,
     low_altitude_turbulence,
 )
-from skdgp.dynamics._aircraft import Aircraft, check_aircraft
-from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._engines import Propeller, ThrustLine
-from skdgp.dynamics._estimate import (
+from skdgp.dynamics._aircraft import (
     KINDS,
     MOMENTS,
     PRESSURE,
     QUANTITIES,
     REMEDIES,
+    Aircraft,
     ScaleFactor,
+    check_aircraft,
     relative_errors,
 )
+from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._engines import Propeller, ThrustLine
 from skdgp.dynamics._inputs import FlightComputer, UncertainStart
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize

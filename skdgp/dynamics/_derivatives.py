@@ -14,10 +14,8 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp._flight.checks import check_choice
 from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._estimate import errors_of_sizes
-from skdgp.dynamics._jacobian import LAGS, check_settled, lag_of
-from skdgp.dynamics._linearize import check_paths, flight_point
+from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
+from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
 from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._trim import Trim

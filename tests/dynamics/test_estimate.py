@@ -18,7 +18,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._estimate import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
+from skdgp.dynamics._aircraft import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
 
 # Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
 # again.

@@ -6,7 +6,7 @@ import pytest
 from skdgp._flight.frames import air_data_slopes
 from skdgp.datasets._brumby import BRUMBY
 from skdgp.dynamics import Aerodynamics, Air, air_velocity, euler_to_quaternion
-from skdgp.dynamics._jacobian import SHARES, Lag, jacobian, lag_of
+from skdgp.dynamics._linearize import SHARES, Lag, jacobian, lag_of
 from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]

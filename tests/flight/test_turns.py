@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from skdgp.dynamics import Aircraft
-from skdgp.dynamics._estimate import PRESSURE, ScaleFactor, relative_errors
+from skdgp.dynamics._aircraft import PRESSURE, ScaleFactor, relative_errors
 from skdgp.identification._assumed import with_airspeed_errors
 from skdgp.identification._flights import named_flights
 from skdgp.preprocessing import FlightDataWarning, airspeed_from_turns

@@ -8,7 +8,7 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
-from skdgp.dynamics._estimate import relative_errors
+from skdgp.dynamics._aircraft import relative_errors
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (

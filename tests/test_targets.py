@@ -10,7 +10,7 @@ from skdgp import DependentGPRegressor
 from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
 from skdgp.calibration import CalibratedRegressor
-from skdgp.datasets._brumby import BRUMBY
+from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._inputs import as_starts
 from skdgp.dynamics._replay import coefficient_array

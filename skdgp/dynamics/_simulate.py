@@ -31,12 +31,18 @@ from skdgp.dynamics._air import Turbulence, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import (
     UncertainStart,
+    airspeeds,
     as_starts,
     control_schedule,
+    drift_in,
+    gusty_air,
     initial_states,
+    met_turbulence,
     perturbed,
     tables_of,
     warn_of_clocks,
+    wind_field,
+    wind_schedule,
 )
 from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
@@ -49,14 +55,6 @@ from skdgp.dynamics._record import (
     fly_record,
 )
 from skdgp.dynamics._rigid_body import rk4_step
-from skdgp.dynamics._wind import (
-    airspeeds,
-    drift_in,
-    gusty_air,
-    met_turbulence,
-    wind_field,
-    wind_schedule,
-)
 
 BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12

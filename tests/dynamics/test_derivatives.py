@@ -5,7 +5,12 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.datasets._example_flights import (
+    BRUMBY,
+    REGRESSORS,
+    brumby_coefficients,
+    brumby_derivatives,
+)
 from skdgp.dynamics import (
     Aerodynamics,
     air_velocity,

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 from skdgp._flight.channels import RATE_LENGTHS
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._example_flights import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from skdgp.datasets._brumby import REGRESSORS, brumby_coefficients
+from skdgp.datasets._example_flights import REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp._flight.frames import air_data_slopes
-from skdgp.datasets._brumby import BRUMBY
+from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import Aerodynamics, Air, air_velocity, euler_to_quaternion
 from skdgp.dynamics._linearize import SHARES, Lag, jacobian, lag_of
 from skdgp.dynamics._motion import Motion

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._example_flights import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

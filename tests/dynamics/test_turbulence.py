@@ -22,8 +22,8 @@ from skdgp.dynamics import (
 )
 from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
 from skdgp.dynamics._air import dryden_gusts
+from skdgp.dynamics._inputs import drift_in, without_rotation
 from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._wind import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05

@@ -56,9 +56,8 @@ AIRCRAFT = {
 }
 LEAVES = {"export", "design"}
 MAY_IMPORT_LEAVES = {"_cli", "__init__", "__main__"}
+# Rooms whose files any room above may import; of others it imports what their ``__init__`` shows
 SHARED = {"_compute", "_flight", "_excitation", "_display"}
-"""Rooms whose files any room above may import; of others it imports what their ``__init__`` shows.
-"""
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),

@@ -19,13 +19,13 @@ from skdgp.dynamics import (
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG = POUND_FORCE / FOOT
 EARTH_RATE = 7.292115e-5  # rad/s
+# Integrators of JSBSim; its default is Euler's method for rates and attitude
 FOURTH_ORDER = {
     "rate/rotational": 5,
     "rate/translational": 5,
     "position/rotational": 7,
     "position/translational": 5,
 }
-"""Integrators of JSBSim; its default is Euler's method for rates and attitude."""
 START = {
     "h-sl-ft": 4000,
     "vc-kts": 100,
@@ -125,24 +125,22 @@ def earth_to_ned(latitude, longitude):
 # -- flights to learn from, with their truth
 
 STEADY = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle")
-NAMES = (*STEADY, "alpha_dot", "beta_dot")
-"""Regressors of the truth, rates non-dimensional."""
+NAMES = (*STEADY, "alpha_dot", "beta_dot")  # Regressors of the truth, rates non-dimensional
 ROTATION, SLOPES = [2, 3, 4], [9, 10]
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+# [kt], MIL-F-8785C as JSBSim flies it
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
-"""[kt], MIL-F-8785C as JSBSim flies it."""
 HEIGHT = 274.0  # above the ground [m]
 KNOTS = {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0, "c182": 100.0}
 KNOTS |= {"c172p": 100.0, "t6texan2": 150.0, "T37": 200.0}
 KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0}
 """Calibrated airspeed of aircraft of JSBSim."""
 RATE = 40  # Hz, of the logs
+# Of JSBSim per row; controls change at each of them: held longer, they would lag behind the loads
 FRAMES = 6
-"""Of JSBSim per row; controls change at each of them: held longer, they would lag behind the loads."""
 SETTLING = 10.0  # s before the log
 DURATION = 200.0  # s of a log
-TRAINING = (1, "light", 1)
-"""Plan of the flight, air and seed."""
+TRAINING = (1, "light", 1)  # Plan of the flight, air and seed
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
 SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
 SOURCES = {  # property and factor to SI; forces and moments in newtons

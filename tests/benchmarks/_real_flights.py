@@ -17,12 +17,12 @@ from scipy.io import loadmat
 from skdgp.dynamics import Aircraft
 
 BOOK, UAV = Path("RVJategaonkar_codes_2ed/flt_data"), Path("get_coeffs/flight_data_1")
+# Of ATTAS, from its centre of gravity [m]; the engine is the right one
 ACCELEROMETER, ENGINE, BOOM = (
     (-1.010, 0.886, 0.103),
     (-1.343, 2.990, -0.652),
     (13.080, -0.010, -0.027),
 )
-"""Of ATTAS, from its centre of gravity [m]; the engine is the right one."""
 ATTAS = Aircraft(
     name="ATTAS",
     mass=17631.0,
@@ -39,10 +39,9 @@ SMALL_UAV = Aircraft(
     span=1.6,
     chord=0.24,
 )
-EDGE = 30
-"""Samples at either end of the manoeuvres of ATTAS that its filters made to ring."""
+EDGE = 30  # Samples at either end of the manoeuvres of ATTAS that its filters made to ring
+# Angle of the UAV's surfaces by its commands, about; another scale changes no error
 TRAVEL = np.radians(25.0) / 2250.0
-"""Angle of the UAV's surfaces by its commands, about; another scale changes no error."""
 
 
 def attas(folder):

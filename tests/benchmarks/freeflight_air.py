@@ -56,8 +56,7 @@ HORIZONS, STARTS, MARGIN = (2.0, 10.0), 20, 5.0  # s, number, s
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
 ANGLES = ("phi", "theta", "psi")
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
-UNKNOWN = ["airspeed", "alpha", "beta", "u", "v", "w"]
-"""Columns of a start that hold a gust."""
+UNKNOWN = ["airspeed", "alpha", "beta", "u", "v", "w"]  # Columns of a start that hold a gust
 
 
 def learned(name, folder):

@@ -112,8 +112,7 @@ CONTENDERS = {
     "scikit-learn, one output of N values": sklearn_stacked,
     "GPyTorch LCM, Cholesky": gpytorch_cholesky,
 }
-NEEDED = {"scikit-learn, one output of N values": 6}
-"""Times N^2 d doubles that it was seen to take."""
+NEEDED = {"scikit-learn, one output of N values": 6}  # Times N^2 d doubles that it was seen to take
 
 
 def ready(case):

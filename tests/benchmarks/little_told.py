@@ -40,8 +40,8 @@ FLIGHTS = {
     "viggen_uav": ("train_latlon", "test_twoalt", "delta"),
     "c172p": ("train_latlon", "test_calm", "conventional"),
 }
+# Aircraft of JSBSim and their kinds
 JSBSIM = {"c182": "conventional", "DHC6": "twin", "A4": "delta"}
-"""Aircraft of JSBSim and their kinds."""
 THINGS = ("sizes", "thrust", "vanes", "angles")
 WITHHELD = {
     "nothing": (),

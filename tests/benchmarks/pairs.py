@@ -30,6 +30,7 @@ from skdgp.identification import flight_regressors
 from skdgp.io import read_flight
 from skdgp.metrics import interval_coverage, negative_log_predictive_density, normalized_rmse
 
+# The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal coefficients
 HFB_320 = Aircraft(
     name="HFB-320",
     mass=7472.0,
@@ -38,11 +39,8 @@ HFB_320 = Aircraft(
     span=14.49,
     chord=2.43,
 )
-"""The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal
-coefficients.
-"""
+# Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]
 TILT, HFB_ENGINE = 0.0524, (-1.343, 2.990, -0.652)
-"""Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]."""
 RECORDS = {
     "a": ("ail_1 ail_2 ail_3 el_1 el_2 el_3 rud_1", "ail_4 el_4"),
     "b": ("ail_3 ail_4 el_3 el_4 rud_1", "ail_1 ail_2 el_1 el_2"),
@@ -120,8 +118,7 @@ REAL = {
 QUARTERS = {f"ap2_{k}": k for k in (1, 3, 4)}
 SHARED = {"viggen": "viggen_latlon", "c172p": "c172p", "ap2_blocks": "ampyx_ap2"}
 PAIRS = [*REAL, *QUARTERS, *SHARED]
-LISTED = PAIRS[:-1]
-"""Of the geometric means."""
+LISTED = PAIRS[:-1]  # Of the geometric means
 LONGITUDINAL = ["CX", "CZ", "Cm"]
 
 

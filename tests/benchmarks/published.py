@@ -63,8 +63,8 @@ class Case(NamedTuple):
     tested: dict[str, int]
     centre: np.ndarray
     name: str = ""
+    # From an output to the values of which the absolute error is taken
     inverse: Callable = np.asarray
-    """From an output to the values of which the absolute error is taken."""
 
 
 def case_of(x, truth, gaps, *, by_hidden=False):
@@ -181,6 +181,7 @@ def by_output(case, seed, make, regressors=True, others=True):
 
 
 _JURA = {"scale": 10.0, "noise": 0.1, "replace": True}
+# Settings of the examples; a scale of 0.1 years is 25 working days
 GPAR = {
     "exchange_rates": {"scale": 25.0, "linear": True, "linear_scale": 10.0, "rq": True},
     "EEG": {"scale": 0.02},
@@ -188,7 +189,6 @@ GPAR = {
     "Jura": _JURA,
     "Jura, logarithms": _JURA,
 }
-"""Settings of the examples; a scale of 0.1 years is 25 working days."""
 
 
 def gpar(case, seed):

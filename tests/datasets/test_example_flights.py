@@ -17,8 +17,8 @@ from skdgp.dynamics import aerodynamic_coefficients, air_data, euler_to_matrix
 FLIGHTS = ("lateral", "latlon", "two_altitudes")
 GRAVITY = np.array([0.0, 0.0, 9.80665])
 
+# Fly without the cache, which the tests would empty of the full flights
 fly = _example_flights._flights.__wrapped__
-"""Fly without the cache, which the tests would empty of the full flights."""
 
 
 def true(flight, *names):

@@ -22,6 +22,7 @@ from skdgp.io._dataflash import mixing_of
 
 LIMITS = {"elevator": 0.05, "aileron": 0.1, "rudder": 0.15, "throttle": 0.2}
 FULL = {"elevator": 0.4, "aileron": 0.35, "rudder": 0.5}
+# lua5.4, from Python
 LUA = """
 import sys
 from lupa.lua54 import LuaRuntime
@@ -29,7 +30,6 @@ lua = LuaRuntime()
 lua.globals().arg = lua.table_from(sys.argv[2:])
 lua.globals().dofile(sys.argv[1])
 """
-"""lua5.4, from Python."""
 
 
 @pytest.fixture(scope="module")

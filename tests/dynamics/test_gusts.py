@@ -36,8 +36,8 @@ def transfer(name, omega):
     }[name]
 
 
+# Output and noise of each gust in the linear system
 ROWS = {"u": (0, 0), "v": (1, 1), "w": (2, 2), "p": (6, 3), "q": (7, 2), "r": (8, 1)}
-"""Output and noise of each gust in the linear system."""
 
 
 @pytest.mark.parametrize("name", ROWS)

@@ -21,11 +21,11 @@ from skdgp.identification._assumed import (
 from skdgp.io import FULL_THROW
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
+# Of a stable aircraft, of its dampings, and of its controls
 SIGNS = {
     "CZ_alpha": -1, "Cm_alpha": -1, "Cm_q": -1, "Cl_p": -1, "Cn_beta": 1, "Cn_r": -1,
     "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1, "CX_throttle": 1,
 }  # fmt: skip
-"""Of a stable aircraft, of its dampings, and of its controls."""
 
 
 class TestServos:

@@ -48,6 +48,7 @@ def test_flight(flights):
     return flights.test.iloc[:400]
 
 
+# Columns of the example flights whose sign changes in a mirror at the x-z plane
 ODD = [
     "beta",
     "p",
@@ -63,7 +64,6 @@ ODD = [
     "thrust_l",
     "thrust_n",
 ]
-"""Columns of the example flights whose sign changes in a mirror at the x-z plane."""
 
 
 def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):

@@ -18,10 +18,10 @@ from scipy.io import savemat
 from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
+# Per kind of damage; longer runs go through the same code
 ROUNDS = {".ulg": 4, ".bin": 4, ".mat": 3, ".csv": 8, ".parquet": 8}
-"""Per kind of damage; longer runs go through the same code."""
+# A small file is read within so many seconds, in so many bytes and so many times its own
 SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
-"""A small file is read within so many seconds, in so many bytes and so many times its own."""
 
 
 DOCUMENTED = (

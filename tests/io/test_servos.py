@@ -271,5 +271,5 @@ class TestTemplates:
             servo_template(tmp_path / "log.csv")
 
 
+# Signs of the pulses of the log that every column comes from
 PULSE = {"aileron": 1, "elevator": -1, "rudder": 1}
-"""Signs of the pulses of the log that every column comes from."""

@@ -9,8 +9,7 @@ import pytest
 
 from skdgp.io import FlightReadError, read_flight
 
-OFFSET = 1.7e9
-"""Arrival less the clock of the vehicle [s]."""
+OFFSET = 1.7e9  # Arrival less the clock of the vehicle [s]
 
 
 @pytest.fixture(scope="module")

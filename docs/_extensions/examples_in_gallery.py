@@ -20,7 +20,6 @@ SMALLER = {
         "--n-jobs",
         "1",
     ],
-    "identify_example_flights.py": ["--samples", "150"],
     "pull_up_casadi.py": ["--paths", "100"],
 }
 

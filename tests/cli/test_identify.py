@@ -444,7 +444,6 @@ def test_demo_is_honest(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("short_flights", "name", "arguments"),
     [
-        (1000, "identify_example_flights", ["--samples", "24"]),
         (
             400,
             "grid_search_flights",
@@ -466,6 +465,17 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     example([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out
+
+
+def test_example_of_a_real_flight_says_that_there_is_no_network(tmp_path, monkeypatch, capsys):
+    def refused(*arguments, **options):
+        raise OSError("no route to host")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("urllib.request.urlopen", refused)
+    runpy.run_path(str(EXAMPLES / "real_flight.py"))["main"]([])
+    assert "No log (no route to host). Fetch it from\nhttps://" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("short_flights", "hasty_fits")

@@ -249,13 +249,13 @@ class Identification:
         tested = [
             _evaluation.named(self.pipeline, flight.regressors) for flight in self.evaluations
         ]
-        return EnvelopeDisplay.compute(
-            self.pipeline[-2:], pd.concat(learned), flight=pd.concat(tested), n_grid=12
+        return EnvelopeDisplay.from_estimator(
+            self.pipeline[-2:], pd.concat(learned), flight=pd.concat(tested), n_grid=12, ax=False
         )
 
     def _effects(self) -> EffectsDisplay:
         """Return the effect of each regressor."""
-        return EffectsDisplay.compute(self.pipeline[-2:])
+        return EffectsDisplay.from_model(self.pipeline[-2:], ax=False)
 
     def _facts(self) -> dict[str, str]:
         """Return the facts of the fit as text; empty where a fact does not apply."""

@@ -474,9 +474,11 @@ def simulated_flight(
     columns = [name for name in SHOWN_STATES if name in parts[middle]]
     options: dict[str, Any] = {"columns": columns}
     if not as_aerodynamics(pipeline).is_uncertain:
-        return TimeHistoryDisplay.compute_trajectories(mean, parts[middle], **options)
+        return TimeHistoryDisplay.from_trajectories(mean, parts[middle], ax=False, **options)
     paths = _flown(*flight, n_paths=SHOWN_PATHS)
-    return TimeHistoryDisplay.compute_trajectories(paths, parts[middle], mean=mean, **options)
+    return TimeHistoryDisplay.from_trajectories(
+        paths, parts[middle], mean=mean, ax=False, **options
+    )
 
 
 def _flown(

@@ -1,6 +1,7 @@
 """Figures in scikit-learn's manner: a Display holds the data and draws them, one panel for each key.
 
-A method ``from_...`` computes and draws; ``plot(ax, keys=...)`` draws again, all panels or some;
+A method ``from_...`` computes and draws (not with ``ax=False``); ``plot(ax, keys=...)`` draws again,
+all panels or some;
 ``draw(ax, key)`` draws one into an Axes. They raise ValueError if shapes, names, columns or values
 are wrong. The parameters of the constructor, the panels ``axes_`` and ``figure_`` are attributes.
 Bands hold 95 %. Colours are safe for colour-blind readers. Needs matplotlib: ``pip install
@@ -8,8 +9,8 @@ Bands hold 95 %. Colours are safe for colour-blind readers. Needs matplotlib: ``
 
 Options that the displays share:
 
-ax : Axes, Figure, SubFigure or array of Axes, optional
-    Where to draw; default: a new pyplot figure.
+ax : Axes, Figure, SubFigure, array of Axes or False, optional
+    Where to draw; default: a new pyplot figure. False: do not draw.
 keys : list, optional
     Panels to draw, of ``display.keys``; default all.
 """

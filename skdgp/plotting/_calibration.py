@@ -41,12 +41,8 @@ class CalibrationDisplay(Display):
     nominal: Vector
     observed: Matrix
     output_names: tuple[str, ...]
+    keys = ("coverage",)
     size = (4.6, 3.6)
-
-    @property
-    def keys(self) -> list[str]:
-        """The only panel."""
-        return ["coverage"]
 
     def words(self, key: str) -> str:
         """Return the description of the panel."""
@@ -92,21 +88,6 @@ class CalibrationDisplay(Display):
         (L,) are by default 5 % to 95 % in steps of 5 %, and 99 %. Names of outputs are as for
         :class:`TimeHistoryDisplay`.
         """
-        return cls.compute(
-            measured, mean, std, levels=levels, output_names=output_names
-        ).plot(ax)  # fmt: skip
-
-    @classmethod
-    def compute(
-        cls,
-        measured: ArrayLike,
-        mean: ArrayLike,
-        std: ArrayLike,
-        *,
-        levels: ArrayLike = LEVELS,
-        output_names: Any = None,
-    ) -> Self:
-        """Return what :meth:`from_predictions` draws."""
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)
         nominal = check_levels(levels)
@@ -115,7 +96,7 @@ class CalibrationDisplay(Display):
             nominal=nominal,
             observed=shares_inside(z, nominal),
             output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-        )
+        ).plot(ax)
 
     @classmethod
     def from_estimator(

@@ -46,6 +46,8 @@ class Display:
 
     def plot(self, ax: Any = None, *, keys: Any = None) -> Self:
         """Draw the panels of some ``keys``, default all; for ``ax`` see :mod:`skdgp.plotting`."""
+        if ax is False:
+            return self
         keys = self.keys if keys is None else [keys] if isinstance(keys, str) else list(keys)
         if unknown := [key for key in keys if key not in self.keys]:
             raise ValueError(f"Got the panels {unknown}, but expected some of {self.keys}.")

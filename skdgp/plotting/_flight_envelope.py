@@ -80,16 +80,12 @@ class EnvelopeDisplay(Display):
     points: list[tuple[Vector, Vector]]
     relative_std: Array
     size = (2.9, 2.45)
+    n_columns = 3
 
     @property
     def keys(self) -> list[tuple[str, str]]:
         """The pairs of regressors."""
         return self.pairs
-
-    @property
-    def n_columns(self) -> int:
-        """At most three panels stand side by side."""
-        return 3
 
     def words(self, key: tuple[str, str]) -> str:
         """Return what a panel shows."""
@@ -120,13 +116,7 @@ class EnvelopeDisplay(Display):
     def from_estimator(
         cls, estimator: Any, X: Any, *, flight: Any = None, n_grid: int = 16, ax: Any = None
     ) -> Self:
-        """Draw the uncertainty of an estimator around its data; options are as of :meth:`compute`."""
-        with units_shown(getattr(estimator, "control_units_", {})):
-            return cls.compute(estimator, X, flight=flight, n_grid=n_grid).plot(ax)
-
-    @classmethod
-    def compute(cls, estimator: Any, X: Any, *, flight: Any = None, n_grid: int = 16) -> Self:
-        """Compute the uncertainty of a fitted estimator around its training data X, without drawing it.
+        """Draw the uncertainty of a fitted estimator around its training data X.
 
         The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of
         regressors; it ends in a ``DependentGPRegressor``, or in another whose ``predict`` takes
@@ -153,7 +143,9 @@ class EnvelopeDisplay(Display):
         rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
         ratio = (_moments(predictor, rows)[1] / as_flown).mean(axis=1)
         rho = np.sqrt(ratio).reshape(len(pairs), n_grid, n_grid)
-        return cls(flown=flown, path=path, pairs=pairs, points=points, relative_std=rho)
+        display = cls(flown=flown, path=path, pairs=pairs, points=points, relative_std=rho)
+        with units_shown(getattr(estimator, "control_units_", {})):
+            return display.plot(ax)
 
 
 def _occupied(values: Matrix, axes: Any) -> Matrix:

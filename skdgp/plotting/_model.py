@@ -147,20 +147,17 @@ class EffectsDisplay(Display):
         keys: Any = None,
     ) -> Self:
         """Draw the :func:`skdgp.effects` and the interactions of a model."""
-        check_matplotlib(cls.__name__)
-        with units_shown(getattr(model, "control_units_", {})):
-            return cls.compute(model, X, n_grid=n_grid).plot(ax, keys=keys)
-
-    @classmethod
-    def compute(cls, model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Self:
-        """Return what :meth:`from_model` draws."""
+        if ax is not False:
+            check_matplotlib(cls.__name__)
         terms = effects(model, X, n_grid=n_grid)
-        return cls(
+        display = cls(
             curves=terms.curves,
             importance=terms.importance,
             samples=terms.samples,
             interactions=interactions(model, X),
         )
+        with units_shown(getattr(model, "control_units_", {})):
+            return display.plot(ax, keys=keys)
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -199,16 +196,12 @@ class DerivativeDisplay(Display):
     std: Matrix | None = None
 
     size = (3.2, 1.9)
+    n_columns = 3
 
     @property
     def keys(self) -> list[str]:
         """The derivatives."""
         return list(self.names)
-
-    @property
-    def n_columns(self) -> int:
-        """At most three panels stand side by side."""
-        return 3
 
     def draw(self, ax: Any, key: str) -> None:
         """Draw a derivative."""

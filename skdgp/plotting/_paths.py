@@ -37,12 +37,8 @@ class PathDisplay(Display):
     """
 
     paths: dict[str, pd.DataFrame]
+    keys = ("path",)
     size = (4.6, 4.0)
-
-    @property
-    def keys(self) -> list[str]:
-        """The only panel."""
-        return ["path"]
 
     def words(self, key: str) -> str:
         """Return the description of the panel."""
@@ -71,9 +67,5 @@ class PathDisplay(Display):
     @classmethod
     def from_flights(cls, flights: Mapping[str, pd.DataFrame], *, ax: Any = None) -> Self:
         """Draw flight tables by name."""
-        return cls.compute(flights).plot(ax)
-
-    @classmethod
-    def compute(cls, flights: Mapping[str, pd.DataFrame]) -> Self:
-        """Return the display of flight tables by name, not drawn."""
-        return cls(paths={str(name): ground_path(table, name) for name, table in flights.items()})
+        paths = {str(name): ground_path(table, name) for name, table in flights.items()}
+        return cls(paths=paths).plot(ax)

@@ -31,6 +31,7 @@ LEVEL = 0.95
 MAX_BAND = 0.6
 """Largest part of the lines' range by which a band widens the vertical axis."""
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
+VALUES = ("measured", "mean", "truth", "lower", "upper")
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
 
@@ -93,19 +94,9 @@ class TimeHistoryDisplay(Display):
 
     def residuals(self) -> Self:
         """Return the display of everything less the estimate."""
-
-        def less(values):
-            return None if values is None else values - self.mean
-
-        return replace(
-            self,
-            measured=less(self.measured),
-            mean=less(self.mean),
-            truth=less(self.truth),
-            lower=less(self.lower),
-            upper=less(self.upper),
-            suffix=" less estimate",
-        )
+        arrays = {name: getattr(self, name) for name in VALUES}
+        less = {name: values - self.mean for name, values in arrays.items() if values is not None}
+        return replace(self, suffix=" less estimate", **less)
 
     def between(self, begin: float, end: float) -> Self:
         """Return the display of a time span [s]; raise ValueError if it holds no sample."""
@@ -115,8 +106,7 @@ class TimeHistoryDisplay(Display):
                 f"Got {begin:g} to {end:g} s, but the samples run from {self.time.min():g} to "
                 f"{self.time.max():g} s: choose a span inside."
             )
-        columns = ("time", "measured", "mean", "truth", "lower", "upper", "window", "beyond")
-        arrays = {name: getattr(self, name) for name in columns}
+        arrays = {name: getattr(self, name) for name in (*VALUES, "time", "window", "beyond")}
         return replace(
             self, **{name: values[rows] for name, values in arrays.items() if values is not None}
         )
@@ -225,18 +215,6 @@ class TimeHistoryDisplay(Display):
         ``trajectory`` has ``time``, ``horizon``, ``window`` and the states, and a row for each row
         of the flight and horizon. The horizon [s] is by default the longest.
         """
-        return cls.compute_replay(trajectory, flight, states=states, horizon=horizon).plot(ax)
-
-    @classmethod
-    def compute_replay(
-        cls,
-        trajectory: pd.DataFrame,
-        flight: pd.DataFrame,
-        *,
-        states: Any = LATERAL_STATES,
-        horizon: float | None = None,
-    ) -> Self:
-        """Return what :meth:`from_replay` draws."""
         states = list(states)
         rows = replay_rows(trajectory, horizon)
         check_columns(rows, ["time", "window", *states], what="trajectory")
@@ -253,7 +231,7 @@ class TimeHistoryDisplay(Display):
             mean=rows[states].to_numpy(float),
             window=rows["window"].to_numpy(),
             estimate="replayed",
-        )
+        ).plot(ax)
 
     @classmethod
     def from_trajectories(
@@ -271,18 +249,6 @@ class TimeHistoryDisplay(Display):
         model's mean where it is given, else the median of the paths, which no aircraft flies.
         ``flown`` is the recorded flight, interpolated to the times of the simulation.
         """
-        return cls.compute_trajectories(trajectories, flown, mean=mean, columns=columns).plot(ax)
-
-    @classmethod
-    def compute_trajectories(
-        cls,
-        trajectories: pd.DataFrame,
-        flown: pd.DataFrame | None = None,
-        *,
-        mean: pd.DataFrame | None = None,
-        columns: Any = TRAJECTORY,
-    ) -> Self:
-        """Return what :meth:`from_trajectories` draws."""
         names = list(columns)
         check_columns(trajectories, ["time", *names], what="trajectory")
         if "start" in trajectories and trajectories["start"].nunique() > 1:
@@ -322,16 +288,11 @@ class TimeHistoryDisplay(Display):
             measured=None if flown is None else _interpolated(flown, time, names, values[0, 0]),
             beyond=beyond,
             estimate="simulated" if n_paths == 1 or mean is not None else "median of the paths",
-        )
+        ).plot(ax)
 
     @classmethod
     def from_inputs(cls, flight: pd.DataFrame, *, channels: Any = None, ax: Any = None) -> Self:
         """Draw the inputs of a flight (the paper's figure 4), by default throttle and surfaces."""
-        return cls.compute_inputs(flight, channels=channels).plot(ax)
-
-    @classmethod
-    def compute_inputs(cls, flight: pd.DataFrame, *, channels: Any = None) -> Self:
-        """Return what :meth:`from_inputs` draws."""
         names = [name for name in INPUTS if name in flight] if channels is None else list(channels)
         if not names:
             raise ValueError(
@@ -342,7 +303,7 @@ class TimeHistoryDisplay(Display):
             time=check_time(flight["time"]),
             names=tuple(names),
             measured=flight[names].to_numpy(float),
-        )
+        ).plot(ax)
 
 
 def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

@@ -265,7 +265,7 @@ class ReportContent:
     verdict, mechanics : Verdict, FlightMechanics, optional
         Verdict on the uses of the model; trim, derivatives and modes.
     envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
-        As from ``compute``.
+        Not drawn yet (``ax=False``).
     air : str
         The air that was flown: steady wind and gusts.
     sections : sequence of str

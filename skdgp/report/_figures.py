@@ -122,8 +122,8 @@ def state_figure(result: FlightResult, span: Any) -> str:
     if result.replay is None or result.table is None or not result.replayed_states:
         return ""
     horizon = float(result.replay["horizon"].min())
-    display = TimeHistoryDisplay.compute_replay(
-        result.replay, result.table, states=result.replayed_states, horizon=horizon
+    display = TimeHistoryDisplay.from_replay(
+        result.replay, result.table, states=result.replayed_states, horizon=horizon, ax=False
     )
     if span is not None and np.any((display.time >= span[0]) & (display.time <= span[1])):
         display = display.between(*span)

@@ -443,7 +443,9 @@ def _of_model(content: ReportContent) -> list[str]:
             np.concatenate([getattr(result, name) for result in content.test])
             for name in ("measured", "mean", "noisy_std")
         ]
-        calibration = CalibrationDisplay.compute(*columns, output_names=COEFFICIENTS)
+        calibration = CalibrationDisplay.from_predictions(
+            *columns, output_names=COEFFICIENTS, ax=False
+        )
     displays = (calibration, content.effects, content.envelope)
     return [
         _section(title, figures.display_figure(display, caption=caption))
@@ -465,10 +467,12 @@ def _flown(content: ReportContent) -> str:
             "Path over the ground, north up; the flight's marker shows where it begins. Without "
             "recorded positions: integrated from the velocities, from the origin."
         )
-        parts.append(figures.display_figure(PathDisplay.compute(tracked), caption=caption))
+        parts.append(
+            figures.display_figure(PathDisplay.from_flights(tracked, ax=False), caption=caption)
+        )
     shown = list(flights.items())[: 2 * MOST_OPEN]
     for name, flight in shown:
-        display = TimeHistoryDisplay.compute_inputs(flight)
+        display = TimeHistoryDisplay.from_inputs(flight, ax=False)
         parts.append(figures.display_figure(display, caption=f"Inputs of {text(name)}."))
     if len(shown) < len(flights):
         parts.append(_note(f"Inputs of the first {len(shown)} of {len(flights)} flights."))

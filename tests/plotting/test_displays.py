@@ -254,7 +254,7 @@ class TestStates:
         table = pd.DataFrame({"time": time, "p": np.sin(time)})
         both = pd.concat(parts)
         for options, n_windows in (({}, 4), ({"horizon": 2.0}, 20)):
-            display = TimeHistoryDisplay.compute_replay(both, table, states=["p"], **options)
+            display = TimeHistoryDisplay.from_replay(both, table, ax=False, states=["p"], **options)
             assert len(np.unique(display.window)) == n_windows
         with pytest.raises(ValueError, match=r"holds \[2.0, 10.0\] s"):
             TimeHistoryDisplay.from_replay(both, table, states=["p"], horizon=3.0)

@@ -74,7 +74,7 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     slopes = np.ptp(strongest.mean, axis=0) / np.ptp(strongest.at) * np.sign(strongest.mean[-1])
     assert np.diff(slopes) == pytest.approx(20 * np.diff(strongest.levels), rel=0.15)
     assert (strongest.std >= 0).all()
-    display = EffectsDisplay.compute(joint)
+    display = EffectsDisplay.from_model(joint, ax=False)
     display.draw(ax := Figure().subplots(), ("CZ", 0))
     _, low, high = ax.lines
     np.testing.assert_allclose(low.get_ydata(), display.interactions["CZ"][0].mean[:, 0])

@@ -80,7 +80,7 @@ def test_no_excursion_of_the_other_flight_is_lost(display):
 def test_other_regressors():
     X = flown()[NAMES[:2]]
     process = GaussianProcessRegressor(optimizer=None).fit(X, np.sin(10 * X["alpha"]))
-    display = EnvelopeDisplay.compute(process, X, n_grid=4)
+    display = EnvelopeDisplay.from_estimator(process, X, n_grid=4, ax=False)
     assert display.pairs == [("alpha", "beta")]
     grid = np.stack(np.meshgrid(*display.points[0]), axis=-1).reshape(-1, 2)
     std = process.predict(pd.DataFrame(grid, columns=X.columns), return_std=True)[1]
@@ -91,4 +91,4 @@ def test_other_regressors():
 
 def test_regressors_need_names(model):
     with pytest.raises(ValueError, match="without names"):
-        EnvelopeDisplay.compute(model[-2:], np.zeros((3, 4)))
+        EnvelopeDisplay.from_estimator(model[-2:], np.zeros((3, 4)), ax=False)

@@ -41,10 +41,10 @@ def test_the_line_is_the_trajectory_of_the_mean():
     paths, turned = ensemble(), 3.0 + 0.28 * TIME
     mean = pd.DataFrame({"time": TIME + 7, "airspeed": 31.0, "psi": np.angle(np.exp(1j * turned))})
     columns = ["psi", "airspeed"]
-    display = TimeHistoryDisplay.compute_trajectories(paths, mean=mean, columns=columns)
+    display = TimeHistoryDisplay.from_trajectories(paths, mean=mean, ax=False, columns=columns)
     np.testing.assert_allclose(display.mean[:, 0], turned, atol=1e-9)
     assert (display.mean[:, 1] == 31.0).all()
-    of_paths = TimeHistoryDisplay.compute_trajectories(paths, columns=columns)
+    of_paths = TimeHistoryDisplay.from_trajectories(paths, columns=columns, ax=False)
     assert (display.estimate, of_paths.estimate) == ("simulated", "median of the paths")
     np.testing.assert_allclose(display.upper - display.lower, of_paths.upper - of_paths.lower)
     with pytest.raises(ValueError, match="a mean of 3 rows, but expected the 200 of each path"):
@@ -53,7 +53,7 @@ def test_the_line_is_the_trajectory_of_the_mean():
 
 def test_the_flown_heading_is_on_the_turn_of_the_simulation():
     flown = pd.DataFrame({"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi)})
-    display = TimeHistoryDisplay.compute_trajectories(ensemble(), flown, columns=["psi"])
+    display = TimeHistoryDisplay.from_trajectories(ensemble(), flown, columns=["psi"], ax=False)
     np.testing.assert_allclose(display.measured[:, 0], 3.0 + 0.3 * TIME, atol=1e-9)
     assert np.abs(display.measured - display.mean).max() < 0.35
 

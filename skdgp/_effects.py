@@ -79,9 +79,7 @@ class Effects:
         """
         regressor, before, _, _ = split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
-        moments = {
-            name: term.predict(X, return_variance=True) for name, term in self._terms.items()
-        }
+        moments = {name: term.predict(X) for name, term in self._terms.items()}
         mean = {name: values * regressor.scale_ for name, (values, _) in moments.items()}
         if not return_std:
             return mean
@@ -158,7 +156,7 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
             points = np.tile(rows.mean(axis=0), (n_grid, 1))
             low, high = np.quantile(rows[:, k], RANGE)
             points[:, k] = np.linspace(low, high, n_grid)
-            mean, variance = terms[name].predict(points, return_variance=True)
+            mean, variance = terms[name].predict(points)
             curves[name] = Curve(
                 in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale
             )

@@ -74,9 +74,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     ----------
     estimator : regressor or Pipeline
         Its ``predict`` takes ``return_std``.
-    method : {"conformal", "variance"}, default="conformal"
-        "variance" scales the mean squared score to one, with equal weight per flight, and assumes
-        normal errors: it varies less with few flights, but has no guarantee.
     level : float, default=0.95
         Level at which the normal interval of the scaled standard deviation is the conformal one.
     cv : None, int, splitter, iterable or "prefit", default=None
@@ -124,7 +121,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     acts_on_outputs = True  # see skdgp.dynamics.as_aerodynamics
     _parameter_constraints: dict = {
         "estimator": [HasMethods(["fit", "predict"])],
-        "method": [StrOptions({"conformal", "variance"})],
         "level": [Interval(Real, 0, 1, closed="neither")],
         "cv": ["cv_object", StrOptions({"prefit"})],
         "n_jobs": [Integral, None],
@@ -134,13 +130,11 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         self,
         estimator: Any,
         *,
-        method: str = "conformal",
         level: float = 0.95,
         cv: Any = None,
         n_jobs: int | None = None,
     ) -> None:
         self.estimator = estimator
-        self.method = method
         self.level = level
         self.cv = cv
         self.n_jobs = n_jobs
@@ -206,9 +200,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
                 "these outputs out, or observe them in more flights."
             )
         self.max_level_ = self.n_units_ / (self.n_units_ + 1)
-        self.guaranteed_ = (self.max_level_ >= self.level - ROUNDING) & (self.method == "conformal")
+        self.guaranteed_ = self.max_level_ >= self.level - ROUNDING
         self.std_scale_ = self._half_widths(self.level) / half_width(self.level)
-        if self.method == "conformal" and not self.guaranteed_.all():
+        if not self.guaranteed_.all():
             few = ~self.guaranteed_
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
             n, top = self.n_units_[few].min(), self.max_level_[few].min()
@@ -228,13 +222,9 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         for k, column in enumerate(self.calibration_scores_.T):
             rows = ~np.isnan(column)
             scores, weights = column[rows], unit_weights(self.calibration_units_[rows])
-            if self.method == "variance":
-                widths.append(half_width(level) * np.sqrt(weights @ scores**2))
-            else:
-                total = (
-                    self.max_level_[k] if self.guaranteed_[k] else 1.0
-                )  # the next flight weighs 1 / (K + 1)
-                widths.append(weighted_quantile(scores, total * weights, level))
+            # the next flight weighs 1 / (K + 1)
+            total = self.max_level_[k] if self.guaranteed_[k] else 1.0
+            widths.append(weighted_quantile(scores, total * weights, level))
         return np.array(widths)
 
     def predict(

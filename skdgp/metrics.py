@@ -4,7 +4,7 @@ Targets are (n,) or (n, P). A NaN target was not observed and is left out, outpu
 ``multioutput`` is scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"``
 for their mean, or an array of weights. The metric of an output that is never observed is NaN, with
 a warning. The metrics raise ValueError if shapes differ, a prediction is not finite, a standard
-deviation is not positive (negative, for ``coverage_curve``), or a level is not inside (0, 1). The
+deviation is not positive, or a level is not inside (0, 1). The
 scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
 """
 
@@ -22,14 +22,14 @@ from sklearn.exceptions import UndefinedMetricWarning
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
-from skdgp._compute.statistics import LEVELS, check_levels, half_width, shares_inside, standardized
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import flight_rows
 
 __all__ = [
-    "SCORERS", "continuous_ranked_probability_score", "coverage_curve", "interval_coverage", "make_predictive_scorer",
-    "median_relative_error", "negative_log_predictive_density", "normalized_rmse", "score_flights", "score_outputs",
+    "SCORERS", "continuous_ranked_probability_score", "interval_coverage", "median_relative_error",
+    "negative_log_predictive_density", "normalized_rmse", "score_flights", "score_outputs",
 ]  # fmt: skip
 
 Average: TypeAlias = "str | ArrayLike"
@@ -175,46 +175,14 @@ def interval_coverage(
     return _aggregate(_by_output(np.mean, inside, target), multioutput)
 
 
-def coverage_curve(
-    y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, levels: ArrayLike = LEVELS
-) -> pd.DataFrame:
-    """Return the fraction of targets inside central intervals of several levels, by output.
-
-    Below the diagonal the standard deviations are too small, above it too large.
-
-    Parameters
-    ----------
-    y_true, y_pred, y_std : array-like (n,) or (n, P)
-        An interval of deviation 0 holds the targets that equal its mean.
-    levels : array-like (L,), default 0.05 to 0.95 in steps of 0.05, and 0.99
-        Nominal probabilities of the intervals.
-
-    Returns
-    -------
-    DataFrame (L, P)
-        A row per level, rising, a column per output; NaN for an output never observed.
-
-    Examples
-    --------
-    >>> coverage_curve([0.0, 1.9, 2.1, -3.0], [0.0] * 4, [1.0] * 4, levels=[0.5, 0.95])[0].tolist()
-    [0.25, 0.5]
-    """
-    levels = check_levels(levels)
-    shares = shares_inside(
-        standardized(*check_scored(y_true, y_pred, y_std, zero_std=True)), levels
-    )
-    names = output_names(y_true) or range(shares.shape[1])
-    return pd.DataFrame(shares, index=pd.Index(levels, name="level"), columns=names)
-
-
 def output_names(y: object) -> list:
     """Return the outputs' names of a DataFrame, or of a Series that has one; else an empty list."""
     name = getattr(y, "name", None)
     return list(getattr(y, "columns", [] if name is None or name == "" else [name]))
 
 
-def check_scored(y_true: ArrayLike, *predicted: ArrayLike, zero_std: bool = False) -> list[Matrix]:
-    """Return targets, means and deviations as (n, P) floats; deviations are positive, or 0 with ``zero_std``."""
+def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
+    """Return targets, means and deviations as (n, P) floats; deviations are positive."""
     target = np.asarray(y_true, dtype=float)
     predictions = [np.asarray(values, dtype=float) for values in predicted]
     for name, values in zip(("y_pred", "y_std"), predictions, strict=False):
@@ -236,10 +204,7 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike, zero_std: bool = Fals
         raise ValueError(
             "Got infinite values in y_true, but expected finite ones or NaN (not observed)."
         )
-    if (
-        len(predictions) == 2
-        and not ((predictions[1] > 0) | (zero_std & (predictions[1] == 0))).all()
-    ):
+    if len(predictions) == 2 and not (predictions[1] > 0).all():
         raise ValueError(
             f"Got y_std down to {predictions[1].min():g}, but expected positive values."
         )
@@ -282,57 +247,21 @@ def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
     )
 
 
-def make_predictive_scorer(
-    metric: Callable, *, greater_is_better: bool, needs_std: bool = False, **kwargs: Any
-) -> Callable[..., float]:
-    """Return a scorer ``(estimator, X, y) -> float`` of a metric that may need predicted standard deviations.
+@dataclass(frozen=True)
+class _Scorer:
+    """A scorer ``(estimator, X, y) -> float`` of a metric that may need predicted standard deviations.
 
-    Parameters
-    ----------
-    metric : callable
-        ``metric(y_true, y_pred, **kwargs)``; with ``needs_std``, ``metric(y_true, y_pred, y_std,
-        **kwargs)``.
-    greater_is_better : bool
-        False flips the sign, as scikit-learn maximises scores.
-    needs_std : bool, default=False
-        Whether to call ``predict(X, return_std=True)``, with ``include_noise=True`` where the
-        estimator takes it, as the targets are measurements.
-    **kwargs
-        Passed to the metric.
-
-    Returns
-    -------
-    callable
-        For ``scoring=``; it can be pickled.
-
-    Examples
-    --------
-    >>> from sklearn.gaussian_process import GaussianProcessRegressor
-    >>> from sklearn.model_selection import cross_val_score
-    >>> import numpy as np
-    >>> X, y = np.linspace(0, 3, 30)[:, None], np.sin(np.linspace(0, 3, 30))
-    >>> half = make_predictive_scorer(interval_coverage, greater_is_better=True, needs_std=True, level=0.5)
-    >>> scores = cross_val_score(GaussianProcessRegressor(alpha=1e-6), X, y, scoring=half, cv=3)
-    >>> scores.shape
-    (3,)
+    They include the noise where the estimator's ``predict`` takes ``include_noise``, as the targets
+    are measurements. ``sign`` is -1 for errors, as scikit-learn maximises scores.
     """
-    return _PredictiveScorer(metric, greater_is_better, needs_std, kwargs)
 
-
-@dataclass(frozen=True, repr=False)
-class _PredictiveScorer:
     metric: Callable
-    greater_is_better: bool
-    needs_std: bool
-    kwargs: dict[str, Any]
+    sign: int = -1
+    needs_std: bool = True
 
     def __call__(self, estimator: Any, X: Any, y: Any) -> float:
         rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
-        value = self.metric(safe_indexing(y, rows), *predicted, **self.kwargs)
-        return value if self.greater_is_better else -value
-
-    def __repr__(self) -> str:
-        return f"make_predictive_scorer({self.metric.__name__}, greater_is_better={self.greater_is_better})"
+        return self.sign * self.metric(safe_indexing(y, rows), *predicted)
 
 
 POINT = (median_relative_error, normalized_rmse)
@@ -341,18 +270,12 @@ PROBABILISTIC = (
     continuous_ranked_probability_score,
     interval_coverage,
 )
-
 SCORERS = {
-    name: make_predictive_scorer(
-        metric, greater_is_better=greater, needs_std=metric in PROBABILISTIC
-    )
-    for name, metric, greater in (
-        ("neg_median_relative_error", median_relative_error, False),
-        ("neg_normalized_rmse", normalized_rmse, False),
-        ("log_predictive_density", negative_log_predictive_density, False),
-        ("neg_continuous_ranked_probability_score", continuous_ranked_probability_score, False),
-        ("interval_coverage", interval_coverage, True),
-    )
+    "neg_median_relative_error": _Scorer(median_relative_error, needs_std=False),
+    "neg_normalized_rmse": _Scorer(normalized_rmse, needs_std=False),
+    "log_predictive_density": _Scorer(negative_log_predictive_density),
+    "neg_continuous_ranked_probability_score": _Scorer(continuous_ranked_probability_score),
+    "interval_coverage": _Scorer(interval_coverage, sign=1),
 }
 """Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near
 its level.

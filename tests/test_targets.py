@@ -14,7 +14,7 @@ from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._inputs import as_starts
 from skdgp.dynamics._replay import coefficient_array
-from skdgp.metrics import coverage_curve, score_outputs
+from skdgp.metrics import score_outputs
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -79,10 +79,6 @@ def test_thinned(library):
         assert type(thin) is type(Y)
         assert column_names(thin) == column_names(Y)
         assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
-
-
-def test_coverage(library):
-    assert list(coverage_curve(library.DataFrame(TARGETS), X, np.ones((40, 2)))) == ["CZ", "Cm"]
 
 
 def test_coefficients_and_starts_are_taken_by_name(library):

@@ -12,7 +12,7 @@ from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
 LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
-"""Probabilities of the intervals that ``coverage_curve`` counts by default."""
+"""Probabilities of the intervals of a calibration display by default."""
 
 
 def autocorrelation_time(residuals: Vector) -> float:

@@ -39,7 +39,6 @@ from skdgp.report import (
 
 FORMAT = 1  # of the metrics
 WIDTHS = {
-    "spherical": "one width for all regressors",
     "diag": "one width for each regressor",
     "full": "a full matrix of widths",
     "tied": "one width for each regressor, common to all outputs",

@@ -320,12 +320,11 @@ class CentredTerm:
             self.mixture, [zero if term is None else term.values for term in self.terms]
         )
 
-    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance at X (n, d): (n, P) each."""
-        zero = np.zeros((len(X), self.mixture.shape[1]))
-        none = (zero, zero) if return_variance else zero
-        found = [none if term is None else term.predict(X, return_variance) for term in self.terms]
-        return moments(self.mixture, found, return_variance)
+    def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
+        """Return the mean and the variance at X (n, d), (n, P) each."""
+        zero = np.zeros((2, len(X), self.mixture.shape[1]))
+        found = [zero if term is None else term.predict(X) for term in self.terms]
+        return moments(self.mixture, found, return_variance=True)
 
 
 class _MemberTerm:
@@ -340,19 +339,18 @@ class _MemberTerm:
         self._means = [A.mean(axis=0) for A, _ in loadings]
         self._variances = [kernel.block(i, i, X, X).mean() for i in outputs]
 
-    def predict(self, X: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance of g at X (n, d): (n, P) each."""
+    def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
+        """Return the mean and the variance of g at X (n, d), (n, P) each."""
+        kernel = self.posterior.kernel
         mean, variance = np.empty((2, len(X), len(self._means)))
         for i, centre in enumerate(self._means):
             A, b = self.posterior.loading(i, X)
             A = A - centre
             mean[:, i] = A @ b
-            if return_variance:
-                kernel = self.posterior.kernel
-                shared = kernel.block(i, i, X, self.X).mean(axis=1)
-                prior = np.maximum(kernel.block_diag(i, X) - 2 * shared + self._variances[i], 0.0)
-                variance[:, i] = unexplained_variance(prior, self.posterior.explained(i, A))
-        return (mean, variance) if return_variance else mean
+            shared = kernel.block(i, i, X, self.X).mean(axis=1)
+            prior = np.maximum(kernel.block_diag(i, X) - 2 * shared + self._variances[i], 0.0)
+            variance[:, i] = unexplained_variance(prior, self.posterior.explained(i, A))
+        return mean, variance
 
 
 def training_inputs(posterior: Posterior) -> Matrix:

@@ -19,13 +19,6 @@ from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
 from skdgp.kernels._gaussian_filters import FilterPair, precision
 
-TIED_AXIS = {
-    "tied": 1,
-    "spherical": 2,
-}  # axis of length_scale (M, P, d) along which values are equal
-MAX_SCALE_RATIO = (
-    1e5  # largest over smallest standard deviation of regressors with a common length scale
-)
 CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
 # what it changes is 1e-18 of the variance, below rounding
 ADDITIVE_AMPLITUDE = (
@@ -36,7 +29,7 @@ SPACING = "spacing"  # of length_scale_bounds
 NOISE_AMPLITUDE = (
     0.1  # below this fraction of its starting amplitude an output was explained as noise
 )
-COVARIANCE_TYPES = ("spherical", "diag", "full", "tied")  # also those of DependentGPRegressor
+COVARIANCE_TYPES = ("diag", "full", "tied")  # also those of DependentGPRegressor
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 SHARED_VARIANCE = 0.5
 """Part of an output's variance that starts in the shared latents, if it has a private latent.
@@ -74,10 +67,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         Number of latent processes that all outputs share.
     private_latents : bool
         Whether each output also has a private latent process.
-    covariance_type : {"spherical", "diag", "full", "tied"}
-        Widths of the filters: "spherical" one number, "diag" one width for each regressor, "full" a
-        full matrix, "tied" one width for each regressor, equal for all outputs of a latent (with
-        zero shifts this is the linear model of coregionalisation).
+    covariance_type : {"diag", "full", "tied"}
+        Widths of the filters: "diag" one width for each regressor, "full" a full matrix, "tied" one
+        width for each regressor, equal for all outputs of a latent (with zero shifts this is the
+        linear model of coregionalisation).
     regressors : sequence of int or None
         Columns of X that the outputs depend on, for additive models: a sum of kernels of few
         regressors each. Length scales of the others are fixed at 1e9 times their standard deviation
@@ -97,7 +90,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     shift : array (M, P, d) or float
         mu, in the units of the regressors. Only differences between outputs matter, so the first
         output has zero.
-    amplitude_bounds, length_scale_bounds, shear_bounds, shift_bounds : pair, array or None
+    amplitude_bounds, length_scale_bounds, shift_bounds : pair, array or None
         Bounds on the values, (..., 2) for an array, or "fixed". None: from the data, widths of .05
         to 1000 standard deviations of the regressor. ``length_scale_bounds="spacing"``: widths of
         at least n^(-1/d) standard deviations, for n samples, at most 400, in d regressors. In many
@@ -126,7 +119,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         shift: Any = 0.0,
         amplitude_bounds: Any = None,
         length_scale_bounds: Any = None,
-        shear_bounds: Any = None,
         shift_bounds: Any = "fixed",
     ) -> None:
         self.n_latent = n_latent
@@ -140,7 +132,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.shift = shift
         self.amplitude_bounds = amplitude_bounds
         self.length_scale_bounds = length_scale_bounds
-        self.shear_bounds = shear_bounds
         self.shift_bounds = shift_bounds
 
     # -- shapes
@@ -171,16 +162,11 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         lengths = as_shape("length_scale", lengths, (M, P, d))
         lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
-        axis, fed = TIED_AXIS.get(self.covariance_type, 0), feeds[..., None] > 0
-        least, most = (
-            np.where(fed, lengths, np.inf).min(axis),
-            np.where(fed, lengths, 0.0).max(axis),
-        )
-        if axis and (least < (1 - 1e-9) * most).any():
-            along = "regressors" if self.covariance_type == "spherical" else "outputs"
+        fed = feeds[..., None] > 0
+        least, most = np.where(fed, lengths, np.inf).min(1), np.where(fed, lengths, 0.0).max(1)
+        if self.covariance_type == "tied" and (least < (1 - 1e-9) * most).any():
             raise ValueError(
-                f"Got length scales that differ along the {along} with "
-                f"covariance_type={self.covariance_type!r}, but "
+                "Got length scales that differ along the outputs with covariance_type='tied', but "
                 "expected equal ones: use covariance_type='diag', or give equal length scales."
             )
         return {
@@ -201,10 +187,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             raise ValueError(
                 f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
             )
-        if self.covariance_type not in ("diag", "tied"):
+        if self.covariance_type == "full":
             raise ValueError(
-                f"Got regressors with covariance_type={self.covariance_type!r}, but expected "
-                f"'diag' or 'tied'."
+                "Got regressors with covariance_type='full', but expected 'diag' or 'tied'."
             )
         return ~np.isin(np.arange(d), columns)
 
@@ -284,12 +269,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
         if coarse:
             start |= {name: coarse.value(name) for name in ("amplitude", "length_scale")}
-        if self.covariance_type == "spherical":
-            start |= {
-                name: common_scale(start[name], X)
-                for name in ("length_scale", "length_scale_bounds")
-            }
-        elif self.covariance_type == "tied":
+        if self.covariance_type == "tied":
             mean = np.log(start["length_scale"]).mean(axis=1, keepdims=True)
             start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
         if others.any() and not singles and not coarse:
@@ -332,16 +312,13 @@ class ConvolvedGaussian(MultiOutputKernel):
             and self.length_scale is None
             and self._widths_from_data()
         ):
-            default = {"shear": 0.0, "shift": 0.0, "shear_bounds": None, "shift_bounds": "fixed"}
+            default = {"shear": 0.0, "shift": 0.0, "shift_bounds": "fixed"}
             return clone(self).set_params(covariance_type="tied", **default)
         return self
 
     def single_output(self) -> MultiOutputKernel:
-        kind = "spherical" if self.covariance_type == "spherical" else "diag"
         bounds = self.length_scale_bounds if self._widths_from_data() else None
-        return ConvolvedGaussian(
-            0, covariance_type=kind, regressors=self.regressors, length_scale_bounds=bounds
-        )
+        return ConvolvedGaussian(0, regressors=self.regressors, length_scale_bounds=bounds)
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
@@ -362,13 +339,12 @@ class ConvolvedGaussian(MultiOutputKernel):
         # One filter for each latent and output, or for each latent if "tied".
         filters = latent * P + output
         width = latent if self.covariance_type == "tied" else filters
-        per_feature = np.zeros(d, int) if self.covariance_type == "spherical" else np.arange(d)
         matters = ~self.without_effect(d)
         shifted = feeds & (
             output != feeds.argmax(axis=1)[:, None]
         )  # only differences between outputs matter
         length_bounds = None if self._widths_from_data() else self.length_scale_bounds
-        lengths = renumber(width[..., None] * d + per_feature, feeds[..., None] & matters)
+        lengths = renumber(width[..., None] * d + np.arange(d), feeds[..., None] & matters)
         shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
         free = [
             FreeParameter(
@@ -382,9 +358,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         ]
         if self.covariance_type == "full":
             index = renumber(filters[..., None] * pairs + np.arange(pairs), feeds[..., None])
-            free.append(
-                FreeParameter("shear", index, False, or_default(self.shear_bounds, (-10.0, 10.0)))
-            )
+            free.append(FreeParameter("shear", index, False, (-10.0, 10.0)))
         return free
 
     # -- parameters of the paper
@@ -498,27 +472,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
-
-
-def common_scale(scales, X: Matrix) -> np.ndarray:
-    """Return the geometric mean of scales (M, P, d, ...) over the regressors that vary in X, for all regressors.
-
-    Raises ValueError if they differ too much for a common length scale.
-    """
-    varies = ~constant_columns(X)
-    if not varies.any():
-        return scales
-    spread = column_scale(X)[varies]
-    if spread.max() > MAX_SCALE_RATIO * spread.min():
-        raise ValueError(
-            f"Got regressors with standard deviations from {spread.min():.2g} to "
-            f"{spread.max():.2g}, but "
-            "covariance_type='spherical' has one length scale for all of them. Scale the "
-            "regressors (StandardScaler), "
-            "or use covariance_type='diag'."
-        )
-    mean = np.exp(np.log(scales[:, :, varies]).mean(axis=2, keepdims=True))
-    return np.broadcast_to(mean, scales.shape).copy()
 
 
 # -- starting values from the data

@@ -158,11 +158,10 @@ class FilterPair:
     def derivative_times(self, Xi: Matrix, Xj: Matrix, weights: Vector) -> Matrix:
         """Return sum_b d cov_ij(Xi, Xj_b) / d Xi weights_b, (n_i, d)."""
         middle = _middle(Xj)
+        W = np.broadcast_to(weights, (len(Xi), len(Xj)))
         total = np.zeros(np.shape(Xi))
-        weighted = weights[:, None] * np.column_stack([Xj - middle, np.ones(len(Xj))])
-        for m, exponent in enumerate(self.exponents(Xi, Xj)):
-            sums = exponential_times(exponent, weighted, len(Xi))
-            separation = (Xi - middle - self.mu[m]) * sums[:, -1:] - sums[:, :-1]
+        for m, (rows, _, Gb) in enumerate(weighted_sums(self.exponents(Xi, Xj), W, Xj - middle)):
+            separation = (Xi - middle - self.mu[m]) * rows[:, None] - Gb
             total -= self.gain[m] * separation @ self.Sigma(m)
         return total
 
@@ -328,17 +327,6 @@ def signed_sum(exponents: list[Exponent], signs: Vector, shape: tuple[int, int])
                 E = exponent.exponential(rows, buffer[: out.size].reshape(out.shape))
                 (np.add if sign > 0 else np.subtract)(out, E, out=out)
     return total
-
-
-def exponential_times(exponent: Exponent, B: Matrix, n_rows: int) -> Matrix:
-    """Return exp(exponent) @ B, (n_rows, k)."""
-    out = np.empty((n_rows, B.shape[1]))
-    buffer = _strip_buffer(n_rows, len(B))
-    for rows in strips(n_rows, len(B)):
-        size = len(out[rows])
-        E = exponent.exponential(rows, buffer[: size * len(B)].reshape(size, len(B)))
-        np.matmul(E, B, out=out[rows])
-    return out
 
 
 def weighted_sums(

@@ -73,7 +73,7 @@ def model(flights, cut_short):
 class TestScikitLearnContract:
     @pytest.mark.parametrize(
         "estimator",
-        [CalibratedRegressor(BayesianRidge()), CalibratedRegressor(QUICK, cv=2, method="variance")],
+        [CalibratedRegressor(BayesianRidge()), CalibratedRegressor(QUICK, cv=2)],
         ids=["single output", "several outputs"],
     )
     @pytest.mark.filterwarnings("ignore")
@@ -89,8 +89,8 @@ class TestScikitLearnContract:
 
     def test_serves_in_searches_and_scores(self, flights):
         search = GridSearchCV(
-            CalibratedRegressor(pipeline(), method="variance", cv=2),
-            {"estimator__dependentgpregressor__trend": ["linear"], "method": ["variance"]},
+            CalibratedRegressor(pipeline(), level=0.6, cv=2),
+            {"estimator__dependentgpregressor__trend": ["linear"], "level": [0.6]},
             cv=LeaveOneGroupOut(),
             scoring=SCORERS["neg_continuous_ranked_probability_score"],
             error_score="raise",
@@ -168,21 +168,6 @@ class TestScaling:
     def test_offsets_that_no_single_flight_shows_widen_their_output_alone(self, model):
         assert model.std_scale_[0] > 1.5 * model.std_scale_[1]
 
-    def test_variance_makes_squares_one_on_average_of_flights(self, flights):
-        model = CalibratedRegressor(pipeline(), method="variance").fit(*flights)
-        standardized = model.calibration_scores_ / model.std_scale_
-        by_flight = [
-            np.nanmean(standardized[model.calibration_units_ == k] ** 2, axis=0) for k in range(4)
-        ]
-        np.testing.assert_allclose(np.mean(by_flight, axis=0), 1.0)
-        assert not model.guaranteed_.any()
-        mean, std = model.predict(flights[0], return_std=True)
-        for level in (0.5, 0.95):
-            np.testing.assert_allclose(
-                model.predict_interval(flights[0], level=level)[1],
-                mean + norm.ppf(0.5 + level / 2) * std,
-            )
-
     def test_an_output_seen_in_fewer_flights_guarantees_less(self, flights):
         table, Y = flights
         Y = Y.copy()
@@ -257,7 +242,7 @@ class TestErrors:
             CalibratedRegressor(fitted, cv="prefit").fit(table, Y.assign(Cm=np.nan))
 
     def test_says_what_it_expects(self, model, flights):
-        for parameters in ({"level": 95}, {"method": "normal"}, {"cv": "flights"}, {"cv": 1}):
+        for parameters in ({"level": 95}, {"cv": "flights"}, {"cv": 1}):
             with pytest.raises(ValueError, match=f"The {next(iter(parameters))!r} parameter"):
                 CalibratedRegressor(pipeline(), **parameters).fit(*flights)
         with pytest.raises(ValueError, match="expected a probability"):

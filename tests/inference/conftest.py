@@ -55,7 +55,7 @@ def assert_gradient():
 
 def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
     rng = np.random.default_rng(seed)
-    widths = {"spherical": (2 + P, P, 1), "tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
+    widths = {"tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
     kernel = ConvolvedGaussian(
         2,
         covariance_type=kind,
@@ -82,7 +82,7 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
     )
 
 
-@pytest.fixture(params=["diag", "full", "tied", "spherical", "diag without trend"])
+@pytest.fixture(params=["diag", "full", "tied", "diag without trend"])
 def problem(request):
     return make_problem(request.param.split()[0], "without" not in request.param)
 

@@ -28,7 +28,7 @@ def convolved(
     """A kernel whose every amplitude, width, shear and, on request, shift is different."""
     rng = np.random.default_rng(seed)
     M = n_latent + P * private
-    widths = {"spherical": (M, P, 1), "tied": (M, 1, d)}.get(covariance_type, (M, P, d))
+    widths = {"tied": (M, 1, d)}.get(covariance_type, (M, P, d))
     feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P) * private])[:M]
     mu = np.zeros((M, P, d))
     if shift:
@@ -56,7 +56,7 @@ def trend(P=3, d=2, seed=1):
 KERNELS = {
     **{
         f"{kind}, shifted": convolved(covariance_type=kind, shift=True)
-        for kind in ("spherical", "diag", "full", "tied")
+        for kind in ("diag", "full", "tied")
     },
     "full in three regressors": convolved(1, 2, 3, "full", shift=True),
     "without private latents": convolved(2, private=False, shift=True),

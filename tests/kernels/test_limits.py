@@ -56,7 +56,7 @@ def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("covariance_type", ["spherical", "diag", "full", "tied"])
+@pytest.mark.parametrize("covariance_type", ["diag", "full", "tied"])
 def test_one_latent_through_equal_filters_correlates_fully(covariance_type, sign, rng):
     kernel = ConvolvedGaussian(
         1,
@@ -99,8 +99,6 @@ def test_narrower_types_are_wider_ones_under_constraints(rng):
 
     free = rng.uniform(0.5, 2, (1, 2, 3))
     np.testing.assert_allclose(matrix("full", free), matrix("diag", free), rtol=1e-10)
-    equal = np.broadcast_to(rng.uniform(0.5, 2, (1, 2, 1)), (1, 2, 3))
-    np.testing.assert_allclose(matrix("spherical", equal), matrix("diag", equal), rtol=1e-12)
     tied = np.broadcast_to(rng.uniform(0.5, 2, (1, 1, 3)), (1, 2, 3))
     np.testing.assert_allclose(matrix("tied", tied), matrix("diag", tied), rtol=1e-12)
 

@@ -92,7 +92,6 @@ def test_every_kind_of_inference_ignores_the_others(inference, data):
         ([[0]], "diag", "expected columns of X"),
         (["alpha"], "diag", "expected columns of X"),
         ([0], "full", "expected 'diag' or 'tied'"),
-        ([0], "spherical", "expected 'diag' or 'tied'"),
     ],
 )
 def test_wrong_columns(regressors, kind, message, data):

@@ -1,6 +1,8 @@
 """Metrics against references typed from their definitions, and scorers inside scikit-learn's machinery."""
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -20,9 +22,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from skdgp.metrics import (
     SCORERS,
     continuous_ranked_probability_score,
-    coverage_curve,
     interval_coverage,
-    make_predictive_scorer,
     median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
@@ -185,55 +185,23 @@ class TestMeaning:
             interval_coverage([1.0], [1.0], [1.0], level=95)
 
 
-class TestCoverageCurve:
-    def test_every_cell_is_the_coverage_at_its_level(self):
-        y, mean, std = sample(60)
-        y[::5, 1] = np.nan
-        curve = coverage_curve(
-            pd.DataFrame(y, columns=["CX", "CZ", "Cm"]), mean, std, levels=[0.9, 0.5]
-        )
-        assert (curve.index.name, curve.index.tolist(), list(curve)) == (
-            "level",
-            [0.5, 0.9],
-            ["CX", "CZ", "Cm"],
-        )
-        for level in (0.5, 0.9):
-            expected = interval_coverage(y, mean, std, level=level, multioutput="raw_values")
-            np.testing.assert_allclose(curve.loc[level], expected, rtol=1e-9, atol=1e-10)
-
-    def test_never_observed_is_nan_and_certainty_covers_what_it_meets(self):
-        curve = coverage_curve([[np.nan, 1.0], [np.nan, 2.0]], np.ones((2, 2)), np.zeros((2, 2)))
-        assert curve.shape == (20, 2)
-        assert curve[0].isna().all()
-        assert (curve[1] == 0.5).all()
-
-
 class NoisyModel(RegressorMixin, BaseEstimator):
     """Predict 0 with a latent deviation of 1, and of 2 with measurement noise."""
 
     def fit(self, X, y):
-        self.n_outputs_ = np.ndim(y)
+        self.shape_ = np.shape(y)[1:]
         return self
 
     def predict(self, X, return_std=False, include_noise=False, include_input_noise=False):
-        mean = np.zeros(len(X))
-        return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
-
-
-class TwoOutputs(NoisyModel):
-    """The same for two outputs."""
-
-    def predict(self, X, return_std=False, include_noise=False, include_input_noise=False):
-        mean = np.zeros((len(X), 2))
+        mean = np.zeros((len(X), *self.shape_))
         return (mean, mean + (2.0 if include_noise else 1.0)) if return_std else mean
 
 
 class TestScorers:
     def test_noise_is_asked_for_through_pipelines_and_searches(self):
         X, y = np.zeros((50, 1)) + np.arange(50)[:, None], np.full(50, 1.5)
-        covers = make_predictive_scorer(
-            interval_coverage, greater_is_better=True, needs_std=True, level=0.68
-        )
+        level = partial(interval_coverage, level=0.68)
+        covers = replace(SCORERS["interval_coverage"], metric=level)
         model = NoisyModel()
         pipeline = make_pipeline(StandardScaler(), make_pipeline(StandardScaler(), model))
         search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True]}, cv=2, scoring=covers)
@@ -293,7 +261,7 @@ class TestScorers:
         Y.index = X.index = np.arange(100, 160)
         single = score_flights(NoisyModel().fit(X, X["x"]), X, Y["CX"])
         assert single.index.tolist() == [("late", "CX"), ("early", "CX")]
-        scores = score_flights(TwoOutputs().fit(X, Y), X, Y)
+        scores = score_flights(NoisyModel().fit(X, Y), X, Y)
         assert list(scores) == ["n_observed", *(metric.__name__ for metric in METRICS)]
         assert scores["n_observed"].tolist() == [20, 0, 40, 40]
         assert scores.loc[("late", "Cm")].drop("n_observed").isna().all()
@@ -307,7 +275,7 @@ class TestScorers:
                 scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10
             )
         with pytest.raises(ValueError, match="lacks the columns 'flight'"):
-            score_flights(TwoOutputs().fit(X, Y), X[["x"]], Y)
+            score_flights(NoisyModel().fit(X, Y), X[["x"]], Y)
 
     def test_the_last_step_is_asked_for_observed_rows_alone_transformers_see_all(self):
         X = np.arange(50.0)[:, None]

@@ -276,6 +276,14 @@ class TestCalibration:
                 inside = np.abs(measured - mean)[seen, k] <= half[seen, k]
                 assert display.observed[row, k] == inside.mean()
 
+    def test_never_observed_is_nan_and_certainty_covers_what_it_meets(self):
+        measured = np.array([[np.nan, 1.0], [np.nan, 2.0]])
+        display = CalibrationDisplay.from_predictions(
+            measured, np.ones((2, 2)), 0 * np.eye(2), ax=False
+        )
+        assert np.isnan(display.observed[:, 0]).all()
+        assert (display.observed[:, 1] == 0.5).all()
+
     @pytest.mark.parametrize("levels", [[0.0], [95], [np.nan]])
     def test_says_what_a_level_is(self, levels):
         _, measured, mean, std = outputs(50)

@@ -178,13 +178,13 @@ def interactions(
 ) -> dict[str, list[Interaction]]:
     r"""Return the ``most`` strongest interactions of two regressors on each output, the strongest first.
 
-    Around the mean c of the samples, regressors i and j interact by what their effects do not add
-    up to, the second-order term of cut-HDMR (Rabitz & Alis 1999),
+    Around the mean c of the samples, regressors i and j interact by the second-order term of
+    cut-HDMR (Rabitz & Alis 1999),
 
     .. math:: I(x_i, x_j) = f(x_i, x_j) - f(x_i, c_j) - f(c_i, x_j) + f(c_i, c_j),
 
     with all other regressors at c. It is zero where the model is a sum of functions of single
-    regressors. The arguments and errors are those of `effects`.
+    regressors. For arguments and errors see `effects`.
 
     Examples
     --------
@@ -277,7 +277,7 @@ def split_model(model):
 
 
 def samples_of(regressor, before, X):
-    """Return samples X or, without them, those of the fit, (n, d), as the regressor sees them."""
+    """Return X or the samples of the fit, (n, d), as the regressor sees them."""
     if X is not None:
         return regressor._check_regressors(X if before is None else before.transform(X))
     return training_inputs(regressor.posterior_)

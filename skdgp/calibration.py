@@ -93,8 +93,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     guaranteed_, max_level_ : ndarray (P,) of bool, ndarray (P,)
         Whether ``level`` is guaranteed; K / (K + 1), the highest guaranteed level.
     unit_, n_units_ : {"flight", "block"}, ndarray (P,) of int
-        Unit of the guarantee: "block" if a splitter cuts flights; and K, the units in which each
-        output was observed.
+        Unit of the guarantee: "block" if a splitter cuts flights; and K, the number of units that
+        observed each output.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
     drift_variance_, drift_memory_, misfit_variance_ : ndarray (P,)

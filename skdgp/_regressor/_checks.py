@@ -182,7 +182,7 @@ def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
 
 
 def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None) -> None:
-    """Warn that inducing inputs leave a variance unexplained, ``neglected`` over that of the noise.
+    """Warn that inducing inputs leave a variance unexplained, ``neglected`` over the noise variance.
 
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
@@ -275,7 +275,7 @@ def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
 def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) -> None:
     """Warn if there are fewer than `LEAST_ROWS` independent rows for each regressor.
 
-    ``errors`` (n, P) are what the model leaves of the targets, in the order of the log, NaN where
+    ``errors`` (n, P) are residuals of the targets, in the order of the log, NaN where
     not observed. They count as rows over their autocorrelation time, median over the outputs. An
     average leans on its trend then. A trend alone states its uncertainty well with few rows, unless
     their errors are correlated.

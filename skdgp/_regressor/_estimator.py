@@ -108,7 +108,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. The posterior
         uses all values.
     max_iter : int or None
-        Largest number of iterations of a joint search, half of them with widths that outputs share.
+        Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
         else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
     n_jobs : int or None
@@ -128,7 +128,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         without ``time``. The drift holds the effect of errors of the regressors and the misfit,
         too. Simulated flights have one each.
     misfit_variance_ : ndarray (P,)
-        Variance of what the function misses where flights come back to the same regressors, in
+        Variance of the error of the function where flights come back to the same regressors, in
         squared units of the outputs: part of the function's band. Zero without ``time``. See
         :func:`skdgp.inference.misfit_variance`.
     input_covariance_ : ndarray (d, d)
@@ -263,8 +263,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             one flight.
         slopes : KnownSlopes or None
             Slopes by the regressors that another source knows better than these samples. A linear
-            function is added to the targets, so that their slopes by least squares are these; the
-            errors of the slopes are those of the source.
+            function is added to the targets, so that their slopes by least squares are these; with
+            the errors of the source.
 
         Returns
         -------
@@ -345,7 +345,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if log:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
-        # The misfit is a part of what the search took for noise.
+        # The search took the misfit for noise.
         misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)
         self.posterior_ = posterior
         self.kernel_ = posterior.kernel
@@ -382,10 +382,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             Also return the standard deviation of each output, in the shape of the mean.
         return_cov : bool
             Also return the joint covariance of all outputs at all samples, (P n, P n),
-            output-major. That of the function has no misfit: how its errors at several samples
-            depend on each other is not known.
+            output-major. Without ``include_noise`` it has no misfit, as the correlation of its
+            errors is not known.
         include_noise : bool
-            Return the uncertainty of a new measurement instead of that of the function.
+            Return the uncertainty of a new measurement instead of the function's.
         include_input_noise : bool, float or array (n,)
             True: X has the noise covariance S of the fit (``input_noise``), and J S J^T is added
             with the slopes J of the mean. A number multiplies S, for example for rougher air.
@@ -450,7 +450,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array or DataFrame (n, d)
-            Regressors of all rows to learn from and to complete: those of the fit, and new ones.
+            Regressors of all rows to learn from and to complete: rows of the fit, and new rows.
         Y : array or DataFrame (n, P)
             Targets; NaN where an output was not observed.
         return_std : bool
@@ -502,7 +502,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def slope_errors(self, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
         """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.
 
-        They are those of :func:`skdgp.inference.slope_errors`, in units of the outputs: ``random``
+        See :func:`skdgp.inference.slope_errors`. In units of the outputs: ``random``
         errors, correlated between neighbouring samples and between outputs, and errors of the
         ``method``. None if the samples are too few. Rows must be in the order of the log. With
         ``added`` (k, d), errors expected after these rows are flown too.
@@ -530,7 +530,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def function_errors(self) -> FunctionErrors | None:
         """Return errors of the function that the posterior does not contain, from the samples of the fit.
 
-        Errors of neighbouring samples and of different outputs are correlated. Those of a
+        Errors of neighbouring samples and of different outputs are correlated. Errors of a
         polynomial of second order are estimated block by block, as ``random`` of `slope_errors`.
         ``simulate`` adds them to the paths. None if the samples are too few.
 
@@ -573,8 +573,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any
         points, repeatedly, as a simulation needs it. A path is a random function of the prior, a
         sum of waves, plus a correction by the data (Matheron's rule: Wilson et al. 2020,
-        "Efficiently sampling functions from Gaussian process posteriors"). Mean and covariance over
-        many paths are those of ``predict(X, return_cov=True, include_input_noise=False)``. Equal
+        "Efficiently sampling functions from Gaussian process posteriors"). Mean and covariance
+        over many paths equal ``predict(X, return_cov=True, include_input_noise=False)``. Equal
         seeds give equal functions.
 
         Of the sequence that is returned, ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for

@@ -75,7 +75,7 @@ class Columns(Kernel):
 def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Matrix]:
     """Return Y (n, P) with missing values replaced, and their standard deviations, zero where observed.
 
-    The equations are those of ``DependentGPRegressor.impute``. ``mean`` and ``std`` (n, P) are
+    For the equations see ``DependentGPRegressor.impute``. ``mean`` and ``std`` (n, P) are
     predictions from the regressors alone. They stand for other outputs that are missing too, and
     for values whose row has no output that is mostly known where theirs is missing.
     """

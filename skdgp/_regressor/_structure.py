@@ -134,8 +134,7 @@ def weights_of(posterior: Posterior) -> dict[str, Vector]:
 def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
     """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
 
-    Its errors are noise, where those of an average still hold a part of what the other members
-    miss.
+    Its errors are noise, where an average still has a part of the errors of the other members.
     """
     means = np.array([member.predict(X) for member in posterior.members])
     return np.take_along_axis(means, posterior.mixture.argmax(axis=0)[None, None], axis=0)[0]

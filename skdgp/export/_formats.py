@@ -57,7 +57,7 @@ def export_model(
     to : str
         Name of the format.
     max_kb : float, optional
-        Largest size [kB], of C its flash memory, of other formats that of the portable file: the
+        Largest size [kB], of the flash memory for C, else of the portable file: the
         model gets fewer basis functions. Default: the whole model.
 
     Returns

@@ -77,7 +77,7 @@ def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[P
 
     ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``, NAME
     the name of the aircraft. A coefficient is its posterior mean, a constant and the
-    :func:`~skdgp.effects` of the regressors: lines and sums of exponentials. The thrust is that of
+    :func:`~skdgp.effects` of the regressors: lines and sums of exponentials. The thrust is of
     ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property
     ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if the model lacks a

@@ -320,9 +320,9 @@ class PortableModel:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
         X is an array (n, d) of regressors in their units, or a flight table, also a dict of
-        columns, with their sources. The deviation is that of the coefficient, without the noise of
-        its measurements. ``include_input_noise`` is as in ``DependentGPRegressor.predict``: True
-        for regressors as noisy as those of the fit, False for exact ones (a simulation), or a
+        columns, with their sources. The deviation is of the coefficient, without the noise of its
+        measurements. ``include_input_noise`` is as in ``DependentGPRegressor.predict``: True for
+        regressors as noisy as in the fit, False for exact ones (a simulation), or a
         factor of their noise's variance, also (n,).
         """
         Z = self.scaled(X)

@@ -15,7 +15,7 @@ from skdgp.export._model import Part, PortableModel, Readout, Term
 
 SIZES = np.unique((4 * 1.15 ** np.arange(36)).astype(int))  # numbers of functions that are tried
 MAX_CANDIDATES = 3000  # functions of a part to choose from
-MANY, FEWER = 1500, 750  # functions of a readout from which fewer points are used, and how many
+MANY, FEWER = 1500, 750  # functions of a readout that make it use fewer points, and how many
 MOVED = (0.5, 1.0, 1.5)  # shifts of copies of the points to fit at, in standard deviations
 POINTS = 500  # least number of moved points
 NEGLIGIBLE = 1e-11  # remainder of a function that the others represent
@@ -25,7 +25,7 @@ NEGLIGIBLE = 1e-11  # remainder of a function that the others represent
 def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at a small loss.
 
-    The Gaussian functions of a part overlap, so that a few of them, g_S, and the trend p span the
+    The Gaussian functions of a part overlap, so that a few functions g_S and the trend p span the
     others nearly. A pivoted QR factorisation at points of the flights chooses them, as in an
     interpolative decomposition (Cheng et al. 2005). Least squares fit mean and explained root as
     functions of p and g_S. The part whose reduction changes its output most gets the next

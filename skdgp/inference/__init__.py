@@ -1,6 +1,6 @@
 """Exact and sparse posteriors, and the search for hyperparameters.
 
-Words of this folder, beside those of docs/notation.md:
+Terms of this folder, beside docs/notation.md:
 
 ========  =============================================================================================================
 features  the inducing variables of sparse inference; what scikit-learn calls features are the regressors here

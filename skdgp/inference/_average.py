@@ -1,4 +1,4 @@
-r"""The average of posteriors of parts of one kernel, weighted by what they predict of held-out blocks.
+r"""The average of posteriors of parts of one kernel, weighted by their predictions of held-out blocks.
 
 The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found,
 has the weights
@@ -93,8 +93,8 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 class AveragePosterior(Posterior):
     """The mixture of posteriors, the members, with weights for each output (``moments``).
 
-    Behind a posterior of all terms stand those of its parts, which have the same hyperparameters.
-    Another posterior of all terms is that of another search.
+    Behind a posterior of all terms stand the posteriors of its parts, with the same
+    hyperparameters. Another posterior of all terms comes from another search.
 
     Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for
     all, picks it by the cumulated weights.
@@ -197,7 +197,7 @@ def held_out_weights(
     loading: Array | None,
     random_state: Any = None,
 ) -> Matrix:
-    """Return the weights (K, P) of posteriors with these noises (P,) from what they predict of held-out blocks.
+    """Return the weights (K, P) of posteriors with these noises (P,) from their predictions of held-out blocks.
 
     ``random_state`` chooses the rows of a block; without it they are contiguous, as in a log.
     """
@@ -242,8 +242,9 @@ def held_out(
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
-    Hyperparameters are those of the posterior; ``loading`` is what noise of the regressors adds at
-    X, if they have any, ``order`` (len(rows),) the place of each row, by which blocks are cut. Where
+    Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
+    at X, if they have any, ``order`` (len(rows),) the place of each row, by which blocks are cut.
+    Where
     outputs are observed together, whole rows are left out. A value that
     is missing while others are there is learned from these, so where an output has gaps, blocks are
     left out of one output at a time.
@@ -286,12 +287,13 @@ class CentredTerm:
     r"""The posterior of g(x) = f(x) - mean_n f(x_n) for one term f of a sum of kernels.
 
     The data determine g much better than f, as a constant can move from one term to another. With
-    the covariances A(x) of f and the data, or the inducing features, mean and variance of g are
-    those of f with A(x) - mean_n A(x_n) in place of A(x), and with the prior variance
+    the covariances A(x) of f and the data, or the inducing features, mean and variance of g follow
+    from the formulas of f with A(x) - mean_n A(x_n) in place of A(x), and with the prior variance
 
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
-    That of an average is the mixture of those of its members, zero where a member lacks the term.
+    For an average it is the mixture of the terms of its members, zero where a member lacks the
+    term.
 
     Parameters
     ----------

@@ -109,8 +109,8 @@ class ExactPosterior(SinglePosterior):
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
         With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
-        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011). ``predict``,
-        ``covariance`` and ``gradient`` are those of the term, given by
+        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011).
+        ``predict``, ``covariance`` and ``gradient`` refer to the term, given by
         ``self.kernel.term(regressors)``.
         """
         new = object.__new__(ExactPosterior)

@@ -299,7 +299,7 @@ def average(
 
 
 def mean_of(fits: Sequence[Fit]) -> Fit:
-    """Return the fit of the mean of averages, each of one search; the likelihood is that of the first.
+    """Return the fit of the mean of averages, each of one search; with the likelihood of the first.
 
     Searches explain the log equally well but predict other flights differently, so their mean
     predicts better than each (Breiman 1996).
@@ -327,8 +327,8 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
 def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
-    Noise of the regressors propagates by ``loading``, that of the whole. Evaluations are those for
-    the noise.
+    Noise of the regressors propagates by ``loading`` of the whole. Only evaluations for the noise
+    count.
     """
     kernel = of_terms(whole.posterior.kernel, part)
     learned = whole.learned._replace(kernel=kernel, n_evaluations=0)

@@ -1,4 +1,4 @@
-"""Slopes of outputs that are known from elsewhere, in place of those of the samples."""
+"""Slopes of outputs from another source than the samples."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class KnownSlopes(NamedTuple):
     """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
 
     Samples whose regressors were estimated from their own targets, as an angle of attack from the
-    force that it causes, are no evidence of slopes: least squares of them is biased, and its bands
-    are too narrow.
+    force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
+    narrow.
     """
 
     value: Matrix  # (P, d)
@@ -46,13 +46,13 @@ class KnownSlopes(NamedTuple):
         return Y
 
     def applied(self, found: SlopeErrors, ratio: Array) -> SlopeErrors:
-        """Return the errors of slopes (n, P, d), with those of known slopes times ``ratio`` (n, P, d)."""
+        """Return the errors of slopes (n, P, d), with the errors of known slopes times ``ratio`` (n, P, d)."""
         errors = self.errors * ratio[..., None]
         random = np.concatenate([np.where(self.known, 0.0, found.random), errors], axis=-1)
         return found._replace(random=random, method=np.where(self.known, 0.0, found.method))
 
     def added(self, found: FunctionErrors) -> FunctionErrors:
-        """Return the errors of a function, with those of its known slopes."""
+        """Return the errors of a function, with the errors of its known slopes."""
         P, d, k = self.errors.shape
         weights = np.zeros((k, found.weights.shape[1], P))
         weights[:, 1 : d + 1] = np.transpose(self.errors, (2, 1, 0)) * found.scale[:, None]

@@ -28,7 +28,7 @@ from skdgp.kernels import MultiOutputKernel
 TILE = (
     768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
 )
-PAIRED = 1000  # largest number of rows of which all pairs are kept
+PAIRED = 1000  # largest number of rows whose pairs are all kept
 HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
 

@@ -31,7 +31,7 @@ LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have inde
 CANDIDATES, NEIGHBOURS = (
     40,
     8,
-)  # nearest samples that are looked at, and largest number of those far in time
+)  # nearest samples that are looked at, and largest number of neighbours far in time
 MISFIT_ROWS = 15000  # largest number of samples
 PARTS = 16  # parts of the log whose means show the standard error of the whole
 
@@ -127,7 +127,8 @@ def fit_drift_to_integrals(
 
     .. math:: \sigma^2 d h + 2 \tau^2 T^2 (h / T - 1 + e^{-h / T}).
 
-    tau^2 and T minimise the squared differences of its logarithm from that of the residuals, over
+    tau^2 and T minimise the squared differences between its logarithm and the logarithm of the
+    residuals' variance, over
     horizons h from two sample intervals to 10 s or the longest record; sigma^2 + tau^2 is the mean
     square of the residuals. With n = the time flown over h, a logarithm has the weight 1 / (0.3^2 +
     2 / n): the variance of n squares, and an error of the model. Residuals are not exactly white

@@ -1,4 +1,4 @@
-"""The interface of posteriors: what fits, predictions, simulations and exports ask of them."""
+"""The interface of posteriors for fits, predictions, simulations and exports."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class SinglePosterior(Posterior):
     def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
-        ``predict``, ``covariance`` and ``gradient`` are those of the term, which
+        ``predict``, ``covariance`` and ``gradient`` refer to the term, which
         ``self.kernel.term(regressors)`` gives.
         """
 

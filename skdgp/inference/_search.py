@@ -35,7 +35,7 @@ IRRELEVANT_RISE = 0.05
 """Expected rise of the likelihood for each value [nats] up to which a search has converged."""
 TOLERANCE = 1e-5
 """Rise of the likelihood by one iteration, as a fraction for each process, below which it is the last."""
-RECENT = 10  # evaluations from which the rise of the likelihood is extrapolated
+RECENT = 10  # evaluations to extrapolate the rise of the likelihood
 GRID = 2.0**-14
 """Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
 
@@ -158,7 +158,7 @@ def search(
     """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
 
     Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
-    noise is learned again at the end. The other arguments are those of ``fit_exact``.
+    noise is learned again at the end. The other arguments are as in ``fit_exact``.
     """
     start = kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(start.residual(X, Y), output_scale(Y))
@@ -290,7 +290,7 @@ def some_rows(Y: Matrix, random_state: Seed):
 # ------------------------------------------------------------------------------------------------
 
 SINGLE_VALUES, SINGLE_ITERATIONS = 400, 100  # largest numbers for each output
-WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over those of ``initialize``
+WIDTH_FACTORS = (1.0, 0.3, 0.1)  # starting widths of the short trials, over ``initialize``'s
 NARROW_FACTORS = (0.1, 0.05, 0.025, 0.012, 0.006)  # widths whose likelihood is compared with theirs
 NOISE_FACTORS = (1.0, 0.1)  # of the noise at these widths
 TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial

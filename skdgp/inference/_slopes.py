@@ -87,7 +87,7 @@ class FunctionErrors(NamedTuple):
         """Return draws of the error, as polynomials (n_paths, n_terms, P)."""
         seed = check_random_state(random_state).randint(
             2**31 - 1, size=7
-        )  # other numbers than those of the paths
+        )  # other numbers than in the paths
         normal = np.random.default_rng(seed).standard_normal((n_paths, len(self.weights)))
         return self._replace(weights=np.tensordot(normal, self.weights, axes=1))
 
@@ -139,7 +139,7 @@ def slope_errors(
     .. math:: g = \frac{w}{p\, w^T \Sigma^{-1} w}
 
     (bounds by direct and reverse regression: Frisch 1934; Klepper & Leamer 1984). Its error is
-    :math:`g / \sqrt 3`, the root mean square of what lies anywhere between. Slopes by other
+    :math:`g / \sqrt 3`, the root mean square of a value anywhere between. Slopes by other
     regressors follow as the weights correlate.
 
     With the regressors ``added`` (k, d) of rows that may be flown next, errors are those expected
@@ -174,7 +174,7 @@ def slope_errors(
 
 
 def _extended(data: Data, posterior: Posterior, added: Matrix) -> Data:
-    """Return the data with the rows ``added``, whose residuals are those of the data, in their order."""
+    """Return the data with the rows ``added``, which take the residuals of the data in their order."""
     means = posterior.predict(added)
     targets = []
     for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
@@ -184,10 +184,10 @@ def _extended(data: Data, posterior: Posterior, added: Matrix) -> Data:
 
 
 def _of_output(x, y, X):
-    """Return slopes by polynomials (n, d, 3), the error (n, d, n_blocks) of that of all samples, its white std.
+    """Return slopes (n, d, 3), the error (n, d, n_blocks) of the polynomial of all samples, its white std.
 
-    The slopes are those by instruments, their standard deviation, and what third powers change of
-    those of all samples. Last come the polynomial of all samples, what it leaves of y, and the
+    The slopes are by instruments, their standard deviation, and the change of the slopes of all
+    samples by third powers. Last come the polynomial of all samples, its residuals, and the
     slopes (n, d, n_terms) of its terms.
     """
     basis = _basis_for(len(x), x.shape[1])
@@ -198,7 +198,7 @@ def _of_output(x, y, X):
     every, Q = _Polynomial(basis, z, y), basis(z)
     rest = (
         y - Q @ every.weights
-    )  # so that slopes are those of all samples where instruments do not determine them
+    )  # without instruments that determine them, slopes come from all samples
     few = _basis_for(len(x), x.shape[1], FEWEST_INSTRUMENTED) or _line
     change, scatter = _instrumented(few(z), rest)
     std = np.linalg.norm(_slopes_of(few, at) @ scatter.T, axis=-1)
@@ -232,7 +232,7 @@ def _noise_of_regressors(data, fits, rests):
 
 
 def _third(basis, z, rest, at):
-    """Return by how much third powers of the regressors change the slopes (n, d), of what a polynomial leaves of y."""
+    """Return the change of the slopes (n, d) by third powers of the regressors, from the residuals of a polynomial."""
     Q, d = np.column_stack([basis(z), z**3]), z.shape[1]
     weights = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True) @ (Q.T @ rest)
     return _slopes_of(basis, at) @ weights[:-d] + 3 * at**2 * weights[-d:]
@@ -250,7 +250,7 @@ def _instrumented(Q, y):
     Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least
     squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes motion, such as that
     of a gust, correlates with present regressors, and so biases least squares. Part of the bias
-    remains, the more the longer gusts last: least squares hides some of them, and past gusts have
+    remains, the more the longer gusts last: least squares hides some gusts, and past gusts have
     moved the instruments.
     """
     lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))

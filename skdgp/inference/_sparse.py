@@ -45,7 +45,7 @@ from skdgp.kernels import Features, MultiOutputKernel
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
 SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
-DIAGONAL_ROWS = 32  # rows of a block of which only the diagonal is needed
+DIAGONAL_ROWS = 32  # rows of a block whose diagonal alone is needed
 
 
 class SparsePosterior(SinglePosterior):
@@ -78,7 +78,7 @@ class SparsePosterior(SinglePosterior):
         self._begin()
 
     def __getstate__(self):
-        # A saved model holds the samples, from which the sums are computed again.
+        # A saved model holds the samples, and computes the sums again.
         return {name: getattr(self, name) for name in ("kernel", "features", "noise", "data")}
 
     def __setstate__(self, state):
@@ -233,9 +233,9 @@ class SparsePosterior(SinglePosterior):
     def term(self, kernel: MultiOutputKernel) -> SparsePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
-        The features are the same, so the posterior of the term is that of all with the covariance
-        of the term and the features in place of Kfu. ``predict``, ``covariance`` and ``gradient``
-        are those of the term, which ``self.kernel.term(regressors)`` gives.
+        The features are the same, so the posterior of the term follows with the covariance of the
+        term and the features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` refer
+        to the term, which ``self.kernel.term(regressors)`` gives.
         """
         new = object.__new__(SparsePosterior)
         features = self.features.rebuild(kernel)

@@ -51,7 +51,7 @@ class FreeParameter:
         return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
 
     def elements(self, values: Array) -> Array:
-        """Return the value of each element, (n_elements, ...), from those of the entries of the array."""
+        """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
         found, free = np.empty((self.n_elements, *values.shape[self.index.ndim :])), self.index >= 0
         found[self.index[free]] = values[free]
         return found
@@ -200,7 +200,7 @@ class MultiOutputKernel(Kernel):
         )
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
-        """Return the part of Y (n, P) from which the other terms of a sum are initialized, by default all of it."""
+        """Return the residuals (n, P) that initialize the other terms of a sum, by default Y."""
         return Y
 
     def summands(self) -> list[MultiOutputKernel]:

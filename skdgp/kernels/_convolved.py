@@ -20,9 +20,9 @@ from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_d
 from skdgp.kernels._gaussian_filters import FilterPair, precision
 
 CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
-# what it changes is 1e-18 of the variance, below rounding
+# it changes 1e-18 of the variance, below rounding
 ADDITIVE_AMPLITUDE = (
-    0.3  # starting amplitude of a term of few regressors, over that of a kernel of all
+    0.3  # starting amplitude of a term of few regressors, over the amplitude of a kernel of all
 )
 PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
 SPACING = "spacing"  # of length_scale_bounds

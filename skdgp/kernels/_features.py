@@ -86,8 +86,8 @@ class Features(ABC):
     def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
         """Return a function X (n, d) -> A (n, C) for few samples at a time, and the variable of each column.
 
-        A holds the columns of the first output, then of the second; ``variables[i]`` are the
-        variables of those of output i. Columns of one variable and output add up to Kfu.
+        A holds the columns of the first output, then of the second; ``variables[i]`` has the
+        variable of each column of output i. Columns of one variable and output add up to Kfu.
         """
         outputs = range(self.kernel.n_outputs)
         return (
@@ -103,7 +103,7 @@ class Features(ABC):
 class ValueFeatures(Features):
     """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
 
-    The first outputs of ``joint`` are those of the kernel. An output covaries with the blocks to
+    The outputs of the kernel come first in ``joint``. An output covaries with the blocks to
     which ``joint`` couples it, directly or through other blocks.
     """
 
@@ -177,8 +177,9 @@ class PointFeatures(ValueFeatures):
 class LatentFeatures(ValueFeatures):
     r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
-    Such a variable is a further output of the same family (Alvarez et al. 2010). All covariances
-    are those of a ConvolvedGaussian with one further output for every block f of variables, whose
+    Such a variable is a further output of the same family (Alvarez et al. 2010). A
+    ConvolvedGaussian gives all covariances, with one further output for every block f of
+    variables, whose
     filter g_f is a window with length scales ``width`` (F, d). Block f is of latent
     ``latents[f]``, at the inducing inputs ``Z[f]``.
     """

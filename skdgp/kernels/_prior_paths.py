@@ -45,7 +45,7 @@ class PathBundle(ABC):
         return SumPaths(self, other)
 
     def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
-        """Return S functions whose outputs are those of this bundle, where ``member`` (S, P) is 0, or of another."""
+        """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another."""
         taken = [bundle.take((member == k).any(axis=1)) for k, bundle in enumerate([self, *others])]
         return MixedPaths(taken, member)
 
@@ -90,7 +90,7 @@ class SumPaths(PathBundle):
 
 
 class MixedPaths(PathBundle):
-    """Functions whose outputs are those of one of several bundles.
+    """Functions that take each output from one of several bundles.
 
     ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A
     bundle holds the functions that need it, in their order, whose numbers are ``rows``.
@@ -229,8 +229,8 @@ class Waves(PathBundle):
 
     Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private
     latents are summed separately, which avoids products with zero weights. ``omega`` is (S, d, C),
-    ``phase`` (S, 1, C), ``shared`` (S, c, P) holds the weights of the first c waves, ``own`` (S, 1,
-    m, F) those of m private latents, and ``fed`` (m, P) is one for the output of each.
+    ``phase`` (S, 1, C), ``shared`` (S, c, P) holds the weights of the first c waves, ``own`` (S,
+    1, m, F) the weights of m private latents, and ``fed`` (m, P) is one for the output of each.
     """
 
     def __init__(self, omega, phase, shared, own, fed):
@@ -317,7 +317,7 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
     These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the
     mixture of the N_i of all c outputs of the latent. Frequencies are stratified over its
     components, so the weights are bounded (the balance heuristic of Veach & Guibas 1995). Every
-    path has new frequencies, so moments over paths are those of the prior for any number of
+    path has new frequencies, so paths have the moments of the prior for any number of
     frequencies, at least c.
     """
     feeds, latents = kernel.value("feeds"), []

@@ -68,7 +68,7 @@ def _legend(ax: Any) -> list[tuple[str, str, str]]:
 def busiest_span(
     time: Vector, values: Matrix, length: float = EXCERPT
 ) -> tuple[float, float] | None:
-    """Return begin and end of the ``length`` seconds in which ``values`` move most; None for a short record.
+    """Return begin and end of the ``length`` seconds with the most motion of ``values``; None for a short record.
 
     Movement is the sum of squared steps, each column in units of its standard deviation.
     """

@@ -27,7 +27,7 @@ class Display:
     by_column = False  # whether panels follow each other column by column
 
     @property
-    def keys(self) -> list:
+    def keys(self) -> Sequence:
         """The keys of all panels."""
         raise NotImplementedError
 
@@ -48,7 +48,7 @@ class Display:
         """Draw the panels of some ``keys``, default all; for ``ax`` see :mod:`skdgp.plotting`."""
         if ax is False:
             return self
-        keys = self.keys if keys is None else [keys] if isinstance(keys, str) else list(keys)
+        keys = list(self.keys) if keys is None else [keys] if isinstance(keys, str) else list(keys)
         if unknown := [key for key in keys if key not in self.keys]:
             raise ValueError(f"Got the panels {unknown}, but expected some of {self.keys}.")
         n_columns = min(self.n_columns, len(keys))

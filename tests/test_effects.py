@@ -21,6 +21,7 @@ MODELS = {
     "trend": {"structure": "trend"},
     "joint": {"structure": "joint", "n_latent": 1},
     "average": {"n_latent": 1},
+    "sparse average": {"n_latent": 1, "inference": "sparse", "n_inducing": 25},
     "additive": {"structure": "additive", "n_latent": 0},
     "sparse": {"structure": "additive", "n_latent": 0, "inference": "sparse", "n_inducing": 25},
     "pairs": {

@@ -196,22 +196,6 @@ def test_slopes_are_those_of_the_mean(seed, inference):
         close(slopes[..., k] * size, (ahead - behind) / 2e-4, np.nanstd(Y, axis=0), 1e-5)
 
 
-@EXAMPLES
-@given(SEEDS)
-def test_the_bound_is_below_the_likelihood(seed):
-    """Titsias (2009), equation 9; it is reached where every sample is an inducing input, but for their own noise."""
-    X, Y = problem(seed)
-    how = options(seed) | {"input_noise": None}
-    few = int(np.random.default_rng(seed + 3).integers(1, 40))
-    sparse = DependentGPRegressor(**how | {"inference": "sparse", "n_inducing": few}).fit(X, Y)
-    exact = (
-        DependentGPRegressor(**how | {"inference": "exact"})
-        .fit(X, Y)
-        .log_marginal_likelihood(sparse.theta_)
-    )
-    assert sparse.log_marginal_likelihood_value_ <= exact + 1e-8 * abs(exact)
-
-
 @FEW
 @given(SEEDS, INFERENCE)
 def test_draws_are_of_what_is_predicted(seed, inference):

@@ -9,60 +9,6 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian
 
-TINY = {"amplitude": np.full((1, 2), 1e-8), "amplitude_bounds": "fixed"}
-
-
-@pytest.fixture(scope="module")
-def data():
-    """Two linear functions of two regressors, which are not observed everywhere."""
-    rng = np.random.default_rng(0)
-    X = rng.uniform([2.0, -1.0], [4.0, 1.0], (60, 2))
-    Y = truth(X) + rng.normal(0, 0.05, (60, 2))
-    Y[40:, 1] = np.nan
-    return X, Y
-
-
-def truth(X):
-    x, z = X.T
-    return np.column_stack([1 + x - z, 2 * z])
-
-
-def weights_of(model, phi, y, i, noise):
-    """Return mean and covariance of output i's weights: equation 2.8 of Rasmussen & Williams, from normalised y."""
-    trend = model.kernel_.k1
-    scale = np.append(trend.intercept_scale[i], trend.slope_scale[i])
-    cov = np.linalg.inv(phi.T @ phi / noise + np.diag(scale**-2.0))
-    return cov @ phi.T @ y / noise, cov
-
-
-@pytest.fixture(scope="module")
-def model(data):
-    """A trend, and processes that are as good as nothing."""
-    kernel = ConvolvedGaussian(1, private_latents=False, **TINY)
-    return DependentGPRegressor(kernel, structure="joint", random_state=0).fit(*data)
-
-
-class TestIsBayesianLinearRegression:
-    def test_mean_and_deviation(self, data, model):
-        X, Y = data
-        new = np.random.default_rng(1).normal([3.0, 0.0], 1.0, (7, 2))
-        mean, std = model.predict(new, return_std=True)
-        center = X.mean(axis=0)
-        phi, there = (np.column_stack([np.ones(len(p)), p - center]) for p in (X, new))
-        for i in range(2):
-            seen = np.isfinite(Y[:, i])
-            middle, scale = np.mean(Y[seen, i]), np.std(Y[seen, i])
-            w, cov = weights_of(
-                model,
-                phi[seen],
-                (Y[seen, i] - middle) / scale,
-                i,
-                model.noise_variance_[i] / scale**2,
-            )
-            np.testing.assert_allclose(mean[:, i], middle + scale * there @ w, rtol=1e-6)
-            variance = np.einsum("nk,kl,nl->n", there, cov, there)
-            np.testing.assert_allclose(std[:, i], scale * np.sqrt(variance), rtol=1e-5)
-
 
 class TestStructure:
     """A trend alone, or with a function of each regressor and the joint process."""

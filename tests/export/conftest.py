@@ -78,7 +78,7 @@ def fitted(cut_short):
         options = {"n_latent": 1, "max_iter": 2, "random_state": 0} | KINDS[kind]
         regressor = DependentGPRegressor(**options)
         if kind == "calibrated":
-            regressor = CalibratedRegressor(regressor, method="variance", level=0.5, cv=2)
+            regressor = CalibratedRegressor(regressor, level=0.5, cv=2)
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows, and of one flight to calibrate on
             model = pipeline_of(regressor).fit(

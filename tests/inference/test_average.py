@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
-from skdgp import DependentGPRegressor, effects, listening
+from skdgp import DependentGPRegressor, listening
 from skdgp.inference import (
     AveragePosterior,
     ExactPosterior,
@@ -133,17 +133,6 @@ class TestMixture:
         np.testing.assert_allclose(paths.gradient(AT), np.stack(quotients, axis=-1), atol=1e-6)
         each = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
         np.testing.assert_allclose(paths.each(each)[5], paths[5](each[5]), rtol=1e-9, atol=1e-12)
-
-
-@pytest.fixture(scope="module", params=["exact", "sparse"])
-def fits(request, data):
-    """Averages at two sets of hyperparameters."""
-    kernel = kernel_of()
-    others = [
-        kernel,
-        kernel.clone_with_theta(kernel.theta + 0.2 * np.cos(np.arange(kernel.n_dims))),
-    ]
-    return [average(fit_of(request.param, *data, each), *data) for each in others]
 
 
 def test_a_trend_of_weights_is_the_exact_posterior(data):
@@ -376,26 +365,6 @@ class TestRegressor:
         np.testing.assert_allclose(
             model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0)
         )
-
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    def test_effects_add_up_to_the_mean(self, data, inference):
-        X, Y = data
-        options = {
-            "inference": inference,
-            "n_inducing": 15,
-            "n_latent": 1,
-            "random_state": 0,
-            "max_iter": 5,
-        }
-        model = DependentGPRegressor(**options).fit(X, Y)
-        assert isinstance(model.posterior_, AveragePosterior)
-        found = effects(model)
-        mean, std = found.evaluate(AT, return_std=True)
-        assert len(mean) == 3  # of each regressor alone, and of both together
-        np.testing.assert_allclose(
-            sum(mean.values()) + found.intercept, model.predict(AT), rtol=1e-8, atol=1e-8
-        )
-        assert all((values >= 0).all() for values in std.values())
 
     def test_ctrl_c_while_members_are_fitted_keeps_the_whole(self, data):
         """The search has ended: what it found is kept, alone."""

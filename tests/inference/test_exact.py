@@ -91,18 +91,6 @@ class TestLikelihood:
         expected = log_likelihood(kernel, noise, data)
         assert log_likelihood(kernel, noise, data, workspace=used) == pytest.approx(expected)
 
-    def test_other_hyperparameters_of_the_same_data(self, problem):
-        posterior = posterior_of(problem)
-        other, noise = (
-            problem.kernel.clone_with_theta(problem.kernel.theta + 0.1),
-            2 * problem.noise,
-        )
-        expected = log_likelihood(other, noise, problem.data, eval_gradient=True)
-        value, gradient = posterior.likelihood_at(other, noise, eval_gradient=True)
-        assert value == pytest.approx(expected[0])
-        assert posterior.likelihood_at(other, noise) == pytest.approx(expected[0])
-        np.testing.assert_allclose(gradient, expected[1], rtol=1e-9, atol=1e-10)
-
 
 class TestPosterior:
     def test_mean_is_equation_17(self, problem):

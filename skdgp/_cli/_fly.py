@@ -211,8 +211,7 @@ def simulate(run: Run) -> None:
     files |= picture_writers(
         "trajectory.png", TimeHistoryDisplay.from_trajectories, drawn, start.log, mean=mean
     )
-    earlier = r"bands\.csv|trajectory\.png"
-    written = run.write(files, "simulation.json", numbers, earlier)
+    written = run.write(files, "simulation.json", numbers, r"bands\.csv|trajectory\.png")
     run.print(_simulation_text(numbers, written), numbers)
 
 
@@ -354,8 +353,7 @@ def _simulation_text(numbers, files) -> str:
     if paths is not None:
         counts = f"{paths['ended_early']} ended early, {paths['beyond']} left the training data"
         lines += [f"{paths['n']} functions of the posterior: {counts}", paths["air"]]
-        edges = pd.DataFrame(paths["end"], index=["2.5 % of paths", "97.5 %"]).T
-        states = states.join(edges)
+        states = states.join(pd.DataFrame(paths["end"], index=["2.5 % of paths", "97.5 %"]).T)
     shown_units = [display_unit(name) for name in START]
     states = states.loc[list(START)].mul([factor for factor, _ in shown_units], axis=0)
     states["unit"] = [unit for _, unit in shown_units]

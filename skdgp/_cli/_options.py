@@ -48,8 +48,7 @@ def number(
 
 def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
     """Return the type of whole numbers from ``lowest`` on, or of some words."""
-    expected = f"a whole number, {lowest} or more"
-    return number(expected, lambda value: value >= lowest, int, keywords)
+    return number(f"a whole number, {lowest} or more", lambda value: value >= lowest, int, keywords)
 
 
 def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:

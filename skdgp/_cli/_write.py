@@ -98,8 +98,7 @@ def plan(run: Run) -> None:
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    earlier = r"plan(_\d+)?\.(csv|lua)"
-    files = run.write(_writers(options, planned), "plan.json", numbers, earlier)
+    files = run.write(_writers(options, planned), "plan.json", numbers, r"plan(_\d+)?\.(csv|lua)")
     run.print(_text(planned, options, files), numbers)
 
 

@@ -137,10 +137,9 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, description in _faults_of_flight(flight_time, part):
-            ends = float(flight_time[rows[0]]), float(flight_time[rows[-1]])
-            place = (*ends, first + rows)
-            name = names[codes[first]]
-            findings.append(Finding(name, channel, kind, *place, description, origin))
+            begin, end = float(flight_time[rows[0]]), float(flight_time[rows[-1]])
+            place = (names[codes[first]], channel, kind, begin, end, first + rows)
+            findings.append(Finding(*place, description, origin))
     return findings
 
 

@@ -207,8 +207,7 @@ def _promise(plan: Plan) -> str:
     shown_errors = table(
         ["derivative", "before", "promised", "left [%]"], rows, caption=caption, classes="narrow"
     )
-    heading = "For the engineer: promises of the flight"
-    return _section(heading, shown_errors, "flight")
+    return _section("For the engineer: promises of the flight", shown_errors, "flight")
 
 
 def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw: bool) -> str:

@@ -435,8 +435,7 @@ def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> 
             f"Got seconds={seconds!r}, but expected a number > 0 and at most {MOST_SECONDS:g}: "
             f"plan a shorter flight, and fly it again."
         )
-    if not (isinstance(envelope.n_paths, int | np.integer) and envelope.n_paths >= 0):
-        raise ValueError(f"Got n_paths={envelope.n_paths!r}, but expected a number, 0 or more.")
+    check_number("n_paths", envelope.n_paths, is_open=False)
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
         most = np.inf if axis in UNBOUNDED else MOST

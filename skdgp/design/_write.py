@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._excitation import ROUNDING, Multisine, Signal, Steps, Wavetrain
-from skdgp._flight.checks import check_names
+from skdgp._flight.checks import check_names, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 # SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move
@@ -117,11 +117,7 @@ def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, d
     """Return the gains of the axes that move each surface of ArduPilot; raise ValueError as `ardupilot_script`."""
     check_names(full, ARDUPILOT, "servo functions of ArduPilot")
     for name, value in full.items():
-        if not 0 < value < np.inf:
-            raise ValueError(
-                f"Got {value:g} as the full deflection of the {name}, but expected a number > 0: "
-                f"give the deflection at the end of its servo's range."
-            )
+        check_number(f"full deflection of the {name}", value)
     gains = {name: {name: 1.0} | MIXES.get(name, {}) for name in full}
     mixes = {
         name: {axis: gain for axis, gain in mix.items() if axis in axes}

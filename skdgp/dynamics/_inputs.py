@@ -411,10 +411,7 @@ def perturbed(
     std = std or {}
     check_names(std, DRAWN, "names of standard deviations of a start")
     for name, size in std.items():
-        if not 0 <= size < np.inf:
-            raise ValueError(
-                f"Got a standard deviation of {name} {size!r}, but expected a finite number, 0 or more."
-            )
+        check_number(f"standard deviation of {name}", size, is_open=False)
     drawn = np.tile(states, (n_paths, 1, 1))
     draw = check_random_state(random_state).standard_normal
     off = {name: float(size) * draw(drawn.shape[:2]) for name, size in std.items()}

@@ -12,6 +12,7 @@ import pandas as pd
 from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER, POSITION, RATES
+from skdgp._flight.checks import check_number
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._air import AirAt
@@ -61,8 +62,7 @@ class Clock(NamedTuple):
     @classmethod
     def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Clock:
         """Return the clock of a ``duration`` [s], by default as long as all of the ``tables`` last."""
-        if not (np.isfinite(dt) and dt > 0):
-            raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
+        dt = check_number("dt", dt, unit="s")
         spans = [np.ptp(table["time"].to_numpy(float)) for table in tables]
         if duration is None:
             if not spans:
@@ -82,7 +82,7 @@ class Clock(NamedTuple):
                 f"{n_steps * dt:g} s: give a "
                 "shorter duration, or controls and wind for all of it."
             )
-        return cls(float(dt), n_steps)
+        return cls(dt, n_steps)
 
     @property
     def stages(self) -> np.ndarray:

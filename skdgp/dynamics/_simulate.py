@@ -23,7 +23,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     WIND,
 )
-from skdgp._flight.checks import check_columns
+from skdgp._flight.checks import check_columns, check_number
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -256,20 +256,16 @@ class Simulator:
         air: Any = None,
         thrust: Thrust = "auto",
     ) -> None:
-        if not (np.isfinite(dt) and dt > 0):
-            raise ValueError(f"Got dt={dt!r}, but expected a time step > 0 [s].")
         air = as_air(air)
         if isinstance(air.gusts, Turbulence):
             raise ValueError(
                 "Got a Turbulence, but a Simulator draws no gusts: give a wind, as a function."
             )
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
-        self.dt, self._steps, self._mean, self._air = (
-            float(dt),
-            0,
-            self.motion.aerodynamics,
-            wind_field(air.wind),
-        )
+        self.dt = check_number("dt", dt, unit="s")
+        self._mean = self.motion.aerodynamics
+        self._air = wind_field(air.wind)
+        self._steps = 0
         self.ended: Any = FLYING
         self.beyond: Any = ""
         self._state: Any = None
@@ -293,8 +289,7 @@ class Simulator:
         ``x0`` is as for :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean of
         the model flies, else functions drawn from its posterior, one for each start.
         """
-        starts = as_starts(x0)
-        states = initial_states(starts, lambda start: self._air(0.0, start))
+        states = initial_states(as_starts(x0), lambda start: self._air(0.0, start))
         single, mean_flies = len(states) == 1, random_state is None
         drawn = (
             None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)

@@ -53,7 +53,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
     regressor = regressor_and_scale(pipeline)[0]
     names = [str(name) for name in pipeline["regressorselector"].regressors_]
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
-    facts = {
+    return {
         "inference": regressor.inference_,
         "weights": {name: _by_coefficient(values) for name, values in regressor.weights_.items()},
         "regressors": names,
@@ -74,9 +74,8 @@ def fit_facts(pipeline: Pipeline) -> dict:
             if not converged
         ],
         "reconstruction": reconstruction_of(pipeline),
+        "lags": lags_of(pipeline),
     }
-    facts["lags"] = lags_of(pipeline)
-    return facts
 
 
 def settings_of(pipeline, horizons) -> dict:

@@ -152,8 +152,7 @@ def read_ulog(path: Path) -> Log:
     remarks = damage(len(data) - file.end, file.cut, lost)
     if log.file_corruption and not remarks:
         remarks = ("parts of the file could not be read and were skipped",)
-    changed = {name: value for _, name, value in log.changed_parameters}
-    settings = log.initial_parameters | changed
+    settings = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
     parameters = {key: float(x) for key, x in settings.items() if type(x) in (int, float)}
     return Log(
         kind="PX4 ULog",

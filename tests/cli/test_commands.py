@@ -487,8 +487,8 @@ class TestPlan:
                 r"Got full deflections of \['elevator'\], but expected also .* move with the "
                 r"rudder: add",
             ),
-            ("rudder=0", "Got 0 as the full deflection of the rudder, but expected a number > 0"),
-            ("rudder=0.4 elevator=nan", "Got nan as the full deflection of the elevator"),
+            ("rudder=0", "Got full deflection of the rudder=0.0, but expected a number > 0"),
+            ("rudder=0.4 elevator=nan", "Got full deflection of the elevator=nan"),
             ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
         ],
     )

@@ -331,7 +331,7 @@ class TestControls:
         ({"elevator": np.inf}, {"duration": 1.0}, "expected a finite number"),
         ({"elevator": 0.0}, {}, "Got no duration"),
         ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
-        (table_of(1.0), {"dt": 0.0}, "expected a time step"),
+        (table_of(1.0), {"dt": 0.0}, "Got dt=0.0, but expected a number > 0"),
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),

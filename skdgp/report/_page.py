@@ -97,6 +97,12 @@ EXCITED = {
     "throttle": ("throttle",),
 }
 """Regressors that move with an input: what to excite where a derivative is weak."""
+MODES = {
+    "elevator": ("short period",),
+    "aileron": ("Dutch roll", "roll"),
+    "rudder": ("Dutch roll", "roll"),
+}
+"""How the names of the modes begin that a 3-2-1-1 of an input excites."""
 MOST_OPEN = 3
 """Flights that a page shows in full; of more only the one that is predicted worst has figures."""
 
@@ -134,7 +140,7 @@ def render_report(content: ReportContent) -> str:
 
 def _sections(content: ReportContent) -> list[str]:
     draw = can_draw()
-    parts = [_verdict(content), _next_flight(content.mechanics), *content.sections]
+    parts = [_verdict(content), _next_flight(content), *content.sections]
     parts += [_messages(content), _section("What was assumed", _list(content.assumed))]
     if not draw:
         parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
@@ -216,8 +222,9 @@ def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
     )
 
 
-def _next_flight(mechanics: FlightMechanics | None) -> str:
-    """Return the weak derivatives by the input that excites them, weakest first."""
+def _next_flight(content: ReportContent) -> str:
+    """Return the weak derivatives by the manoeuvre that excites them, weakest first."""
+    mechanics = content.mechanics
     if mechanics is None or "std" not in mechanics.derivatives:
         return ""
     derivatives = pd.concat([_of_plane(mechanics.derivatives, plane) for plane in GROUPED])
@@ -233,16 +240,42 @@ def _next_flight(mechanics: FlightMechanics | None) -> str:
             for row in excited.head(MOST_NAMED).to_dict("records")
         ]
         if lines:
-            rows.append([axis, ", ".join(lines), str(len(excited))])
+            rows.append(
+                [f"{axis}{_manoeuvre(axis, mechanics)}", ", ".join(lines), str(len(excited))]
+            )
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
     caption = (
         "Inputs to excite, and the derivatives by what they move whose 95 % bands are wider than "
-        "half their values, widest first. <code>skdgp plan</code> on the model proposes manoeuvres, "
-        "their seconds and what they would leave of the errors."
+        "half their values, widest first. The second pulse of a 3-2-1-1, twice its unit, is half a "
+        f"period of the slowest mode. {_seconds_to_halve(content)}"
     )
     head = ["excite", "weak derivatives", "in all"]
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
+
+
+def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
+    """Return the unit of the 3-2-1-1 that excites the modes of an input; empty where they are unknown."""
+    if axis not in MODES or mechanics.modes is None:
+        return ""
+    frequencies = mechanics.modes["frequency"]
+    excited = frequencies[[str(mode).startswith(MODES[axis]) for mode in frequencies.index]]
+    if excited.empty:
+        return ""
+    unit = number(0.5 * np.pi / excited.min(), ".2g")
+    return f":<br>3-2-1-1 of {unit}{THIN}s"
+
+
+def _seconds_to_halve(content: ReportContent) -> str:
+    """Return how many seconds halve errors that stem from noise."""
+    times = [table["time"].to_numpy() for table in content.train.values()]
+    flown = sum(float(np.ptp(time)) for time in times)
+    more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
+    return (
+        f"Errors from noise are halved by three times as many seconds again{more} of flight as "
+        "before, and by fewer with such inputs: <code>skdgp plan</code> on the model proposes "
+        "manoeuvres, their seconds and the errors that they leave."
+    )
 
 
 def _tiles(verdict: Verdict) -> str:
@@ -364,17 +397,19 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     parts = [_note(why)]
     if mechanics.simulation is not None:
         rows = []
+        is_gusty = mechanics.simulation.get("gusts", pd.Series(0.0)).max() > 0
         for name, row in mechanics.simulation.iterrows():
             factor, unit = display_unit(str(name))
             cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
             lasts = number(row["lasts"], ".2g")
             is_whole = row["lasts"] >= row["horizon"]
             seconds = f"all {lasts}" if is_whole else f'<span class="off">{lasts}</span>'
-            rows.append([state(str(name)), unit, *cells, seconds])
+            apart = [number(row["lasts_without_gusts"], ".2g")] if is_gusty else []
+            rows.append([state(str(name)), unit, *cells, seconds, *apart])
         caption = (
-            "Simulation of the test flights with the recorded controls, in still air, started again "
-            "from measured states: root mean square error at the end, and how long it stays below "
-            "the limit."
+            "Simulation of the test flights with the recorded controls, started again from measured "
+            "states, in the estimated wind and gusts, else in still air: root mean square error at "
+            "the end, and how long it stays below the limit."
         )
         head = [
             "",
@@ -384,12 +419,19 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
             "error at<br>the end",
             "follows<br>for [s]",
         ]
+        if is_gusty:
+            head.append("less gusts<br>for [s]")
+            gusts = number(mechanics.simulation["gusts"].iloc[0], ".2g")
+            caption += (
+                f" Less gusts: after what gusts of {gusts}{THIN}m/s, of which the log tells no more, "
+                "explain of the error is taken off."
+            )
         parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
     if draw and mechanics.simulated is not None:
         caption = (
             "One of these simulations, from a measured state with the recorded controls. The band "
-            "holds 95 % of the aircraft that the model allows, in still air: gusts and steady wind "
-            "are not in it."
+            "holds 95 % of the aircraft that the model allows, in the same air: gusts that no sensor "
+            "shows are not in it."
         )
         parts.append(figures.display_figure(mechanics.simulated, caption=caption))
     return _section("Simulation", *parts)

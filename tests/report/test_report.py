@@ -287,16 +287,25 @@ class TestWords:
         half = 1.96 * table_["std"]
         table_ = table_.assign(lower=table_["value"] - half, upper=table_["value"] + half)
         linear = table_[["value"]].assign(std=0.01)
-        found = FlightMechanics(derivatives=table_, least_squares=linear)
-        words = Page(render_report(content(verdict=verdict(), mechanics=found))).words
+        modes = pd.DataFrame(
+            {"frequency": [7.0, 0.4, 5.0, 10.0], "damping": 0.5, "time_constant": 1.0},
+            index=["short period", "phugoid", "Dutch roll", "roll"],
+        ).assign(eigenvalue=1j)
+        found = FlightMechanics(derivatives=table_, least_squares=linear, modes=modes)
+        flown = {
+            "a": pd.DataFrame({"time": [5.0, 105.0]}),
+            "b": pd.DataFrame({"time": [0.0, 20.0]}),
+        }
+        words = Page(render_report(content(verdict=verdict(), mechanics=found, train=flown))).words
         assert "C m α −0.200 ± 0.050 −0.200 ± 0.010" in words
         assert "C m q ▼ −1.00 ± 0.70 −1.000 ± 0.010" in words
         assert "C l aileron 0.30 ± 0.10" in words
         assert "Not told by these flights: C m throttle ." in words
         assert "± too small" in words
         first = words[words.rindex("What to fly next") :]
-        assert "elevator C m q ± 137 %" in first
-        assert "aileron C l aileron ± 65 %" in first
+        assert "elevator: 3-2-1-1 of 0.22 s C m q ± 137 %" in first  # half of pi / 7.0
+        assert "aileron: 3-2-1-1 of 0.31 s C l aileron ± 65 %" in first
+        assert "three times as many seconds again (360 s)" in first.replace("\u2009", " ")
         assert "C m throttle ± " not in words  # beyond what a band means
 
     def test_modes_and_how_long_a_simulation_follows(self, numbers_only):
@@ -313,6 +322,10 @@ class TestWords:
         assert "spiral 0.010 ± 0.010 – ▼ 90" in words  # it may diverge
         assert "theta deg 5.73 2.86 4.58 3.2" in words
         assert "p deg/s 5.73 2.86 4.58 all 9.8" in words
+        gusty = simulation.assign(gusts=0.7, lasts_without_gusts=[5.1, 9.8])
+        words = Page(render_report(content(mechanics=FlightMechanics(simulation=gusty)))).words
+        assert "theta deg 5.73 2.86 4.58 3.2 5.1" in words
+        assert "gusts of 0.7" in words
 
     def test_one_judgement_of_simulation_and_one_figure_of_the_paper(self):
         time = np.arange(50) / 10.0

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _learn
+from skdgp._regressor import _structure
 from skdgp.datasets import _example_flights
 from skdgp.design import _library
 from skdgp.identification import _identification
@@ -139,13 +140,14 @@ def short_flights(monkeypatch, request):
 def cut_short():
     """Return a context, for fixtures that tests share, that cuts short what ``max_iter`` does not rule.
 
-    Fits of each output alone, from one width, few rows: for tests of what is done with a model,
+    Fits of each output alone, one search from one width, few rows: for tests of what is done with a model,
     whatever it learned.
     """
 
     @contextmanager
     def cut_short():
         with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_structure, "SEARCHES", 1)
             patch.setattr(_search, "SEARCH_VALUES", (300, 300))
             patch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
             patch.setattr(_search, "TRIAL_ITERATIONS", 2)

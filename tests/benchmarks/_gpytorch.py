@@ -46,6 +46,56 @@ def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1):
     return model, likelihood
 
 
+class GappedLCM(gpytorch.models.ExactGP):
+    """The LCM of values (m,) of some outputs each: as many RBF kernels, each with outputs mixed by rank 1."""
+
+    def __init__(self, inputs, values, likelihood, n_outputs, n_latent):
+        super().__init__(inputs, values, likelihood)
+        self.mean_module = gpytorch.means.ConstantMean()
+        d = inputs[0].shape[1]
+        kernels, mixings = (
+            [make(**how) for _ in range(n_latent)]
+            for make, how in (
+                (gpytorch.kernels.RBFKernel, {"ard_num_dims": d}),
+                (gpytorch.kernels.IndexKernel, {"num_tasks": n_outputs, "rank": 1}),
+            )
+        )
+        self.kernels, self.mixings = torch.nn.ModuleList(kernels), torch.nn.ModuleList(mixings)
+
+    def forward(self, x, output):
+        parts = [k(x).mul(B(output)) for k, B in zip(self.kernels, self.mixings, strict=True)]
+        total = sum(parts[1:], start=parts[0])
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), total)
+
+
+def gapped_lcm(X, Y, seed, n_latent, steps=100):
+    """Return means and standard deviations (n, P) from Y with gaps, by Adam as in GPyTorch's Hadamard example."""
+    torch.manual_seed(seed)
+    rows, outputs = (torch.as_tensor(part) for part in np.nonzero(np.isfinite(Y)))
+    x, values = (torch.as_tensor(part, dtype=torch.float64) for part in (X, Y))
+    inputs = x[rows], outputs[:, None]
+    likelihood = gpytorch.likelihoods.GaussianLikelihood().double()
+    model = GappedLCM(inputs, values[rows, outputs], likelihood, Y.shape[1], n_latent).double()
+    objective = gpytorch.mlls.ExactMarginalLogLikelihood(likelihood, model)
+    optimizer = torch.optim.Adam(model.parameters(), lr=0.1)
+    with cholesky(), gpytorch.settings.cholesky_max_tries(6):
+        for _ in range(steps):
+            optimizer.zero_grad()
+            loss = -objective(model(*inputs), values[rows, outputs])
+            loss.backward()
+            optimizer.step()
+        model.eval()
+        found = []
+        with torch.no_grad():
+            for p in range(Y.shape[1]):
+                index = torch.full((len(X), 1), p)
+                found.append(likelihood(model(x, index)))
+    return tuple(
+        np.column_stack([getattr(each, name).numpy() for each in found])
+        for name in ("mean", "stddev")
+    )
+
+
 def cholesky():
     """Return the settings in which everything is done by Cholesky factorisation."""
     return gpytorch.settings.fast_computations(

@@ -111,7 +111,7 @@ def test_parquet(folder, table, holder, names, index):
     same(read_flight(folder / "log.parquet"), table, rtol=4e-16)
 
 
-@FEW
+@settings(max_examples=12)  # each is read by a process of its own
 @given(table=tables(), within=st.booleans(), packed=st.booleans(), row=st.booleans())
 def test_matlab(folder, table, within, packed, row):
     table = table.rename(columns=dict.fromkeys(STRANGE, "my_sensor"))

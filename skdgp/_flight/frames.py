@@ -93,18 +93,6 @@ def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     return matrix
 
 
-def quaternion_rate(quaternion: ArrayLike, rates: ArrayLike) -> np.ndarray:
-    """Return d quaternion / dt = 1/2 quaternion * (0, p, q, r), (..., 4), for body rates (..., 3) [rad/s]."""
-    q0, q1, q2, q3 = _components(quaternion)
-    p, q, r = _components(rates)
-    return 0.5 * _vector(
-        -q1 * p - q2 * q - q3 * r,
-        q0 * p + q2 * r - q3 * q,
-        q0 * q + q3 * p - q1 * r,
-        q0 * r + q1 * q - q2 * p,
-    )
-
-
 def gravity_in_body_axes(
     phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = 9.80665
 ) -> np.ndarray:

@@ -13,7 +13,6 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     gravity_in_body_axes,
     ned_to_body,
-    quaternion_rate,
     quaternion_to_euler,
     quaternion_to_matrix,
 )
@@ -108,7 +107,6 @@ __all__ = [
     "propeller_loads",
     "propeller_speed_of",
     "propulsive_loads",
-    "quaternion_rate",
     "quaternion_to_euler",
     "quaternion_to_matrix",
     "relative_errors",

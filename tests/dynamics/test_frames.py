@@ -13,7 +13,6 @@ from skdgp.dynamics import (
     euler_to_quaternion,
     gravity_in_body_axes,
     ned_to_body,
-    quaternion_rate,
     quaternion_to_euler,
     quaternion_to_matrix,
 )
@@ -61,17 +60,6 @@ def test_signs_mean_what_pilots_mean():
     assert body_to_ned(euler_to_quaternion(0.2, 0.1, 0.7), right)[2] > 0, (
         "roll > 0 lowers the right wing"
     )
-
-
-def test_quaternion_rate_is_the_derivative_of_a_turning_body():
-    rates, step = np.array([0.7, -0.4, 1.1]), 1e-5
-    attitude = Rotation.from_euler("ZYX", EULER[:, ::-1])
-
-    def at(t):
-        return (attitude * Rotation.from_rotvec(rates * t)).as_quat(scalar_first=True)
-
-    expected = (at(step) - at(-step)) / (2 * step)
-    np.testing.assert_allclose(quaternion_rate(at(0.0), rates), expected, atol=1e-8)
 
 
 def test_gravity_is_the_down_vector_in_body_axes():

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from skdgp.dynamics import (
     euler_to_quaternion,
-    quaternion_rate,
     quaternion_to_matrix,
     rigid_body_derivative,
 )
@@ -31,9 +31,14 @@ def test_derivative_is_newton_and_euler(aircraft):
         np.testing.assert_allclose(derivative[:3], rotation @ velocity, atol=1e-12)
         newton = f / aircraft.mass + rotation.T @ [0, 0, 9.7] - np.cross(rates, velocity)
         np.testing.assert_allclose(derivative[3:6], newton, atol=1e-12)
-        np.testing.assert_allclose(
-            derivative[6:10], quaternion_rate(state[6:10], rates), atol=1e-12
+        size, attitude = np.linalg.norm(state[6:10]), Rotation.from_quat(np.roll(state[6:10], -1))
+        ahead, behind = (
+            (attitude * Rotation.from_rotvec(rates * t)).as_quat(scalar_first=True)
+            for t in (1e-5, -1e-5)
         )
+        turning = size * (ahead - behind) / 2e-5
+        sign = np.sign(ahead @ state[6:10])  # q and -q are one attitude
+        np.testing.assert_allclose(derivative[6:10], sign * turning, atol=1e-7)
         euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
         np.testing.assert_allclose(derivative[10:], euler, atol=1e-12)
 

@@ -12,8 +12,8 @@ ROOT = Path(__file__).resolve().parents[1]
 RUN_ELSEWHERE = {
     # its code needs jsbsim, or a model: export/test_command.py
     "export.md": "export/test_jsbsim.py",
-    "identification.md": "cli/test_page.py",  # its code reads logs, which that test lays ready
-    "logs.md": "io/test_page.py",  # its code reads a log, which that test lays ready
+    "identification.md": "cli/test_options.py",  # its code reads logs, which that test lays ready
+    "logs.md": "io/test_servos.py",  # its code reads a log, which that test lays ready
     "inference.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
 UNJUDGED = {

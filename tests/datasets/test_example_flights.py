@@ -1,4 +1,4 @@
-"""The example flights obey the equations of flight, stay in the sky, and are worth learning from."""
+"""The example flights: reproducible, consistent, known to the truth; noise of sensors, simulation."""
 
 import numpy as np
 import pandas as pd
@@ -11,8 +11,15 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.datasets import _example_flights, load_example_flights
-from skdgp.datasets._example_flights import SENSOR_NOISE
-from skdgp.dynamics import aerodynamic_coefficients, air_data, euler_to_matrix
+from skdgp.datasets._example_flights import SENSOR_NOISE, brumby_motion, measure
+from skdgp.dynamics import (
+    aerodynamic_coefficients,
+    air_data,
+    euler_to_matrix,
+    euler_to_quaternion,
+    ned_to_body,
+)
+from skdgp.dynamics._air import Gusts, GustyAir, LocalAir
 
 FLIGHTS = ("lateral", "latlon", "two_altitudes")
 GRAVITY = np.array([0.0, 0.0, 9.80665])
@@ -216,3 +223,83 @@ class TestLoader:
     def test_wrong_arguments_are_named(self, wrong):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             load_example_flights(**wrong)
+
+
+N = 40_000
+
+
+@pytest.fixture(scope="module")
+def truth():
+    wave = np.sin(np.arange(N) / 50.0)
+    return pd.DataFrame({name + "_true": k + wave for k, name in enumerate(SENSOR_NOISE)})
+
+
+@pytest.fixture(scope="module")
+def errors(truth):
+    return measure(truth, 1.0, np.random.default_rng(4)) - truth.rename(
+        columns=lambda name: name[:-5]
+    )
+
+
+def test_noise_has_the_stated_levels(errors):
+    np.testing.assert_allclose(errors.std(), [SENSOR_NOISE[name] for name in errors], rtol=0.02)
+    assert (abs(errors.mean()) < 5 * errors.std() / np.sqrt(N)).all()
+
+
+def test_noise_is_white_and_independent(errors):
+    scaled = (errors / errors.std()).to_numpy()
+    for lag in (1, 2, 17):
+        assert abs((scaled[lag:] * scaled[:-lag]).mean(axis=0)).max() < 5 / np.sqrt(N)
+    between = np.corrcoef(scaled.T) - np.eye(scaled.shape[1])
+    assert abs(between).max() < 5 / np.sqrt(N)
+
+
+def test_perfect_sensors_tell_the_truth(truth):
+    measured = measure(truth, 0.0, np.random.default_rng(0))
+    np.testing.assert_array_equal(measured.to_numpy(), truth.to_numpy())
+
+
+STATE = np.r_[
+    120.0, -40.0, -210.0, 34.0, -1.5, 3.4, euler_to_quaternion(0.5, 0.1, 2.0), 0.3, 0.12, -0.15
+]
+CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
+WIND = np.array([3.0, -2.0, 0.5])
+GUST = Gusts(np.array([0.7, -0.9, 0.5]), np.array([1.0, 2.0, -1.5]), np.array([0.05, 0.04, -0.06]))
+STILL = Gusts(*np.zeros((3, 3)))
+MOTION = brumby_motion()
+
+
+def at(state, wind=WIND, gust=GUST, slopes=(0.0, 0.0)):
+    """One pass of the fixed point, from a guess of alpha_dot and beta_dot."""
+    implicit = np.zeros((*state.shape[:-1], 8))
+    implicit[..., :2] = slopes
+    air = GustyAir(lambda stage, state: LocalAir(wind), Gusts(*(part[None] for part in gust)))
+    return MOTION.at(state, CONTROLS, air(0, state), implicit)
+
+
+def settled(state, wind=WIND, gust=GUST):
+    slopes = (0.0, 0.0)
+    for _ in range(12):
+        now = at(state, wind, gust, slopes)
+        slopes = now.implicit[..., :2]
+    return now
+
+
+def test_steady_gust_acts_like_wind():
+    as_wind = settled(STATE, gust=STILL)
+    steady = GUST._replace(
+        velocity=ned_to_body(STATE[6:10], WIND), rates=np.zeros(3),
+        # A body-fixed gust that follows a steady wind turns against the aircraft.
+        acceleration=-np.cross(STATE[10:13], ned_to_body(STATE[6:10], WIND)),
+    )  # fmt: skip
+    as_gust = settled(STATE, wind=np.zeros(3), gust=steady)
+    np.testing.assert_allclose(as_gust.derivative, as_wind.derivative, atol=1e-12)
+    np.testing.assert_allclose(as_gust.implicit, as_wind.implicit, atol=1e-12)
+
+
+def test_air_that_turns_with_the_aircraft_takes_its_damping_away():
+    turning = GUST._replace(velocity=np.zeros(3), acceleration=np.zeros(3), rates=STATE[10:13])
+    unturned = np.r_[STATE[:10], 0.0, 0.0, 0.0]
+    with_air = at(STATE, gust=turning, slopes=(0.02, -0.03)).coefficients
+    without = at(unturned, gust=STILL, slopes=(0.02, -0.03)).coefficients
+    np.testing.assert_allclose(with_air, without, atol=1e-15)

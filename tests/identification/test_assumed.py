@@ -1,4 +1,4 @@
-"""A model of what an owner has: what is chosen where nothing tells it, and what is said of it."""
+"""What identify assumes where nothing is said: thrust, sizes, surfaces that are missing, signs of surfaces."""
 
 import warnings
 
@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, stability_derivatives, trim
 from skdgp.dynamics._aircraft import relative_errors
 from skdgp.export import portable_model, write_c
@@ -14,11 +15,15 @@ from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (
     THRUST_IN_COEFFICIENTS,
     assumptions,
+    control_units,
     lacks_thrust,
     servos_for,
+    with_signs_of_flights,
     with_throw_errors,
 )
+from skdgp.identification._flights import check_controls
 from skdgp.io import FULL_THROW
+from skdgp.preprocessing import FlightDataWarning
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 # Of a stable aircraft, of its dampings, and of its controls
@@ -189,3 +194,59 @@ class TestALogAMassAndASpan:
         page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
         assert "What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page
+
+
+TABLE = pd.DataFrame({"time": [0.0, 0.1]}).assign(alpha=0.0, q=0.0, aileron=0.0, rudder=0.0)
+
+
+def test_another_name():
+    with pytest.raises(ValueError, match=r"did you mean 'de'\?.*--rename de=elevator"):
+        check_controls({"a": TABLE.assign(de=0.0)}, "quasi-steady")
+
+
+def test_no_elevator():
+    with pytest.warns(UserWarning, match="without an elevator"):
+        check_controls({"a": TABLE}, "quasi-steady")
+
+
+@pytest.mark.parametrize("given", ["elevator", "elevon_left"])
+def test_what_needs_none(given):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_controls({"a": TABLE.assign(**{given: 0.0})}, "quasi-steady")
+        check_controls({"a": TABLE.assign(de=0.0)}, ["alpha", "aileron"])
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """45 s with all controls moving, without elevons, and a second flight."""
+    train = load_example_flights().train
+    flight = train[(train["flight"] == "latlon") & (train["time"] < 45)].reset_index(drop=True)
+    left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
+    flight = flight.assign(elevator=(left + right) / 2 / 0.4, aileron=(left - right) / 2 / 0.4)
+    return {"one": flight}, {"other": flight.iloc[:100]}
+
+
+def test_right_signs_stay(flights):
+    servos, *same = with_signs_of_flights(FULL_THROW, *flights)
+    assert servos == FULL_THROW
+    assert same[0]["one"] is flights[0]["one"]
+
+
+@pytest.mark.parametrize("names", [["aileron"], ["elevator", "rudder"]])
+def test_wrong_signs_are_turned_in_all_flights_and_kept(flights, names):
+    wrong = [
+        {k: t.assign(**{name: -t[name] for name in names}) for k, t in part.items()}
+        for part in flights
+    ]
+    with pytest.warns(
+        FlightDataWarning, match="move the other way than the autopilot's parameters say"
+    ):
+        servos, *turned = with_signs_of_flights(FULL_THROW, *wrong)
+    assert sorted(servos.removeprefix("full throw, reversed ").split()) == names
+    for part, right in zip(turned, flights, strict=True):
+        for key, table in part.items():
+            assert table.equals(right[key])
+    assert control_units(servos)["rudder"] == FULL_THROW
+    assert with_signs_of_flights(servos, *turned)[0] == servos  # what is told is believed
+    assert with_signs_of_flights("servo.toml", *wrong)[0] == "servo.toml"

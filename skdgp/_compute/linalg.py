@@ -177,28 +177,13 @@ class RowPairs:
 
     ``place`` (n_pairs,) is where a pair stands in the matrix (n, n): on and above the diagonal, row
     after row. ``own`` (n,) are the pairs of a row with itself. ``squares`` (d, n_pairs) are squared
-    differences of the columns. ``scratch`` (n_pairs,) is memory for the moment: arrays of this size
-    cost more to allocate than to compute.
+    differences of the columns.
     """
 
     def __init__(self, X: Matrix) -> None:
         rows, columns = np.triu_indices(len(X))
         self.X, self.place, self.own = X, rows * len(X) + columns, np.flatnonzero(rows == columns)
         self.squares = np.array([(x[rows] - x[columns]) ** 2 for x in X.T])
-        self.scratch = np.empty(len(rows))
-        self._buffers: list[np.ndarray] = []
-        self._n_used = 0
-
-    def begin(self) -> None:
-        """Begin an evaluation: the memory of all buffers is used again."""
-        self._n_used = 0
-
-    def buffer(self) -> Vector:
-        """Return memory, (n_pairs,), that keeps its values until the next evaluation."""
-        if self._n_used == len(self._buffers):
-            self._buffers.append(np.empty_like(self.scratch))
-        self._n_used += 1
-        return self._buffers[self._n_used - 1]
 
 
 def cluster_centres(

@@ -212,7 +212,6 @@ def log_likelihood(
         y = np.concatenate(data.y)
         at_pairs = by_pairs = None
         if data.pairs is not None:
-            data.pairs.begin()
             at_pairs, by_pairs = kernel.at_pairs(data.only_output, data.pairs)
         L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace, at_pairs))
         white = triangular_solve(L, y)
@@ -240,9 +239,7 @@ def _gradient(kernel, noise, data, y, L, by_pairs):
         )
 
     if by_pairs is not None:
-        w = np.take(
-            minus_W.ravel(), data.pairs.place, out=data.pairs.buffer(), mode="clip"
-        )  # in place only so
+        w = minus_W.ravel()[data.pairs.place]
         w[data.pairs.own] *= 0.5
         d_theta = -by_pairs(w)
     else:

@@ -116,22 +116,16 @@ class FilterPair:
         that matter.
         """
         squares = pairs.squares[columns]
-        exponentials = [pairs.buffer() for _ in self.gain]
-        total = np.zeros_like(pairs.scratch)
-        for gain, F, E in zip(self.gain, self.F[:, columns], exponentials, strict=True):
-            np.exp(np.dot(-0.5 * F**2, squares, out=E), out=E)
-            total += np.multiply(E, gain, out=pairs.scratch)
+        exponentials = -0.5 * self.F[:, columns] ** 2 @ squares
+        np.exp(exponentials, out=exponentials)
 
         def moments(W: Vector) -> Moments:
-            zeroth = np.zeros(len(exponentials))
+            G = exponentials * W
             first, second = np.zeros((2, *self.mu.shape))
-            for m, E in enumerate(exponentials):
-                G = np.multiply(W, E, out=pairs.scratch)
-                zeroth[m] = G.sum()
-                second[m, columns] = squares @ G
-            return Moments(zeroth, first, second)
+            second[:, columns] = G @ squares.T
+            return Moments(G.sum(axis=1), first, second)
 
-        return total, moments
+        return self.gain @ exponentials, moments
 
     # -- derivatives by the inputs
     # ---------------------------------------------------------------------------------------

@@ -311,7 +311,6 @@ class TestUse:
             pairs, upper = RowPairs(Xi), np.triu_indices(len(Xi))
             for factor in (1.0, 0.5):  # an evaluation leaves nothing for the next one
                 other = kernel.clone_with_theta(factor * kernel.theta)
-                pairs.begin()
                 values, gradient = other.at_pairs(i, pairs)
                 equal(values, other.block(i, i, Xi, Xi)[upper], rtol=1e-10, atol=1e-10)
                 w = np.random.default_rng(3).normal(size=len(values))

@@ -82,24 +82,29 @@ class FilterPair:
         self.c, self.F = (_full_factors if self.full else _diagonal_factors)(*widths)
         self.gain = self.c * w[0] * w[1]
 
-    def exponents(self, Xi: Matrix, Xj: Matrix, log_factor: Vector | None = None) -> list[Exponent]:
-        """Return -1/2 (delta - mu)^T Sigma (delta - mu) of each latent, plus ``log_factor`` (m,)."""
+    def exponents(self, Xi: Matrix, Xj: Matrix) -> list[Exponent]:
+        """Return -1/2 (delta - mu)^T Sigma (delta - mu) of each latent."""
         middle = _middle(Xj)
         b = Xj - middle
         exponents = []
-        for m, F in enumerate(self.F):
-            a = Xi - (self.mu[m] + middle)
+        for mu, F in zip(self.mu, self.F, strict=True):
+            a = Xi - (mu + middle)
             rows = (a @ F, b @ F) if self.full else (a * F, b * F)
-            exponents.append(Exponent.between(*rows, 0.0 if log_factor is None else log_factor[m]))
+            exponents.append(Exponent.between(*rows))
         return exponents
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
-        used = self.gain != 0.0
-        with np.errstate(divide="ignore"):
-            exponents = self.exponents(Xi, Xj, np.log(np.abs(self.gain)))
-        exponents = [exponent for exponent, keep in zip(exponents, used, strict=True) if keep]
-        return signed_sum(exponents, np.sign(self.gain[used]), (len(Xi), len(Xj)))
+        total = np.zeros((len(Xi), len(Xj)))
+        terms = list(zip(self.gain, self.exponents(Xi, Xj), strict=True))
+        buffer = _strip_buffer(*total.shape)
+        for rows in strips(*total.shape):
+            E = buffer[: total[rows].size].reshape(-1, len(Xj))
+            for gain, exponent in terms:
+                exponent.exponential(rows, E)
+                E *= gain
+                total[rows] += E
+        return total
 
     def terms(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return the terms of equation 16 side by side, (n_i, m n_j)."""
@@ -257,18 +262,17 @@ def _middle(X):
 
 
 class Exponent(NamedTuple):
-    """Factors with left @ right.T = shift - |a - b|^2 / 2 for all rows a and b: one matrix product.
+    """Factors with left @ right.T = -|a - b|^2 / 2 for all rows a and b: one matrix product.
 
     Far from the origin the product would lose digits; ``far`` then selects explicit differences.
     """
 
     left: np.ndarray
     right: np.ndarray
-    shift: float
     far: bool
 
     @classmethod
-    def between(cls, a: Matrix, b: Matrix, shift: float = 0.0) -> Exponent:
+    def between(cls, a: Matrix, b: Matrix) -> Exponent:
         """Return the exponent of rows a (n_i, d) and b (n_j, d)."""
         left = np.empty((len(a), a.shape[1] + 2))
         right = np.empty((len(b), b.shape[1] + 2))
@@ -279,14 +283,13 @@ class Exponent(NamedTuple):
         left[:, -2] *= -0.5
         right[:, -1] *= -0.5
         far = bool(len(a) and len(b) and max(-left[:, -2].min(), -right[:, -1].min()) > FAR)
-        right[:, -1] += shift
-        return cls(left, right, shift, far)
+        return cls(left, right, far)
 
     def exponential(self, rows: slice, out: Matrix) -> Matrix:
         """Return the exponentials of some rows, written to ``out``."""
         if self.far:
             squares = cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
-            out[:] = self.shift - 0.5 * squares
+            out[:] = -0.5 * squares
         else:
             np.matmul(self.left[rows], self.right.T, out=out)
         return np.exp(out, out=out)
@@ -304,23 +307,6 @@ def strips(n_rows: int, n_columns: int) -> Iterator[slice]:
 
 def _strip_buffer(n_rows, n_columns):
     return np.empty(min(n_rows * n_columns, STRIP + 8 * n_columns))
-
-
-def signed_sum(exponents: list[Exponent], signs: Vector, shape: tuple[int, int]) -> Matrix:
-    """Return sum_k sign_k exp(exponent_k), (n_i, n_j)."""
-    total = np.empty(shape) if exponents else np.zeros(shape)
-    buffer = _strip_buffer(*shape)
-    for rows in strips(*shape):
-        out = total[rows]
-        for k, (exponent, sign) in enumerate(zip(exponents, signs, strict=True)):
-            if k == 0:
-                exponent.exponential(rows, out)
-                if sign < 0:
-                    np.negative(out, out=out)
-            else:
-                E = exponent.exponential(rows, buffer[: out.size].reshape(out.shape))
-                (np.add if sign > 0 else np.subtract)(out, E, out=out)
-    return total
 
 
 def weighted_sums(
@@ -352,42 +338,28 @@ class CovarianceColumns:
 
     ``pairs`` are (FilterPair, Z) of an output and another one at inputs Z (k, d); each latent of a
     pair has k columns of its own, gain exp(-1/2 |F^T (x - mu - z)|^2). With x relative to a central
-    point, the exponents of all columns are one product: of the squares of the entries of F^T x,
-    which columns of a pair and latent share, of x and of 1, with a matrix.
+    point, the exponents of all columns are one product: of x_i x_j, where some Sigma_ij is not
+    zero, of x and of 1, with a matrix.
     """
 
     def __init__(self, n_features: int, pairs: list[tuple[FilterPair, Matrix]]) -> None:
-        d = n_features
         self.pairs = pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
-        self.middle = _middle(np.concatenate([np.empty((0, d)), *(Z for _, Z in pairs)]))
-        roots, slopes, constants, gains, counts = [], [np.zeros((0, d))], [np.zeros(0)], [], []
-        for pair, Z in pairs:
-            for F, mu, gain in zip(pair.F, pair.mu, pair.gain, strict=True):
-                root = F if pair.full else np.diag(F)
-                b = (Z - self.middle + mu) @ root
-                roots.append(root)
-                slopes.append(b @ root.T)
-                constants.append(-0.5 * np.einsum("kd,kd->k", b, b))
-                gains.append(gain)
-                counts.append(len(Z))
-        constant = np.concatenate(constants)
-        self.far = -constant.min(initial=0.0) > FAR
-        self.diagonal = all(np.count_nonzero(F - np.diag(np.diag(F))) == 0 for F in roots)
-        self.roots = np.hstack([np.zeros((d, 0)), *roots])
-        if self.diagonal:
-            squares = np.reshape([np.diag(F) ** 2 for F in roots], (-1, d)).T
-        else:
-            squares = np.eye(len(roots))
-        sizes = np.array(counts, dtype=int)
-        with np.errstate(divide="ignore"):  # a gain of zero
-            constant += np.repeat(np.log(np.abs(gains)), sizes)
-        self.matrix = np.vstack(
-            [-0.5 * np.repeat(squares, sizes, axis=1), np.concatenate(slopes).T, constant]
-        )
-        last = np.cumsum(sizes)
-        self.negative = [
-            slice(end - n, end) for gain, n, end in zip(gains, sizes, last, strict=True) if gain < 0
-        ]
+        self.middle = _middle(np.concatenate([np.empty((0, n_features)), *(Z for _, Z in pairs)]))
+        terms = [(pair, m, Z) for pair, Z in pairs for m in range(len(pair.gain))]
+        uses = sum((np.triu(pair.Sigma(m)) != 0 for pair, m, _ in terms), np.eye(n_features) > 0)
+        self.i, self.j = i, j = np.nonzero(uses)
+        columns = [np.empty((0, len(i) + n_features + 1))]
+        for pair, m, Z in terms:
+            Sigma = pair.Sigma(m)
+            b = Z - self.middle + pair.mu[m]
+            quadratic = np.where(i == j, -0.5, -1.0) * Sigma[i, j]
+            constant = -0.5 * np.einsum("kd,kd->k", b, b @ Sigma)
+            same = np.broadcast_to(quadratic, (len(Z), len(i)))
+            columns.append(np.column_stack([same, b @ Sigma, constant]))
+        self.matrix = np.concatenate(columns).T
+        self.far = -self.matrix[-1].min(initial=0.0) > FAR
+        gains = [np.full(len(Z), pair.gain[m]) for pair, m, Z in terms]
+        self.gain = np.concatenate([np.empty(0), *gains])
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all columns at X (n, d), (n, C)."""
@@ -395,12 +367,8 @@ class CovarianceColumns:
             terms = [pair.terms(X, Z) for pair, Z in self.pairs]
             return np.hstack([np.empty((len(X), 0)), *terms])
         x = X - self.middle
-        if self.diagonal:
-            squares = x * x
-        else:
-            squares = ((x @ self.roots).reshape(len(x), -1, x.shape[1]) ** 2).sum(axis=2)
+        squares = x[:, self.i] * x[:, self.j]
         E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix
         np.exp(E, out=E)
-        for columns in self.negative:
-            np.negative(E[:, columns], out=E[:, columns])
+        E *= self.gain
         return E

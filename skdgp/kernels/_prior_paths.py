@@ -227,82 +227,54 @@ class LatentWaves(NamedTuple):
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    Waves of shared latents come first and are multiplied by one matrix of weights. Waves of private
-    latents are summed separately, which avoids products with zero weights. ``omega`` is (S, d, C),
-    ``phase`` (S, 1, C), ``shared`` (S, c, P) holds the weights of the first c waves, ``own`` (S,
-    1, m, F) the weights of m private latents, and ``fed`` (m, P) is one for the output of each.
+    ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``weights`` (S, C, P).
     """
 
-    def __init__(self, omega, phase, shared, own, fed):
-        self.omega, self.phase, self.shared, self.own, self.fed = omega, phase, shared, own, fed
+    def __init__(self, omega, phase, weights):
+        self.omega, self.phase, self.weights = omega, phase, weights
         self._half = 0.5 * omega, 0.5 * phase
-        self._sum = shared.sum(axis=1, keepdims=True) + own.sum(axis=3) @ fed
+        self._sum = weights.sum(axis=1, keepdims=True)
 
     @classmethod
     def combine(cls, latents: list[LatentWaves], outputs) -> Waves:
         """Return the paths of the given outputs, (P,)."""
-        (S, F), P = latents[0].phase.shape, len(outputs)
-        shared, own, fed = [], [], []
+        waves = []
         for latent in latents:
             place, selected = np.nonzero(np.equal.outer(outputs, latent.outputs))
             if len(place) == 0:
                 continue
             turn = latent.omega @ latent.shift[selected].T
-            phase, turn = (
-                latent.phase - turn[..., 0],
-                turn - turn[..., :1],
-            )  # of the first output, and differences
-            gain = latent.gain[..., selected]
-            if len(place) == 1:
-                own.append((latent.omega, phase, gain))
-                fed.append(np.eye(P)[place[0]])
-                continue
-            unit = np.eye(P)[place]
-            shared.append((latent.omega, phase, (gain * np.cos(turn)) @ unit))
+            # the phase of the first output, and differences of the others
+            phase, turn = latent.phase - turn[..., 0], turn - turn[..., :1]
+            gain, unit = latent.gain[..., selected], np.eye(len(outputs))[place]
+            waves.append((latent.omega, phase, (gain * np.cos(turn)) @ unit))
             if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-                shared.append((latent.omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
-        waves = [*shared, *own]
-        private = np.concatenate([np.empty((S, F, 0)), *(weight for *_, weight in own)], axis=2)
-        return cls(
-            np.concatenate([omega for omega, *_ in waves], axis=1).swapaxes(1, 2).copy(),
-            np.concatenate([phase for _, phase, _ in waves], axis=1)[:, None],
-            np.concatenate([np.empty((S, 0, P)), *(weight for *_, weight in shared)], axis=1),
-            private.swapaxes(1, 2)[:, None].copy(),
-            np.reshape(fed, (-1, P)),
-        )
+                sine = (gain * np.sin(turn)) @ unit
+                waves.append((latent.omega, phase - 0.5 * np.pi, sine))
+        omega, phase, weights = (np.concatenate(part, 1) for part in zip(*waves, strict=True))
+        return cls(omega.swapaxes(1, 2).copy(), phase[:, None], weights)
 
     def take(self, index):
-        return Waves(
-            self.omega[index], self.phase[index], self.shared[index], self.own[index], self.fed
-        )
+        return Waves(self.omega[index], self.phase[index], self.weights[index])
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
     def each(self, X):
-        (omega, phase), c = self._half, self.shared.shape[1]
+        omega, phase = self._half
         square = X @ omega
         square += phase
         np.tan(square, out=square)  # vectorised in NumPy, and ten times as fast as its cosine
         square *= square
         square += 1.0
         wave = np.divide(2.0, square, out=square)  # cos(2 x) + 1 = 2 / (1 + tan(x)^2)
-        values = wave[..., :c] @ self.shared - self._sum
-        values += np.einsum("snmf,slmf->snm", self._private(wave), self.own) @ self.fed
-        return values
+        return wave @ self.weights - self._sum
 
     def gradient(self, X):
         wave = -np.sin(X @ self.omega + self.phase)
-        c, (S, d, _) = self.shared.shape[1], self.omega.shape
-        shared = wave[:, :, None, :c] * self.shared.swapaxes(1, 2)[:, None]
-        slopes = shared @ self.omega[:, None, :, :c].swapaxes(2, 3)
-        private = (self._private(wave) * self.own)[..., None, :]
-        omega = self.omega[:, :, c:].reshape(S, 1, d, *self.own.shape[2:]).transpose(0, 1, 3, 4, 2)
-        slopes += np.einsum("snmk,mp->snpk", (private @ omega)[..., 0, :], self.fed)
-        return slopes
-
-    def _private(self, wave):
-        return wave[..., self.shared.shape[1] :].reshape(*wave.shape[:2], *self.own.shape[2:])
+        turned = self.omega.swapaxes(1, 2)[:, None]
+        weights = self.weights.swapaxes(1, 2)
+        return (wave[:, :, None] * weights[:, None]) @ turned
 
 
 def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:

@@ -99,11 +99,12 @@ class FilterPair:
         terms = list(zip(self.gain, self.exponents(Xi, Xj), strict=True))
         buffer = _strip_buffer(*total.shape)
         for rows in strips(*total.shape):
-            E = buffer[: total[rows].size].reshape(-1, len(Xj))
+            out = total[rows]
+            E = buffer[: out.size].reshape(out.shape)
             for gain, exponent in terms:
                 exponent.exponential(rows, E)
                 E *= gain
-                total[rows] += E
+                out += E
         return total
 
     def terms(self, Xi: Matrix, Xj: Matrix) -> Matrix:

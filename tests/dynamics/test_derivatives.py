@@ -213,7 +213,7 @@ def test_what_has_no_derivatives(state, model, change, controls, match):
         stability_derivatives(model, BRUMBY, **{"point": state, "controls": controls} | change)
 
 
-REGRESSORS = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
+LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
 SLOPES = np.zeros((6, 7))
 SLOPES[0, [0, 5]] = 0.4, 0.02
 SLOPES[1, [1, 4, 6]] = -0.5, 0.2, 0.1
@@ -224,7 +224,7 @@ SLOPES[5, [1, 4, 6]] = 0.08, -0.1, -0.06
 LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
 HELD = {"elevator": -0.02, "rudder": 0.03}
 LINEAR = Aerodynamics(
-    lambda X: LEVEL + X @ SLOPES.T, REGRESSORS, slopes=lambda X: np.tile(SLOPES, (len(X), 1, 1))
+    lambda X: LEVEL + X @ SLOPES.T, LINEAR_NAMES, slopes=lambda X: np.tile(SLOPES, (len(X), 1, 1))
 )
 
 
@@ -281,7 +281,7 @@ def test_a_lag_acts_as_a_small_slope_by_alpha_dot_does():
     size = 1e-5
     column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])
     named = Aerodynamics(
-        lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*REGRESSORS, "alpha_dot"]
+        lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*LINEAR_NAMES, "alpha_dot"]
     )
     lag = Lag(np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool))
     state, with_lag, bare = (
@@ -300,7 +300,9 @@ def test_a_lag_acts_as_a_small_slope_by_alpha_dot_does():
 
 def test_with_alpha_dot_the_rest_of_it_is_uncertain():
     slopes = np.column_stack([SLOPES, np.zeros(6), np.zeros(6)])
-    model = Aerodynamics(lambda X: LEVEL + X @ slopes.T, [*REGRESSORS, "alpha_dot", "beta_dot_hat"])
+    model = Aerodynamics(
+        lambda X: LEVEL + X @ slopes.T, [*LINEAR_NAMES, "alpha_dot", "beta_dot_hat"]
+    )
     motion = Motion(model, BRUMBY, thrust=None)
     lag = lag_of(motion, motion.at(state_of(), HELD), slopes)
     assert not lag.missing.any()

@@ -7,24 +7,27 @@ import math
 from collections.abc import Callable, Mapping
 from inspect import getdoc
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
 
-Value = TypeVar("Value")
 # Functions of commands, with their options by groups
 Commands: TypeAlias = "dict[Callable, dict[str, dict[str, dict[str, Any]]]]"
 TRUST = "loading runs code that is in it, so open only files that you trust"
 
 
-def checked(read: Callable[[str], Value], expected: str) -> Callable[[str], Value]:
-    """Return a type of argparse whose error names the expected value."""
+def checked(
+    expected: str, read: Callable[[str], Any], accept: Callable[[Any], bool] = lambda value: True
+) -> Callable[[str], Any]:
+    """Return a type of argparse: what is read and accepted, or an error that names the expected value."""
 
     def value(text):
         try:
-            return read(text)
+            if accept(read(text)):
+                return read(text)
         except (ValueError, OverflowError):
-            raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}") from None
+            pass
+        raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}")
 
     return value
 
@@ -36,14 +39,11 @@ def number(
     keywords: tuple[str, ...] = (),
 ) -> Callable[[str], float | str]:
     """Return the type of finite numbers that are accepted, or of some words."""
-
-    def read(text):
-        value = text if text in keywords else kind(text)
-        if value != text and not (math.isfinite(value) and accept(value)):
-            raise ValueError
-        return value
-
-    return checked(read, ", or ".join([expected, *keywords]))
+    return checked(
+        ", or ".join([expected, *keywords]),
+        lambda text: text if text in keywords else kind(text),
+        lambda value: value in keywords or (math.isfinite(value) and accept(value)),
+    )
 
 
 def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
@@ -56,43 +56,30 @@ def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:
     return number(f"{unit} > 0", lambda value: value > 0, keywords=keywords)
 
 
-def _table_file(text):
-    if Path(text).suffix not in (".csv", ".parquet"):
-        raise ValueError
-    return text
-
-
-def _axis_value(text):
-    axis, value = text.split("=")
-    return axis, float(value)
-
-
-def _renaming(text):
-    old, new = text.split("=")
-    if not old or new not in CHANNELS:
-        raise ValueError
-    return old, new
-
-
-def _size(text):
-    value, _, std = text.partition("+-")
-    if not (0 < float(value) < math.inf and 0 <= float(std or 0.0) < math.inf):
-        raise ValueError
-    return float(value), float(std or 0.0)
-
-
-def _factors(text):
-    first, second = map(float, text.split("x"))
-    if not (0 < first < math.inf and 0 < second < math.inf):
-        raise ValueError
-    return first, second
-
-
-table_file = checked(_table_file, "a name that ends in .csv or .parquet")
-axis_value = checked(_axis_value, "AXIS=NUMBER such as elevator=0.4")
-renaming = checked(_renaming, "OLD=NEW, where NEW is a column of docs/notation.md")
-size = checked(_size, "a number > 0, or with its standard deviation such as 3.2+-0.05")
-factors = checked(_factors, "two numbers > 0 such as 10x5")
+table_file = checked(
+    "a name that ends in .csv or .parquet",
+    str,
+    lambda text: Path(text).suffix in (".csv", ".parquet"),
+)
+axis_value = checked(
+    "AXIS=NUMBER such as elevator=0.4",
+    lambda text: (text.partition("=")[0], float(text.partition("=")[2])),
+)
+renaming = checked(
+    "OLD=NEW, where NEW is a column of docs/notation.md",
+    lambda text: tuple(text.split("=")),
+    lambda names: len(names) == 2 and bool(names[0]) and names[1] in CHANNELS,
+)
+size = checked(
+    "a number > 0, or with its standard deviation such as 3.2+-0.05",
+    lambda text: tuple(map(float, (text if "+-" in text else f"{text}+-0").split("+-"))),
+    lambda pair: len(pair) == 2 and 0 < pair[0] < math.inf and 0 <= pair[1] < math.inf,
+)
+factors = checked(
+    "two numbers > 0 such as 10x5",
+    lambda text: tuple(map(float, text.split("x"))),
+    lambda pair: len(pair) == 2 and all(0 < value < math.inf for value in pair),
+)
 jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
 n_paths = number(
     "0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int

@@ -61,17 +61,17 @@ def plan(run: Run) -> None:
     full = dict(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    limits_of_envelope = {
+    ranges = {
         name: getattr(options, option[2:].replace("-", "_"))
         for name, option in Envelope.command_options.items()
     }
-    limits_of_envelope |= {
-        "growth": float(options.growth),
-        "risk": options.risk,
-        "margin": options.margin,
-    }
     envelope = Envelope(
-        **limits_of_envelope, n_paths=options.paths, gusts=opt.none_of(options.gusts)
+        **ranges,
+        growth=float(options.growth),
+        risk=options.risk,
+        margin=options.margin,
+        n_paths=options.paths,
+        gusts=opt.none_of(options.gusts),
     )
     console.stage("reading")
     model, thrust = read_model_to_fly(options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.typing import Matrix
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import HAT, LENGTHS, rate_factor
-from skdgp._flight.checks import check_columns
+from skdgp._flight.checks import as_floats, check_columns
 from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, trajectory_bands
 
 # What an envelope limits, and the options of the command line
@@ -23,9 +23,16 @@ OPTIONS = {
 }  # fmt: skip
 QUANTITIES = tuple(OPTIONS)
 GROWTH = "growth of "  # before the name of a limit from the training range
-# Least and largest of each number of an envelope
-BETWEEN = {"bank": (0, np.inf), "altitude": (-np.inf, np.inf), "growth": (0, np.inf), "risk": (0, 1),
-           "margin": (0, np.inf)}  # fmt: skip
+ENDS = (lambda x: x.shape == (2,) and x[0] < x[1], "the lowest and the highest value")
+NOT_NEGATIVE = (lambda x: x.shape == () and x >= 0, "a number >= 0")
+# What each value of an envelope must be
+RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    **dict.fromkeys(("alpha", "beta", "load_factor", "airspeed"), ENDS),
+    "bank": (lambda x: x.shape == () and x > 0, "a number > 0"),
+    "altitude": (lambda x: x.shape == () and not np.isnan(x), "a number"),
+    **dict.fromkeys(("growth", "margin"), NOT_NEGATIVE),
+    "risk": (lambda x: x.shape == () and 0 < x < 1, "a number between 0 and 1"),
+}
 WHOLE_RANGE = {
     "throttle": (0.0, 1.0)
 }  # lowest and highest value that a control can have, beyond which no limit grows
@@ -88,26 +95,11 @@ class Envelope:
     command_options: ClassVar[Mapping[str, str]] = OPTIONS
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "load_factor", "airspeed"):
-            if (pair := getattr(self, name)) is not None and not (
-                np.shape(pair) == (2,) and pair[0] < pair[1]
-            ):
-                raise ValueError(
-                    f"Got {name}={pair!r}, but expected the lowest and the highest value."
-                )
-        for name, (least, most) in BETWEEN.items():
-            is_absent = (value := getattr(self, name)) is None and name in ("bank", "altitude")
-            if not (
-                is_absent or (isinstance(value, int | float | np.number) and least <= value <= most)
-            ):
-                raise ValueError(
-                    f"Got {name}={value!r}, but expected a number from {least:g} to {most:g}."
-                )
-        if self.bank == 0 or self.risk in (0, 1):
-            raise ValueError(
-                f"Got bank={self.bank!r} and risk={self.risk!r}, but expected a bank > 0 and a "
-                f"risk between 0 and 1."
-            )
+        for name, (is_valid, expected) in RULES.items():
+            value = getattr(self, name)
+            is_absent = value is None and name in QUANTITIES
+            if not (is_absent or is_valid(as_floats(value))):
+                raise ValueError(f"Got {name}={value!r}, but expected {expected}.")
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""

@@ -22,7 +22,7 @@ DASH = "–"
 STYLE = files("skdgp._display").joinpath("page.css").read_text(encoding="utf-8")
 PAGE = Template(files("skdgp._display").joinpath("page.html").read_text(encoding="utf-8"))
 WIDTH = 4.6  # width of a panel [in]: half a desktop page, or a phone with letters still readable
-MARGINS = (0.67, 0.07, 0.4, 0.08)  # left, right, below and above the axes [in]
+MARGINS = (0.67, 0.14, 0.4, 0.16)  # left, right, below and above the axes [in]
 FONTS = "Helvetica, Roboto, 'Liberation Sans', Arial, sans-serif"
 _PICTURE_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8, "axes.linewidth": 0.6,

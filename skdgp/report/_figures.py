@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.page import THIN, WIDTH, figure, number, picture, text
+from skdgp._display.page import MARGINS, THIN, WIDTH, figure, number, picture, text
 from skdgp._display.style import tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import FlightResult
 
+LABEL_PLACE = 0.11
+"""Distance of the label of the vertical axis from the left edge of a panel [in]."""
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""
 CHAPTER = 60.0
@@ -35,6 +37,8 @@ def display_figure(*displays: Any, caption: str) -> str:
             first.append(ax)
             tidy(ax)
             display.draw(ax, key)
+            inches = ax.get_position().width * figure.get_figwidth()
+            ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
 
         return picture(draw, label=display.words(key), size=display.size)
 

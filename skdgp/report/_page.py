@@ -51,12 +51,12 @@ _THRESHOLDS = (
     f"derivatives by the controls and the frequencies of the fast modes."
 )
 LINEAR = "least squares<br><em>± too small</em>"
-OF_AIRCRAFT = "± of aircraft"
+OF_AIRCRAFT = "± of<br>aircraft"
 EXPLAINED = {
-    OF_AIRCRAFT: " ± of aircraft: what errors of its sizes make of them, which all derivatives of a "
-    "moment or force share; it does not matter for simulations with this aircraft.",
-    LINEAR: " Least squares' standard deviations are those of a straight line through exact "
-    "regressors: noise of the regressors and curvature are not in them.",
+    OF_AIRCRAFT: "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment "
+    "or force share; it does not matter for simulations with this aircraft.",
+    LINEAR: "Least squares' standard deviations hold for a straight line through exact regressors: "
+    "noise of the regressors and curvature are not in them.",
 }
 """Explanations of columns of the table of derivatives."""
 DISPLAYS = {
@@ -188,7 +188,7 @@ def _verdict(content: ReportContent) -> str:
         )
         return _section("Verdict", _note(sentence))
     verdict = content.verdict
-    air = f" Air: {text(content.air)}." if content.air else ""
+    air = f" Air: {text(content.air)}." if content.air else " The air was not estimated."
     parts = []
     if verdict is not None:
         uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
@@ -247,8 +247,7 @@ def _next_flight(content: ReportContent) -> str:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
     caption = (
         "Inputs to excite, and the derivatives by what they move whose 95 % bands are wider than "
-        "half their values, widest first. The second pulse of a 3-2-1-1, twice its unit, is half a "
-        f"period of the slowest mode. {_seconds_to_halve(content)}"
+        f"half their values, widest first. {_seconds_to_halve(content)}"
     )
     head = ["excite", "weak derivatives", "in all"]
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
@@ -263,7 +262,7 @@ def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
     if excited.empty:
         return ""
     unit = number(0.5 * np.pi / excited.min(), ".2g")
-    return f":<br>3-2-1-1 of {unit}{THIN}s"
+    return f":<br>3-2-1-1 with a unit of {unit}{THIN}s"
 
 
 def _seconds_to_halve(content: ReportContent) -> str:
@@ -317,6 +316,7 @@ def _mechanics(mechanics: FlightMechanics) -> str:
     if len(mechanics.derivatives):
         tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
+        parts += [_note(why) for column, why in EXPLAINED.items() if f">{column}<" in tables]
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return _section("Trim, derivatives and modes", *parts)
@@ -349,9 +349,6 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
     )
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
-    caption += "".join(
-        explanation for column, explanation in EXPLAINED.items() if column in columns
-    )
     note = _note(f"Not told by these flights: {unknown}." if unknown else "")
     numbers = table([*columns], rows, caption=caption, classes="numbers named") if rows else ""
     return f"<div>{numbers}{note}</div>"

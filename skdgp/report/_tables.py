@@ -39,7 +39,7 @@ def regressor(name: str) -> str:
 
 def derivative(coefficient: str, name: str) -> str:
     """Return a derivative's name with its indices lowered."""
-    return f"<i>C</i><sub>{coefficient[1:]} {regressor(name)}</sub>"
+    return f'<span class="name"><i>C</i><sub>{coefficient[1:]} {regressor(name)}</sub></span>'
 
 
 class Score(NamedTuple):

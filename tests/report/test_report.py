@@ -303,8 +303,8 @@ class TestWords:
         assert "Not told by these flights: C m throttle ." in words
         assert "± too small" in words
         first = words[words.rindex("What to fly next") :]
-        assert "elevator: 3-2-1-1 of 0.22 s C m q ± 137 %" in first  # half of pi / 7.0
-        assert "aileron: 3-2-1-1 of 0.31 s C l aileron ± 65 %" in first
+        assert "elevator: 3-2-1-1 with a unit of 0.22 s C m q ± 137 %" in first  # half of pi / 7.0
+        assert "aileron: 3-2-1-1 with a unit of 0.31 s C l aileron ± 65 %" in first
         assert "three times as many seconds again (360 s)" in first.replace("\u2009", " ")
         assert "C m throttle ± " not in words  # beyond what a band means
 

@@ -65,8 +65,7 @@ class SparsePosterior(SinglePosterior):
         Lower bound on the log marginal likelihood.
     """
 
-    sums: SampleSums
-    statistics: Any  # list of Statistics, None if the noise is correlated
+    statistics: dict[tuple[int, ...], Statistics]
 
     def __init__(
         self, kernel: MultiOutputKernel, features: Features, noise: Vector, data: Data
@@ -93,28 +92,33 @@ class SparsePosterior(SinglePosterior):
     def _begin(self):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
-        self.sums, self.statistics = compute_sums(
-            self.kernel, self.features, self.noise, self.Lu, shares_of(self.data)
+        # Of independent noise at the unit, so that another noise needs no sample.
+        unit = np.ones_like(self.noise) if self.data.sample_noise is None else self.noise
+        self.statistics = compute_statistics(
+            self.kernel, self.features, unit, self.Lu, shares_of(self.data)
         )
-        self._condition()
+        self._condition(self.noise / unit)
 
-    def _condition(self):
-        """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b."""
-        b = self.sums.inner
+    def _condition(self, factor):
+        """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b.
+
+        The noise of the statistics of one output is multiplied by its ``factor`` (P,).
+        """
+        self.B, b, rest = np.eye(self.size), np.zeros(self.size), 0.0
+        for outputs, s in self.statistics.items():
+            times = factor[outputs[0]]
+            columns = self.features.columns(outputs[0]) if len(outputs) == 1 else np.arange(len(b))
+            self.B[np.ix_(columns, columns)] += s.outer / times
+            b[columns] += s.inner / times
+            # log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound
+            rest += s.log_determinant + s.n * np.log(times) + (s.square + s.unexplained) / times
         with threads_for(self.size):
-            self.LB = jittered_cholesky(lambda: np.asfortranarray(self.B))
+            self.LB = jittered_cholesky(lambda: np.array(self.B, order="F"))
             self.white = cholesky_solve(self.LB, b)
             self.weights = triangular_solve(self.Lu, self.white, transposed=True)
         self.log_marginal_likelihood = -0.5 * float(
-            self.sums.rest + log_determinant(self.LB) - b @ self.white
+            rest + log_determinant(self.LB) - b @ self.white
         )
-
-    @property
-    def B(self) -> np.ndarray:
-        """Precision of the whitened features, (K, K)."""
-        B = self.sums.outer.copy()
-        np.einsum("ii->i", B)[:] += 1.0
-        return B
 
     @cached_property
     def B_inverse(self) -> np.ndarray:
@@ -128,8 +132,7 @@ class SparsePosterior(SinglePosterior):
         kept = ("kernel", "features", "Lu", "data", "statistics")
         vars(new).update({name: getattr(self, name) for name in kept})
         new.noise = np.asarray(noise, dtype=float)
-        new.sums = SampleSums.combine(self.features, noise, self.statistics)
-        new._condition()
+        new._condition(new.noise)
         return new
 
     def noise_seen(self) -> np.ndarray:
@@ -138,12 +141,12 @@ class SparsePosterior(SinglePosterior):
         This is the noise update of expectation maximisation: at its fixed point the bound is
         stationary in the noise.
         """
-        residual = np.empty(len(self.noise))
-        for i, s in enumerate(self.statistics):
+        residual = np.zeros(len(self.noise))
+        for (i,), s in self.statistics.items():
             c = self.features.columns(i)
             w = self.white[c]
             spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.unexplained
-            residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / max(s.n, 1)
+            residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / s.n
         return residual
 
     @property
@@ -153,7 +156,10 @@ class SparsePosterior(SinglePosterior):
         Far below the noise variance, the posterior is nearly the exact one (Burt, Rasmussen & van
         der Wilk 2020).
         """
-        return np.array([s.unexplained / max(s.n, 1) for s in self.statistics])
+        found = np.zeros(len(self.noise))
+        for (i,), s in self.statistics.items():
+            found[i] = s.unexplained / s.n
+        return found
 
     def samples(self) -> Data:
         """Return the values that the posterior has learned from."""
@@ -358,35 +364,17 @@ def _sample_table(data):
 # --------------------------------------------------------------------------------------------
 
 
-class SampleSums(NamedTuple):
-    """The sums V Pi V^T (K, K), V Pi y (K,) and ``rest`` over all values, with V = Lu^-1 Kuf and inverse noise Pi.
-
-    ``rest`` is log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound.
-    """
-
-    outer: Any
-    inner: np.ndarray
-    rest: float
-
-    @classmethod
-    def combine(cls, features, noise, statistics) -> SampleSums:
-        """Return the sums over outputs with independent noise."""
-        outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
-        for i, s in enumerate(statistics):
-            columns = features.columns(i)
-            outer[np.ix_(columns, columns)] += s.outer / noise[i]
-            inner[columns] += s.inner / noise[i]
-            rest += s.n * np.log(2 * np.pi * noise[i]) + (s.square + s.unexplained) / noise[i]
-        return cls(outer, inner, rest)
-
-
 class Statistics(NamedTuple):
-    """SampleSums over the n samples of one output at unit noise: V V^T (c, c), V y (c,), y y and var(y_i)."""
+    """Sums over n samples of some outputs, with V = Lu^-1 Kuf and the inverse noise Pi.
+
+    V Pi V^T (c, c), V Pi y (c,), y Pi y, tr(Pi var(y)) and log |2 pi noise|.
+    """
 
     outer: np.ndarray
     inner: np.ndarray
     square: float
     variance: float
+    log_determinant: float
     n: int
 
     @property
@@ -400,34 +388,18 @@ class Statistics(NamedTuple):
         return Statistics(*(one + another for one, another in pairs))
 
 
-def compute_sums(kernel, features, noise, Lu, shares) -> tuple[SampleSums, list[Statistics] | None]:
-    """Return the sums over all values, and their parts by output if the noise is independent, else None."""
-    if shares and shares[0].loading.shape[2]:  # correlated noise
-        outer, inner, rest = np.zeros((features.size, features.size)), np.zeros(features.size), 0.0
-        sums = partial(_share_sums, kernel, features, noise, Lu)
-        for share, part in zip(shares, thread_map(sums, shares), strict=True):
-            columns = (
-                features.columns(share.outputs[0])
-                if len(share.outputs) == 1
-                else np.arange(features.size)
-            )
-            outer[np.ix_(columns, columns)] += part[0]
-            inner[columns] += part[1]
-            rest += part[4] + part[2] + part[3] - np.trace(part[0])
-        return SampleSums(outer, inner, rest), None
-    sizes = [len(features.columns(i)) for i in range(kernel.n_outputs)]
-    statistics = [Statistics(np.zeros((c, c)), np.zeros(c), 0.0, 0.0, 0) for c in sizes]
-    parts = thread_map(
-        partial(_share_sums, kernel, features, np.ones(kernel.n_outputs), Lu), shares
-    )
+def compute_statistics(kernel, features, noise, Lu, shares) -> dict[tuple[int, ...], Statistics]:
+    """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
+    found: dict[tuple[int, ...], Statistics] = {}
+    parts = thread_map(partial(_share_sums, kernel, features, noise, Lu), shares)
     for share, part in zip(shares, parts, strict=True):
-        (i,), (outer, inner, square, variance, _) = share.outputs, part
-        statistics[i] = statistics[i].plus(Statistics(outer, inner, square, variance, len(share.X)))
-    return SampleSums.combine(features, noise, statistics), statistics
+        earlier = found.get(share.outputs)
+        found[share.outputs] = part if earlier is None else earlier.plus(part)
+    return found
 
 
 def _share_sums(kernel, features, noise, Lu, share):
-    """Return V Pi V^T, V Pi y, y Pi y, tr(Pi var(y)) and log |2 pi noise|; one output uses only its own features."""
+    """Return the statistics of a share; one output uses only its own features."""
     outputs = range(len(share.outputs))
     columns = [features.columns(i) for i in share.outputs]
     factors = [sub_factor(Lu, c) for c in columns]
@@ -435,13 +407,8 @@ def _share_sums(kernel, features, noise, Lu, share):
     size = features.size
     if len(outputs) == 1:  # slices instead of index arrays: nothing is copied
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
-    outer, inner, square, variance, log_determinant = (
-        np.zeros((size, size)),
-        np.zeros(size),
-        0.0,
-        0.0,
-        0.0,
-    )
+    outer, inner = np.zeros((size, size)), np.zeros(size)
+    square = variance = log_determinant = 0.0
     for X, Y, precision, log_determinants in _blocks(share, noise):
         Y = np.nan_to_num(Y)
         weighted = np.einsum("nij,nj->ni", precision, Y)
@@ -461,7 +428,7 @@ def _share_sums(kernel, features, noise, Lu, share):
             inner[columns[i]] += V[i] @ weighted[:, i]
         square += np.sum(Y * weighted)
         log_determinant += log_determinants.sum()
-    return outer, inner, square, variance, log_determinant
+    return Statistics(outer, inner, square, variance, log_determinant, len(share.X))
 
 
 def sub_factor(Lu, columns):

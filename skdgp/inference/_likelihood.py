@@ -142,18 +142,17 @@ def covariance(
     kernel: MultiOutputKernel,
     noise: Vector,
     data: Data,
-    workspace: Matrix | None = None,
     at_pairs: Vector | None = None,
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is as for ``add_noise``. The result is written to ``workspace`` (N, N), in C order, if
-    it is given. ``at_pairs`` (n_pairs,) is the covariance of ``data.pairs``, where it is known.
+    ``noise`` is as for ``add_noise``. ``at_pairs`` (n_pairs,) is the covariance of ``data.pairs``,
+    where it is known.
     """
     X = data.X
     sizes = [len(x) for x in X]
     # In C order: its transpose is the lower triangle in Fortran order.
-    upper = np.empty((sum(sizes), sum(sizes))) if workspace is None else workspace
+    upper = np.zeros((sum(sizes), sum(sizes)))
 
     def fill(pair):
         a, b = pair
@@ -164,8 +163,6 @@ def covariance(
     if at_pairs is not None and data.pairs is not None:
         upper.ravel()[data.pairs.place] = at_pairs
     else:
-        if not all(couplings(kernel)):
-            upper.fill(0.0)
         thread_map(fill, _pairs(kernel, sizes))
     add_noise(upper, noise, data)
     return upper.T
@@ -181,7 +178,6 @@ def log_likelihood(
     noise: Vector,
     data: Data,
     eval_gradient: bool = False,
-    workspace: Matrix | None = None,
 ) -> Any:
     """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
@@ -197,9 +193,6 @@ def log_likelihood(
         Observed values of each output.
     eval_gradient : bool
         Whether to return the gradient too.
-    workspace : ndarray (N, N), C order, or None
-        Memory for the covariance, its factor and its inverse in turn. Repeated evaluations save its
-        allocation.
 
     Returns
     -------
@@ -213,7 +206,7 @@ def log_likelihood(
         at_pairs = by_pairs = None
         if data.pairs is not None:
             at_pairs, by_pairs = kernel.at_pairs(data.only_output, data.pairs)
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data, workspace, at_pairs))
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data, at_pairs))
         white = triangular_solve(L, y)
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         if not eval_gradient:

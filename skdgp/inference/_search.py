@@ -380,7 +380,6 @@ class Objective:
         self.n_noise = n_noise
         coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
         self.parts = [data] if coupled else data.by_output()
-        self.workspace = np.empty(max(part.n_values for part in self.parts) ** 2)
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""
@@ -391,9 +390,7 @@ class Objective:
         kernel, noise = self.at(theta)
         value, gradient = 0.0, np.zeros(len(theta))
         for part in self.parts:
-            n = part.n_values
-            workspace = self.workspace[: n * n].reshape(n, n)
-            of_part, slope = log_likelihood(kernel, noise, part, True, workspace)
+            of_part, slope = log_likelihood(kernel, noise, part, eval_gradient=True)
             value += of_part
             gradient += slope
         return value, gradient

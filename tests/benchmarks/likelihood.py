@@ -63,8 +63,7 @@ def ours(case):
     X, Y = case.table()
     kernel = ConvolvedGaussian(case.M, private_latents=False)
     kernel, data, noise = kernel.initialize(X, Y, 0), Data.from_table(X, Y), np.full(case.P, NOISE)
-    workspace = np.empty((data.n_values, data.n_values))  # as in a fit
-    return lambda: log_likelihood(kernel, noise, data, eval_gradient=True, workspace=workspace)
+    return lambda: log_likelihood(kernel, noise, data, eval_gradient=True)
 
 
 def sklearn_alone(case):

@@ -82,15 +82,6 @@ class TestLikelihood:
             sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10
         )
 
-    def test_what_a_workspace_held_before_is_gone(self, one_problem):
-        kernel = ConvolvedGaussian(
-            0, amplitude=np.eye(3), length_scale=np.ones((3, 3, 2))
-        )  # couples no outputs
-        noise, data = one_problem.noise, one_problem.data
-        used = np.full((data.n_values, data.n_values), np.nan)
-        expected = log_likelihood(kernel, noise, data)
-        assert log_likelihood(kernel, noise, data, workspace=used) == pytest.approx(expected)
-
 
 class TestPosterior:
     def test_mean_is_equation_17(self, problem):

@@ -14,7 +14,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import FlightResult
 
-LABEL_PLACE = 0.11
+LABEL_PLACE = 0.17
 """Distance of the label of the vertical axis from the left edge of a panel [in]."""
 EXCERPT = 15.0
 """Length of the close look at a flight [s]."""

@@ -42,7 +42,7 @@ ENVELOPE = Envelope(bank=1.0, airspeed=(28.0, 42.0), altitude=120.0, growth=0.5)
 
 
 def fly(truth, aircraft, train, seconds, seed):
-    """Return what the sensors of the true aircraft record, held level by an autopilot, in gusts."""
+    """Return the record of the true aircraft's sensors, held level by an autopilot, in gusts."""
     steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
 
     def controls(time, state):

@@ -35,7 +35,7 @@ from skdgp.model_selection import thin_targets
 
 
 class OnTrend:
-    """A linear trend by least squares, and a regressor of what it leaves, scaled to variance one."""
+    """A linear trend by least squares, and a regressor of its residuals, scaled to variance one."""
 
     def __init__(self, regressor):
         self.regressor = regressor
@@ -51,7 +51,7 @@ class OnTrend:
 
 
 def methods(n_regressors):
-    """Return what is compared, by name; and the names of those that learn all rows."""
+    """Return the methods by name, and the names of the methods that learn all rows."""
     process = GaussianProcessRegressor(
         ConstantKernel() * RBF(np.full(n_regressors, 3.0), (1e-1, 1e4))
         + WhiteKernel(0.1, (1e-6, 1e2))

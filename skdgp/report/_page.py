@@ -43,8 +43,8 @@ _FIT = {
     "unknown": "? not known",
 }
 _THRESHOLDS = (
-    f"<b>Thresholds.</b> Predict: errors of at most {THRESHOLDS.error:g} of the spread of what is "
-    f"predicted, and 95 % bands that hold at least {100 * THRESHOLDS.coverage:.0f} %. Simulate, "
+    f"<b>Thresholds.</b> Predict: errors of at most {THRESHOLDS.error:g} of the spread of the "
+    f"coefficients, and 95 % bands that hold at least {100 * THRESHOLDS.coverage:.0f} %. Simulate, "
     f"with the recorded controls from measured states: root mean square errors of at most "
     f"{THRESHOLDS.error:g} of the spread of each state, or 3 times the noise of its sensor. Design "
     f"a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for the "
@@ -89,7 +89,7 @@ MOST_NAMED = 4
 """Weak derivatives that are named for each input."""
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 KNOWN = 2.0
-"""Standard deviations over the size of a derivative from which nobody knows it: no row for it."""
+"""Standard deviation over the size of a derivative above which it has no row."""
 EXCITED = {
     "elevator": ("alpha", "alpha_dot", "q", "q_hat", "elevator"),
     "aileron": ("p", "p_hat", "aileron"),
@@ -246,8 +246,8 @@ def _next_flight(content: ReportContent) -> str:
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
     caption = (
-        "Inputs to excite, and the derivatives by what they move whose 95 % bands are wider than "
-        f"half their values, widest first. {_seconds_to_halve(content)}"
+        "Inputs to excite, and the derivatives that they tell whose 95 % bands are wider than half "
+        f"their values, widest first. {_seconds_to_halve(content)}"
     )
     head = ["excite", "weak derivatives", "in all"]
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
@@ -312,7 +312,7 @@ def _mechanics(mechanics: FlightMechanics) -> str:
             names.append("climb")
         values = {name: getattr(mechanics.trim, name) for name in names} | mechanics.trim.controls
         shown = [(name, _with_unit(name, value)) for name, value in values.items()]
-        parts.append("<p>Steady flight in the middle of what was flown:</p>" + facts(shown))
+        parts.append("<p>Steady flight in the middle of the training range:</p>" + facts(shown))
     if len(mechanics.derivatives):
         tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
@@ -420,8 +420,8 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
             head.append("less gusts<br>for [s]")
             gusts = number(mechanics.simulation["gusts"].iloc[0], ".2g")
             caption += (
-                f" Less gusts: after what gusts of {gusts}{THIN}m/s, of which the log tells no more, "
-                "explain of the error is taken off."
+                f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
+                "of which the log tells no more."
             )
         parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
     if draw and mechanics.simulated is not None:

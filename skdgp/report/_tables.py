@@ -62,7 +62,7 @@ SCORES = {
     ),
     "interval_coverage": Score(interval_coverage, "95 %<br>coverage [%]", coverage, of_band=True),
 }
-"""Columns of the tables of errors, by the names in metrics.json, those of skdgp.metrics."""
+"""Columns of the tables of errors, by their names in metrics.json and skdgp.metrics."""
 
 
 def error_table(scores: pd.DataFrame, *, against: str, with_bands: bool = True) -> str:

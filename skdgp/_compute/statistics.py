@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
 
-from skdgp._compute.typing import Array, ArrayLike, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
 LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
@@ -77,16 +77,6 @@ def check_level(level: float) -> float:
 def half_width(level: float) -> float:
     """Return half the width of the central interval of a probability inside (0, 1), in standard deviations."""
     return float(norm.ppf(0.5 + check_level(level) / 2))
-
-
-def check_levels(levels: ArrayLike) -> Vector:
-    """Return probabilities inside (0, 1), rising."""
-    levels = np.atleast_1d(np.asarray(levels, dtype=float))
-    if levels.ndim != 1 or not ((levels > 0) & (levels < 1)).all():
-        raise ValueError(
-            f"Got levels {levels}, but expected probabilities between 0 and 1, such as 0.95."
-        )
-    return np.sort(levels)
 
 
 def shares_inside(z: Matrix, levels: Vector) -> Matrix:

@@ -93,8 +93,8 @@ def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Ma
         asked = rows & ~missing[:, known].all(axis=1)
         learned = np.flatnonzero(~rows)
         if asked.any() and len(learned) >= LEAST_ROWS:
-            found = conditional(x, scaled[:, known], table[learned, p], learned, asked)
-            value[asked, p], deviation[asked, p] = log_normal(*found) if logs[p] else found
+            moments = conditional(x, scaled[:, known], table[learned, p], learned, asked)
+            value[asked, p], deviation[asked, p] = log_normal(*moments) if logs[p] else moments
     return value, deviation
 
 
@@ -124,13 +124,13 @@ def conditional(
         np.linspace(0, len(y) - 1, min(len(y), limit)).astype(int)
         for limit in (SEARCH_ROWS, MOST_ROWS)
     )
-    found = []
+    predictions = []
     for bandwidth in BANDWIDTHS:
         table = inputs(x, others, bandwidth)
         start = process(kernel_of(x.shape[1], others.shape[1]), table[learned[some]], y[some])
         model = process(likeliest(start), table[learned[most]], y[most])
-        found.append(model.predict(table[asked], return_std=True))
-    means, stds = np.array(found).swapaxes(0, 1)
+        predictions.append(model.predict(table[asked], return_std=True))
+    means, stds = np.array(predictions).swapaxes(0, 1)
     mean = means.mean(axis=0)
     return mean, np.sqrt(np.mean(stds**2 + (means - mean) ** 2, axis=0))
 

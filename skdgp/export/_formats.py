@@ -42,7 +42,11 @@ FORMATS: dict[str, Format] = {
 
 
 def export_model(
-    folder: str | os.PathLike[str], model: Any, to: str, *, max_kb: float | None = None
+    folder: str | os.PathLike[str],
+    model: Bunch | PortableModel,
+    to: str,
+    *,
+    max_kb: float | None = None,
 ) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
 

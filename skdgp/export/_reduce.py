@@ -122,12 +122,12 @@ class _Choice:
 
     def _functions(self, Z: Matrix, places: Indices) -> Matrix:
         """Return Gaussian functions, by term and place in it (k, 2), at scaled regressors, (n, k)."""
-        found = np.empty((len(Z), len(places)))
+        values = np.empty((len(Z), len(places)))
         for t, term in enumerate(self.part.terms):
             columns = np.flatnonzero(places[:, 0] == t)
             few = replace(term, centres=term.centres[places[columns, 1]])
-            found[:, columns] = few.functions(Z)
-        return found
+            values[:, columns] = few.functions(Z)
+        return values
 
     def fit(self, number: int) -> tuple[Part, float]:
         """Return the part with the first functions, and the larger of the changes of mean and deviation.
@@ -138,9 +138,9 @@ class _Choice:
         n = self.sizes[number]
         T = self.part.trend_root
         solved: Any = solve_triangular(self.R[: e + n, : e + n], self.targets[: e + n])
-        found = self.checked[:, : e + n] @ solved
-        variance = self.part.variance(self.p, found[:, 1:])
-        of_mean = self.weight**2 * np.mean((found[:, 0] - self.mean) ** 2 / self.spread)
+        fitted = self.checked[:, : e + n] @ solved
+        variance = self.part.variance(self.p, fitted[:, 1:])
+        of_mean = self.weight**2 * np.mean((fitted[:, 0] - self.mean) ** 2 / self.spread)
         ratio = 1.0 + self.weight * (variance - self.variance) / self.spread
         of_std = np.mean((np.sqrt(np.maximum(ratio, 0.0)) - 1.0) ** 2)
 

@@ -49,14 +49,14 @@ COMPLETE = 0.95  # share of its values that an output has where whole rows are h
 STEPS = 200  # of expectation maximisation for the weights
 
 
-def moments(mixture: Matrix, found: Any, return_variance: bool = False) -> Any:
+def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
     r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
-    ``found`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs
+    ``values`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs
     of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k
     (v_k + (m_k - m)^2)`.
     """
-    means, variances = zip(*found, strict=True) if return_variance else (found, None)
+    means, variances = zip(*values, strict=True) if return_variance else (values, None)
     means = np.asarray(means)
     weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
     mean = np.sum(weights * means, axis=0)
@@ -203,7 +203,7 @@ def held_out_weights(
     """
     rows = np.arange(0, len(X), max(-(-len(X) // MOST_ROWS), -(-members[0].size // MOST_VALUES)))
     order = np.arange(len(rows)) if random_state is None else random_state.permutation(len(rows))
-    found = [
+    predictions = [
         held_out(*pair, X, Y, rows, loading, order) for pair in zip(members, noises, strict=True)
     ]
     K, P = len(members), Y.shape[1]
@@ -211,8 +211,8 @@ def held_out_weights(
     weights = np.empty((K, P))
     for i in range(P):
         y = Y[rows, i]
-        error = np.array([y - mean[:, i] for mean, _ in found])
-        variance = np.array([v[:, i] for _, v in found])
+        error = np.array([y - mean[:, i] for mean, _ in predictions])
+        variance = np.array([v[:, i] for _, v in predictions])
         known = np.isfinite(error).all(axis=0)
         error, variance = error[:, known], variance[:, known]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
@@ -254,13 +254,13 @@ def held_out(
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
     mean, variance = np.full((2, *Y.shape), np.nan)
     for left_out in _folds(Y, np.arange(len(Y)) if order is None else order):
-        rest = np.where(left_out, np.nan, Y)
+        targets = np.where(left_out, np.nan, Y)
         data = Data.from_table(
-            X, rest, None if loading is None else loading * np.sqrt(inflation)[:, None]
+            X, targets, None if loading is None else loading * np.sqrt(inflation)[:, None]
         )
         inside = np.flatnonzero(left_out.any(axis=1))
-        found = posterior.of(data, noise * inflation).predict(X[inside], return_variance=True)
-        for values, all_values in zip(found, (mean, variance), strict=True):
+        predicted = posterior.of(data, noise * inflation).predict(X[inside], return_variance=True)
+        for values, all_values in zip(predicted, (mean, variance), strict=True):
             all_values[left_out] = values[left_out[inside]]
     variance += noise
     if loading is not None:
@@ -325,8 +325,8 @@ class CentredTerm:
     def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
         """Return the mean and the variance at X (n, d), (n, P) each."""
         zero = np.zeros((2, len(X), self.mixture.shape[1]))
-        found = [zero if term is None else term.predict(X) for term in self.terms]
-        return moments(self.mixture, found, return_variance=True)
+        predictions = [zero if term is None else term.predict(X) for term in self.terms]
+        return moments(self.mixture, predictions, return_variance=True)
 
 
 class _MemberTerm:

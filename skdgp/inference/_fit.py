@@ -210,12 +210,12 @@ def residual_drift(posterior: Posterior, X: Matrix, Y: Matrix, clock: Matrix) ->
         ``fit_drift_to_integrals``.
     """
     residual, least = Y - posterior.predict(X), NOISE_BOUNDS[0] * output_scale(Y) ** 2
-    found = np.stack([least, least, np.ones(len(least))])
+    drift = np.stack([least, least, np.ones(len(least))])
     for i, e in enumerate(residual.T):
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            found[:, i] = fit_drift_to_integrals(e[observed], clock[observed], least[i])
-    return found
+            drift[:, i] = fit_drift_to_integrals(e[observed], clock[observed], least[i])
+    return drift
 
 
 def _converge_noise(posterior, inflation, least):
@@ -280,10 +280,13 @@ def average(
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading, ordered=ordered)
         others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
         fits = [fit, *others]
-        members, noises = [each.posterior for each in fits], [each.learned.noise for each in fits]
+        members, noises = (
+            [component.posterior for component in fits],
+            [component.learned.noise for component in fits],
+        )
         weights = (
             None
-            if any(each.interrupted for each in fits)
+            if any(component.interrupted for component in fits)
             else held_out_weights(members, noises, X, Y, loading, random_state)
         )
     except KeyboardInterrupt:
@@ -292,7 +295,7 @@ def average(
         return fit.marked(interrupted=True)
     posterior = AveragePosterior(members, parts, weights)
     noise = np.sum(weights * noises, axis=0)
-    n_evaluations = sum(each.learned.n_evaluations for each in fits)
+    n_evaluations = sum(component.learned.n_evaluations for component in fits)
     return fit._replace(
         posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
     )
@@ -309,19 +312,19 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
     posteriors = [fit.posterior for fit in fits]
     learned = [fit.learned for fit in fits]
     posterior = AveragePosterior(
-        [member for each in posteriors for member in each.members],
-        [part for each in posteriors for part in each.parts],
-        np.concatenate([each.mixture for each in posteriors]) / len(fits),
+        [member for component in posteriors for member in component.members],
+        [part for component in posteriors for part in component.parts],
+        np.concatenate([component.mixture for component in posteriors]) / len(fits),
     )
-    roots = [each.root for each in learned if each.root is not None]
+    roots = [part.root for part in learned if part.root is not None]
     noise_of_regressors = np.mean([root @ root.T for root in roots], axis=0) if roots else None
-    found = learned[0]._replace(
-        noise=np.mean([each.noise for each in learned], axis=0),
+    common = learned[0]._replace(
+        noise=np.mean([part.noise for part in learned], axis=0),
         root=None if noise_of_regressors is None else covariance_root(noise_of_regressors),
-        n_evaluations=sum(each.n_evaluations for each in learned),
-        converged=all(each.converged for each in learned),
+        n_evaluations=sum(part.n_evaluations for part in learned),
+        converged=all(part.converged for part in learned),
     )
-    return Fit(posterior, found, fits[0].value)
+    return Fit(posterior, common, fits[0].value)
 
 
 def _of_part(whole, X, Y, loading, ordered, part) -> Fit:

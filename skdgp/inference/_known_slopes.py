@@ -39,21 +39,25 @@ class KnownSlopes(NamedTuple):
             wanted = np.zeros(1 + len(value))
             wanted[1:][known] = value[known]
             free = np.append(True, ~known)
-            rest = y[rows] - Q @ wanted
-            wanted[free] = np.linalg.lstsq(Q[:, free], rest, rcond=None)[0]
-            rest = y[rows] - Q @ wanted
-            y[rows] -= Q @ np.linalg.lstsq(Q, rest, rcond=None)[0]
+            residual = y[rows] - Q @ wanted
+            wanted[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
+            residual = y[rows] - Q @ wanted
+            y[rows] -= Q @ np.linalg.lstsq(Q, residual, rcond=None)[0]
         return Y
 
-    def applied(self, found: SlopeErrors, ratio: Array) -> SlopeErrors:
+    def applied(self, slope_errors: SlopeErrors, ratio: Array) -> SlopeErrors:
         """Return the errors of slopes (n, P, d), with the errors of known slopes times ``ratio`` (n, P, d)."""
         errors = self.errors * ratio[..., None]
-        random = np.concatenate([np.where(self.known, 0.0, found.random), errors], axis=-1)
-        return found._replace(random=random, method=np.where(self.known, 0.0, found.method))
+        random = np.concatenate([np.where(self.known, 0.0, slope_errors.random), errors], axis=-1)
+        return slope_errors._replace(
+            random=random, method=np.where(self.known, 0.0, slope_errors.method)
+        )
 
-    def added(self, found: FunctionErrors) -> FunctionErrors:
+    def added(self, function_errors: FunctionErrors) -> FunctionErrors:
         """Return the errors of a function, with the errors of its known slopes."""
         P, d, k = self.errors.shape
-        weights = np.zeros((k, found.weights.shape[1], P))
-        weights[:, 1 : d + 1] = np.transpose(self.errors, (2, 1, 0)) * found.scale[:, None]
-        return found._replace(weights=np.concatenate([found.weights, weights]))
+        weights = np.zeros((k, function_errors.weights.shape[1], P))
+        weights[:, 1 : d + 1] = (
+            np.transpose(self.errors, (2, 1, 0)) * function_errors.scale[:, None]
+        )
+        return function_errors._replace(weights=np.concatenate([function_errors.weights, weights]))

@@ -151,19 +151,19 @@ def fit_drift_to_integrals(
     horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
     flown = sum(np.ptp(time[rows]) for rows in records)
     power = max(float(np.mean(residual**2)), 10 * least)
-    found = _mean_squared_integrals(residual, time, records, horizons)
-    known = (found > 0) & (horizons < flown)
+    integrals = _mean_squared_integrals(residual, time, records, horizons)
+    known = (integrals > 0) & (horizons < flown)
     if not known.any():  # nothing shows a drift
         return power, least, step
     horizons = horizons[known]
-    found = np.log(found[known] / (1 - horizons / flown))
+    integrals = np.log(integrals[known] / (1 - horizons / flown))
     weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
 
     def loss(theta):
         variance, memory = np.exp(theta)
         ratio = horizons / memory
         drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
-        return weight @ (np.log(drift + (power - variance) * step * horizons) - found) ** 2
+        return weight @ (np.log(drift + (power - variance) * step * horizons) - integrals) ** 2
 
     bounds = np.log([(least, power), (step, max(longest, 2 * step))])
     starts = [

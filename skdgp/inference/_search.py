@@ -191,15 +191,15 @@ def search(
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
-    found, noise, end = climb.run(start, noise, bounds, data, max_iter - n_iter, common=exact)
+    best, noise, end = climb.run(start, noise, bounds, data, max_iter - n_iter, common=exact)
     if learned_root:
         if not (exact or callable(optimizer) or climb.stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
-            half_data = Hyperparameters(found, noise[:P], root).data(X[::2], Y[::2], 1)
-            noise = climb.run(found, noise, bounds, half_data, NOISE_STEPS, noise_alone=True).noise
+            half_data = Hyperparameters(best, noise[:P], root).data(X[::2], Y[::2], 1)
+            noise = climb.run(best, noise, bounds, half_data, NOISE_STEPS, noise_alone=True).noise
         root = root * np.sqrt(noise[P:])
     return Hyperparameters(
-        found,
+        best,
         noise[:P],
         root,
         n_iter=n_iter + end.n_iter,
@@ -218,10 +218,10 @@ def best_noise(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data) -> t
     some = data.every(-(-data.n_values // SEARCH_VALUES[1]))
     noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     climb = Climb("fmin_l_bfgs_b")
-    found = climb.run(kernel, noise, bounds, some, NOISE_STEPS, noise_alone=True, stage="members")
+    end = climb.run(kernel, noise, bounds, some, NOISE_STEPS, noise_alone=True, stage="members")
     if climb.stop.is_set():
         raise KeyboardInterrupt
-    return found.noise, climb.n_evaluations
+    return end.noise, climb.n_evaluations
 
 
 def _initial_noise(residual, scale):
@@ -281,8 +281,8 @@ def some_rows(Y: Matrix, random_state: Seed):
     rows = stratified(np.arange(len(Y)), max(2, P * share * len(Y) // observed.sum()), random_state)
     for output in observed.T:
         n_missing = min(-(-share // 2), output.sum()) - output[rows].sum()
-        rest = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
-        rows = np.concatenate([rows, stratified(rest, max(n_missing, 0), random_state)])
+        unused = np.setdiff1d(np.flatnonzero(output), rows, assume_unique=True)
+        rows = np.concatenate([rows, stratified(unused, max(n_missing, 0), random_state)])
     return np.sort(rows)
 
 

@@ -104,20 +104,20 @@ class SparsePosterior(SinglePosterior):
 
         The noise of the statistics of one output is multiplied by its ``factor`` (P,).
         """
-        self.B, b, rest = np.eye(self.size), np.zeros(self.size), 0.0
+        self.B, b, constant = np.eye(self.size), np.zeros(self.size), 0.0
         for outputs, s in self.statistics.items():
             times = factor[outputs[0]]
             columns = self.features.columns(outputs[0]) if len(outputs) == 1 else np.arange(len(b))
             self.B[np.ix_(columns, columns)] += s.outer / times
             b[columns] += s.inner / times
             # log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound
-            rest += s.log_determinant + s.n * np.log(times) + (s.square + s.unexplained) / times
+            constant += s.log_determinant + s.n * np.log(times) + (s.square + s.unexplained) / times
         with threads_for(self.size):
             self.LB = jittered_cholesky(lambda: np.array(self.B, order="F"))
             self.white = cholesky_solve(self.LB, b)
             self.weights = triangular_solve(self.Lu, self.white, transposed=True)
         self.log_marginal_likelihood = -0.5 * float(
-            rest + log_determinant(self.LB) - b @ self.white
+            constant + log_determinant(self.LB) - b @ self.white
         )
 
     @cached_property
@@ -156,10 +156,10 @@ class SparsePosterior(SinglePosterior):
         Far below the noise variance, the posterior is nearly the exact one (Burt, Rasmussen & van
         der Wilk 2020).
         """
-        found = np.zeros(len(self.noise))
+        variance = np.zeros(len(self.noise))
         for (i,), s in self.statistics.items():
-            found[i] = s.unexplained / s.n
-        return found
+            variance[i] = s.unexplained / s.n
+        return variance
 
     def samples(self) -> Data:
         """Return the values that the posterior has learned from."""
@@ -390,12 +390,12 @@ class Statistics(NamedTuple):
 
 def compute_statistics(kernel, features, noise, Lu, shares) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
-    found: dict[tuple[int, ...], Statistics] = {}
+    statistics: dict[tuple[int, ...], Statistics] = {}
     parts = thread_map(partial(_share_sums, kernel, features, noise, Lu), shares)
     for share, part in zip(shares, parts, strict=True):
-        earlier = found.get(share.outputs)
-        found[share.outputs] = part if earlier is None else earlier.plus(part)
-    return found
+        earlier = statistics.get(share.outputs)
+        statistics[share.outputs] = part if earlier is None else earlier.plus(part)
+    return statistics
 
 
 def _share_sums(kernel, features, noise, Lu, share):

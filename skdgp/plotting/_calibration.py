@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from skdgp._compute.statistics import LEVELS, check_levels, shares_inside, standardized
+import numpy as np
+
+from skdgp._compute.statistics import LEVELS, check_level, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol
 from skdgp._flight.channels import COEFFICIENTS
@@ -90,7 +92,7 @@ class CalibrationDisplay(Display):
         """
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)
-        nominal = check_levels(levels)
+        nominal = np.sort([check_level(level) for level in np.ravel(np.asarray(levels, float))])
         z = standardized(values, mean, check_std(std, values.shape))
         return cls(
             nominal=nominal,

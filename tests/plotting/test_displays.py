@@ -287,7 +287,7 @@ class TestCalibration:
     @pytest.mark.parametrize("levels", [[0.0], [95], [np.nan]])
     def test_says_what_a_level_is(self, levels):
         _, measured, mean, std = outputs(50)
-        with pytest.raises(ValueError, match="expected probabilities"):
+        with pytest.raises(ValueError, match="expected a probability"):
             CalibrationDisplay.from_predictions(measured, mean, std, levels=levels)
 
 

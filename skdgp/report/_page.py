@@ -455,8 +455,8 @@ def _flight(result: FlightResult, length: float | None) -> str:
     if "truth" in scores:
         tables += error_table(scores["truth"], against="truth", with_bands=False)
         legend += (
-            " Bands are judged against measured values alone: the true coefficients contain what "
-            "no sensor saw, such as gusts, which no band promises to hold."
+            " Bands are judged against measured values alone: the true coefficients contain effects "
+            "that no sensor saw, such as gusts, which no band promises to hold."
         )
     parts = [f'<div class="pair">{tables}</div>', _note(legend)]
     if length is None:

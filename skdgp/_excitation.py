@@ -442,10 +442,8 @@ class Wavetrain:
     def __call__(self, axis: str, time: ArrayLike) -> Array:
         """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
         time = np.asarray(time, dtype=float)
-        total = np.zeros(time.shape)
-        for start, signal in self.inputs.get(axis, {}).items():
-            total += signal(time - start)
-        return total
+        signals = self.inputs.get(axis, {}).items()
+        return sum((signal(time - start) for start, signal in signals), np.zeros(time.shape))
 
     @property
     def axes(self) -> list[str]:

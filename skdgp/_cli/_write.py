@@ -121,10 +121,11 @@ def _writers(options, planned: Plan) -> dict[str, Writer]:
 
 def _text(planned: Plan, options, files: list) -> str:
     """Return trims, manoeuvres, limits and standard deviations as tables."""
-    lines = []
-    for number, point in enumerate(planned.trims):
-        controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
-        lines.append(f"train {number}: {point.airspeed:g} m/s, {controls}")
+    lines = [
+        f"train {number}: {point.airspeed:g} m/s, "
+        + ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
+        for number, point in enumerate(planned.trims)
+    ]
     flown = {point.airspeed for point in planned.trims}
     lines += [f"{speed:g} m/s: nothing planned there" for speed in {*options.airspeed} - flown]
     columns = ["train", "start", "name", "scale", "risk"]

@@ -148,12 +148,13 @@ def _order(plan: Plan) -> str:
         "risk [%]",
         "flown",
     ]
-    rows = []
-    for k, row in enumerate(plan.manoeuvres.to_dict("records")):
-        rows.append([
+    rows = [
+        [
             f"{k + 1}. {text(row['name'])}", number(row["start"], ".1f"),
             number(row["duration"], ".1f"), percent(row["scale"], ".0f"), percent(row["risk"]), "☐",
-        ])  # fmt: skip
+        ]
+        for k, row in enumerate(plan.manoeuvres.to_dict("records"))
+    ]  # fmt: skip
     total = f"<b>{percent(plan.risk)}</b>"
     rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", total, ""])
     caption = (
@@ -193,12 +194,14 @@ def _limits(plan: Plan) -> str:
 def _promise(plan: Plan) -> str:
     """Return the engineer's page."""
     errors = plan.errors
-    rows = []
-    for name, row in errors.iterrows():
-        remaining = percent(row["promised"] / row["before"], ".0f")
-        rows.append(
-            [text(name), number(row["before"], ".2g"), number(row["promised"], ".2g"), remaining]
-        )
+    rows = [
+        [
+            text(name),
+            *(number(row[end], ".2g") for end in ("before", "promised")),
+            percent(row["promised"] / row["before"], ".0f"),
+        ]
+        for name, row in errors.iterrows()
+    ]
     caption = (
         f"Standard deviations of derivatives at the trims, as <code>derivatives</code> states "
         f"them: before the flight, and promised of a model learned from this flight too. Geometric "

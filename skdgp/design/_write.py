@@ -88,23 +88,21 @@ def ardupilot_script(
     full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
     mixes = surface_mixes(train.axes, full)
     _check_room(train.table(rate), mixes, full)
-    axes = []
-    for axis in train.axes:
-        signals = [
-            _parts(signal) | {"start": start} for start, signal in train.inputs[axis].items()
-        ]
-        amplitude = train.limits.get(axis, NO_LIMIT)
-        axes.append({"name": axis, "amplitude": amplitude, "signals": signals})
-    surfaces = []
-    for name, mix in mixes.items():
-        (servo, sign), scale = (
-            ARDUPILOT[name],
-            THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE,
-        )
-        surfaces.append({
-            "name": name, "servo": servo, "full": sign * full[name], "range": name == "throttle", "scale": scale,
+    axes = [
+        {
+            "name": axis, "amplitude": train.limits.get(axis, NO_LIMIT),
+            "signals": [_parts(item) | {"start": t} for t, item in train.inputs[axis].items()],
+        }
+        for axis in train.axes
+    ]  # fmt: skip
+    surfaces = [
+        {
+            "name": name, "servo": ARDUPILOT[name][0], "full": ARDUPILOT[name][1] * full[name],
+            "range": name == "throttle", "scale": THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE,
             "parts": [mix.get(axis, 0.0) for axis in train.axes],
-        })  # fmt: skip
+        }
+        for name, mix in mixes.items()
+    ]  # fmt: skip
     plan = {
         "switch": switch, "period": int(1000.0 / rate), "duration": train.duration,
         "labels": ",".join(["t", *train.axes]), "format": "f" * (1 + len(axes)), "axes": axes,

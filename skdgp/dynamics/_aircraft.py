@@ -263,9 +263,10 @@ def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str
     that a full throw which is wrong by 1 % makes the effect of the control wrong by -1 %.
     """
     rows = [POWERS[name] for name in COEFFICIENTS]
-    columns: list[dict[str, float]] = [{}]
-    for name in regressors:
-        columns.append({PRESSURE: SPEED_POWERS.get(name, 0.0), LENGTHS.get(name, name): -1.0})
+    columns: list[dict[str, float]] = [
+        {},
+        *({PRESSURE: SPEED_POWERS.get(n, 0.0), LENGTHS.get(n, n): -1.0} for n in regressors),
+    ]
     errors = np.zeros((len(deviations), len(rows), len(columns)))
     for error, factor in zip(errors, deviations.values(), strict=True):
         by_row, by_column = (

@@ -296,10 +296,10 @@ def _points(
     columns = {
         name: np.broadcast_to(value, len(points)) for name, value in (controls or {}).items()
     }
-    flights = []
-    for k, item in enumerate(points):
-        row = {name: values[k] for name, values in columns.items()} or None
-        flights.append(flight_point(motion, item, row))
+    flights = [
+        flight_point(motion, item, {name: x[k] for name, x in columns.items()} or None)
+        for k, item in enumerate(points)
+    ]
     states = np.stack([state for state, _ in flights])
     names = flights[0][1]
     return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single

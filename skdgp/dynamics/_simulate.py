@@ -369,9 +369,8 @@ def trajectory_table(record: Any, motion: Motion, first_times: Array) -> pd.Data
 
     over = np.arange(n_times).reshape(-1, *[1] * len(shape)) >= record.end
     columns = channels(record.states, wind) | {"density": record.density}
-    for k, name in enumerate(("p_dot", "q_dot", "r_dot")):
-        columns[name] = record.derivative[..., rigid_body.RATES][..., k]
     for names, values in (
+        (("p_dot", "q_dot", "r_dot"), record.derivative[..., rigid_body.RATES]),
         (SPECIFIC_FORCE, record.specific_force),
         (COEFFICIENTS, record.coefficients),
     ):

@@ -170,16 +170,14 @@ def evaluate_flights(
     flights: Flights, pipeline: Pipeline, aircraft: Aircraft, settings: dict, fit: dict
 ) -> list[Evaluation]:
     """Predict flights and replay them, with the settings and facts of `identify`."""
-    evaluations = []
-    for name, table in flights.items():
-        notify(f"evaluating {name}")
-        evaluations.append(
-            _evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares"))
-        )
-    return evaluations
+    return [
+        _evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares"))
+        for name, table in flights.items()
+    ]
 
 
 def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evaluation:
+    notify(f"evaluating {name}")
     loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
     regressors, noise_ratio = flight_regressors(pipeline, table)

@@ -113,13 +113,21 @@ class LogSummary:
         title = f"{self.path}: {self.format}, {self.firmware}, {vehicle}, {self.duration:.1f} s"
         lines = [title, "", *(f"  {line}" for line in self._flight_lines()), ""]
         kinds = self.columns.groupby(["source", "rate", "constant"], sort=False, dropna=False)
-        for (source, rate, constant), rows in kinds:
-            heading = f"{rate:>8.3g} Hz  {' '.join(rows.index)}"
-            lines.append(_hanging(f"{heading}: {source}{' (never changes)' * bool(constant)}", 15))
+        lines += [
+            _hanging(
+                f"{rate:>8.3g} Hz  {' '.join(rows.index)}: {source}"
+                f"{' (never changes)' * bool(constant)}",
+                15,
+            )
+            for (source, rate, constant), rows in kinds
+        ]
         lines.append("")
-        for step, names in self.missing.items():
-            line = f"lacks {', '.join(names)}" if names else "nothing missing"
-            lines.append(_hanging(f"{step:<18}{line}", 20))
+        lines += [
+            _hanging(
+                f"{step:<18}{'lacks ' * bool(names)}{', '.join(names) or 'nothing missing'}", 20
+            )
+            for step, names in self.missing.items()
+        ]
         lacking = {name for names in self.missing.values() for name in names}
         if any(name.startswith(SURFACES) for name in lacking):
             lacking.add("servos")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -149,18 +148,6 @@ def _predictions(pipeline, flight: pd.DataFrame, include_noise: bool) -> pd.Data
     return flight[["flight", "time"]].reset_index(drop=True).join(table)
 
 
-@dataclass(frozen=True)
-class Start:
-    """Initial state, controls and air of a simulation, which starts from a ``log`` or a ``trim``."""
-
-    state: dict[str, float]
-    controls: dict | pd.DataFrame
-    wind: list[float] | pd.DataFrame | None
-    duration: float
-    log: pd.DataFrame | None = None
-    trim: Trim | None = None
-
-
 def simulate(run: Run) -> None:
     """Fly a model, from a moment of a log with its controls from there on, or from a trim with its controls held.
 
@@ -215,8 +202,8 @@ def simulate(run: Run) -> None:
     run.print(_simulation_text(numbers, written), numbers)
 
 
-def _start(options, model, thrust) -> Start:
-    """Return the start that the options name; raise ValueError if options contradict each other."""
+def _start(options, model, thrust) -> Bunch:
+    """Return state, controls, wind, duration, log and trim of a start; raise ValueError if options contradict."""
     if (options.flight is None) == (options.trim is None):
         raise ValueError(
             "Got both or none of --flight and --trim, but expected one of them to start from."
@@ -235,7 +222,7 @@ def _start(options, model, thrust) -> Start:
     return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
 
 
-def _trimmed(options, model, thrust) -> Start:
+def _trimmed(options, model, thrust) -> Bunch:
     """Start from a trim, with its controls, and doublets about them."""
     climb = options.climb
     if thrust is not None and climb is None:  # without thrust it follows
@@ -256,12 +243,13 @@ def _trimmed(options, model, thrust) -> Start:
     pulses = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
     check_names(pulses, steady.controls, "trim's controls")
     controls = {name: value + pulses.get(name, 0.0) for name, value in steady.controls.items()}
-    return Start(
-        state, pd.DataFrame({"time": time} | controls), options.wind, duration, trim=steady
+    table = pd.DataFrame({"time": time} | controls)
+    return Bunch(
+        state=state, controls=table, wind=options.wind, duration=duration, log=None, trim=steady
     )
 
 
-def _logged(options, model) -> Start:
+def _logged(options, model) -> Bunch:
     """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
     if options.at is None:
         raise ValueError(
@@ -291,7 +279,7 @@ def _logged(options, model) -> Start:
         wind = log[["time", *WIND]]
     state = {name: float(log[name].iloc[0]) for name in (*START, "north", "east") if name in log}
     duration = min(DURATION, np.ptp(log["time"])) if options.duration is None else options.duration
-    return Start(state, log, wind, duration, log)
+    return Bunch(state=state, controls=log, wind=wind, duration=duration, log=log, trim=None)
 
 
 def _numbers(options, start, trajectory, paths) -> dict:

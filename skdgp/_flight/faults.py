@@ -137,9 +137,9 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for channel, kind, rows, description in _faults_of_flight(flight_time, part):
-            begin, end = float(flight_time[rows[0]]), float(flight_time[rows[-1]])
-            place = (names[codes[first]], channel, kind, begin, end, first + rows)
-            findings.append(Finding(*place, description, origin))
+            ends = map(float, flight_time[rows[[0, -1]]])
+            found = (names[codes[first]], channel, kind, *ends, first + rows, description, origin)
+            findings.append(Finding(*found))
     return findings
 
 

@@ -125,12 +125,16 @@ def _go(plan: Plan) -> str:
 def _entry(plan: Plan) -> str:
     states = ("airspeed", "altitude", "phi", "alpha", "theta")
     axes = list(dict.fromkeys(axis for trim in plan.trims for axis in trim.controls))
-    rows = []
     pauses = plan.manoeuvres.groupby("train")["start"].first()
-    for k, trim in enumerate(plan.trims):
-        values = [shown(name, getattr(trim, name)) for name in states]
-        values += [shown(axis, trim.controls.get(axis, np.nan)) for axis in axes]
-        rows.append([_train(plan, k), *values, number(pauses[k], ".1f")])
+    rows = [
+        [
+            _train(plan, k),
+            *(shown(name, getattr(trim, name)) for name in states),
+            *(shown(axis, trim.controls.get(axis, np.nan)) for axis in axes),
+            number(pauses[k], ".1f"),
+        ]
+        for k, trim in enumerate(plan.trims)
+    ]
     caption = (
         "Trim, as the model expects it; deflections of the controls are positions, not deviations."
     )

@@ -163,11 +163,12 @@ def _turbulence_of(
     speeds, tables = airspeeds(states, air), tables_of(wind)
     if not tables:
         ground = body_to_ned(states[:, ATTITUDE], states[:, VELOCITY])
-        met = []
-        for k in range(clock.n_steps + 1):
-            moved = states.copy()
-            moved[:, rigid_body.POSITION] += k * clock.dt * ground
-            met.append(np.broadcast_to(air(2 * k, moved).wind, (len(states), 3)))  # type: ignore[union-attr]
+        step = np.zeros_like(states)
+        step[:, rigid_body.POSITION] = clock.dt * ground
+        met = [
+            np.broadcast_to(air(2 * k, states + k * step).wind, (len(states), 3))  # type: ignore[union-attr]
+            for k in range(clock.n_steps + 1)
+        ]
         time = clock.dt * np.arange(clock.n_steps + 1)
         tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
     try:

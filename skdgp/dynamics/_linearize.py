@@ -288,12 +288,15 @@ class LinearModel:
         tables = [t.loc[block] for t, block in zip(self._tables(), blocks, strict=True)]
         paths = None
         if self.paths is not None:
-            parts = []
-            for values, table, part in zip(self.paths, self._tables(), tables, strict=True):
-                rows = table.index.get_indexer(part.index)
-                columns = table.columns.get_indexer(part.columns)
-                parts.append(values[:, rows][:, :, columns])
-            paths = Matrices(*parts)
+            parts = zip(self.paths, self._tables(), tables, strict=True)
+            paths = Matrices(
+                *(
+                    values[:, x.index.get_indexer(part.index)][
+                        ..., x.columns.get_indexer(part.columns)
+                    ]
+                    for values, x, part in parts
+                )
+            )
         A, B, C, D = tables
         return LinearModel(A, B, C, D, self.state, self.controls, paths)
 

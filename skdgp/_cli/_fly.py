@@ -236,8 +236,10 @@ def _trimmed(options, model, thrust) -> Bunch:
         altitude=options.altitude or 0.0,
         thrust=thrust,
     )
-    state = {name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")}
-    state |= dict(zip(RATES, steady.rates, strict=True))  # by the air, which the wind carries along
+    state = {
+        **{name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")},
+        **dict(zip(RATES, steady.rates, strict=True)),  # by the air, which the wind carries along
+    }
     duration = options.duration or DURATION
     time = np.arange(0.0, duration + options.dt, options.dt)
     pulses = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}

@@ -196,9 +196,14 @@ def _export_text(folder, numbers) -> str:
     width = max(map(len, numbers["files"])) + 2
     lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
     if loss := numbers.get("loss"):
-        lines += ["", "loss, root mean square, in posterior deviations"]
-        lines += [f"{'':6}{'mean':>12}{'std':>12}"]
-        lines += [f"{name:6}{row['mean']:>12.2g}{row['std']:>12.2g}" for name, row in loss.items()]
+        lines += [
+            *(
+                "",
+                "loss, root mean square, in posterior deviations",
+                f"{'':6}{'mean':>12}{'std':>12}",
+            ),
+            *(f"{name:6}{row['mean']:>12.2g}{row['std']:>12.2g}" for name, row in loss.items()),
+        ]
     return "\n".join([*lines, "", f"written into {folder}"])
 
 

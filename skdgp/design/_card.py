@@ -60,10 +60,10 @@ ENTRY = (
     "Leave the other controls at their trim while the inputs run.",
     "Return to the trim, and hold it until the pause is over.",
 )
-LABELS = {"load_factor": ("load factor", 1.0, "g"), "bank": ("bank", float(np.rad2deg(1.0)), "deg")}
-LABELS |= {
-    name: (words, float(np.rad2deg(1.0)), "deg")
-    for name, words in (("phi", "bank"), ("theta", "pitch"))
+LABELS = {
+    "load_factor": ("load factor", 1.0, "g"),
+    **dict.fromkeys(("bank", "phi"), ("bank", float(np.rad2deg(1.0)), "deg")),
+    "theta": ("pitch", float(np.rad2deg(1.0)), "deg"),
 }
 
 
@@ -89,8 +89,10 @@ def write_flight_card(
     kinds = plan.manoeuvres.reset_index().groupby(["name", "train", "scale"], sort=False)["index"]
     body += [_manoeuvre(plan, list(rows), full or {}, draw) for _, rows in kinds]
     body.append(_promise(plan))
-    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds"
-    meta += f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
+    meta = (
+        f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds"
+        f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
+    )
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     page = render_page("Flight card", title, meta, "\n".join(body), colophon)
@@ -276,9 +278,12 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Signal]) -> str:
         )
         for name in names
     ]
-    key = [("purple", "input, deviation from trim", ""), ("blue", "expected", "")]
-    key += [("sky", "95 % of the aircraft drawn", "area")] if "alpha_low" in flight else []
-    key += [("vermillion", "abort limit", "")]
+    key = [
+        ("purple", "input, deviation from trim", ""),
+        ("blue", "expected", ""),
+        *[("sky", "95 % of the aircraft drawn", "area")] * ("alpha_low" in flight),
+        ("vermillion", "abort limit", ""),
+    ]
     caption = (
         "Inputs and expected responses, from the start of the manoeuvre. Limits that the response "
         "does not come near are not drawn."

@@ -21,9 +21,12 @@ RATE = 50.0  # of the autopilot [Hz]
 DOUBLET_PEAK = 2.331  # frequency times width where the spectrum of a doublet peaks: tan(x / 2) = x
 LONGITUDINAL = ("short period",)  # how names of modes begin; a pair that has split also has numbers
 LATERAL = ("Dutch roll", "roll")
-MODES = {"elevator": LONGITUDINAL, "aileron": LATERAL, "rudder": LATERAL}
-MODES |= dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL)
-MODES |= dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",))
+MODES = {
+    "elevator": LONGITUDINAL,
+    **dict.fromkeys(("aileron", "rudder"), LATERAL),
+    **dict.fromkeys(("elevon_left", "elevon_right"), LONGITUDINAL + LATERAL),
+    **dict.fromkeys(("thrust", "throttle", "propeller_speed"), ("phugoid",)),
+}
 BELOW = 0.4  # lowest frequency of the band over the frequency of the slowest mode
 ABOVE = 2.5  # highest frequency of the band over the frequency of an oscillation
 WIDTHS = (1.0, 2.5)  # widths of pulses, in units of the suggested one

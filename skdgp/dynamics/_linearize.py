@@ -584,8 +584,7 @@ def _named(
         dutch, slow = split(units, ("v", "r"), 2)
         slow.sort(key=lambda unit: -part(("p",), unit))
         names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
-        named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(zip(names, slow, strict=True))
+        named |= _numbered("Dutch roll", dutch, eigenvalues) | dict(zip(names, slow, strict=True))
     return named or _numbered("mode", units, eigenvalues)
 
 

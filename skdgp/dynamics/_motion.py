@@ -242,8 +242,14 @@ class Motion:
             if air is None or air.rotation is None
             else state[..., RATES] - air.rotation
         )
-        values |= {"p": rates[..., 0], "q": rates[..., 1], "r": rates[..., 2]}
-        values |= {"u": state[..., 3], "v": state[..., 4], "w": state[..., 5]}
+        values |= {
+            "p": rates[..., 0],
+            "q": rates[..., 1],
+            "r": rates[..., 2],
+            "u": state[..., 3],
+            "v": state[..., 4],
+            "w": state[..., 5],
+        }
         X = np.empty((*state.shape[:-1], len(self._plan)))
         for k, name in enumerate(self.regressors):
             if name not in IMPLICIT:

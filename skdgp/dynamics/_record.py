@@ -44,13 +44,16 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
         POSITION: states[..., rigid_body.POSITION],
         EARTH_VELOCITY: earth,
         BODY_VELOCITY: states[..., VELOCITY],
+        EULER: angles,
+        RATES: states[..., rigid_body.RATES],
     }
-    groups |= {EULER: angles, RATES: states[..., rigid_body.RATES]}
     columns = {
         name: values[..., k] for names, values in groups.items() for k, name in enumerate(names)
     }
-    columns |= dict(zip(AIR_DATA, air_data(air), strict=True))
-    return columns | {"altitude": -states[..., 2]}
+    return columns | {
+        **dict(zip(AIR_DATA, air_data(air), strict=True)),
+        "altitude": -states[..., 2],
+    }
 
 
 class Clock(NamedTuple):

@@ -379,10 +379,10 @@ def trajectory_table(record: Any, motion: Motion, first_times: Array) -> pd.Data
         columns |= {name: wind[..., k] for k, name in enumerate(WIND)}
     clock = np.add.outer(record.time, first_times)
     table: dict[str, Any] = {
-        "time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape))
+        "time": column(clock[:, None] if len(shape) == 2 else clock.reshape(n_times, *shape)),
+        **_identity(shape, n_times),
+        **{name: column(values) for name, values in (columns | record.controls).items()},
     }
-    table |= _identity(shape, n_times)
-    table |= {name: column(values) for name, values in (columns | record.controls).items()}
     farthest = np.array(["", *motion.regressors], dtype=object)[
         column(beyond(motion, record.regressors))
     ]

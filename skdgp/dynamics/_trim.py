@@ -83,10 +83,16 @@ class Trim:
 
     def to_frame(self) -> pd.DataFrame:
         """Return the trim as a table of one row; ``beyond`` lists names."""
-        row = {name: getattr(self, name) for name in ("airspeed", *FLIGHT)}
-        row |= dict(zip(RATE_NAMES, self.rates, strict=True)) | self.controls
-        row |= {"thrust": self.thrust} | dict(zip(COEFFICIENTS, self.coefficients, strict=True))
-        return pd.DataFrame([row | {"residual": self.residual, "beyond": ", ".join(self.beyond)}])
+        row = {
+            **{name: getattr(self, name) for name in ("airspeed", *FLIGHT)},
+            **dict(zip(RATE_NAMES, self.rates, strict=True)),
+            **self.controls,
+            "thrust": self.thrust,
+            **dict(zip(COEFFICIENTS, self.coefficients, strict=True)),
+            "residual": self.residual,
+            "beyond": ", ".join(self.beyond),
+        }
+        return pd.DataFrame([row])
 
 
 def trim(

@@ -175,8 +175,10 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
 
 def _uncertain_sizes(aircraft: Aircraft) -> list[str]:
     """Return the sizes of an aircraft that are uncertain, by errors of all causes together."""
-    values = {name: getattr(aircraft, name) for name in QUANTITIES}
-    values |= dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True))
+    values = {
+        **{name: getattr(aircraft, name) for name in QUANTITIES},
+        **dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)),
+    }
     factors = (aircraft.deviations or {}).values()
     stds = {
         name: float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))

@@ -234,8 +234,7 @@ class _File:
             if kind.name in DEFINITIONS or not kind.starts or not kind.is_whole_number("TimeUS"):
                 continue
             records = kind.read(self.data)
-            fields = numeric_fields({name: records[name] for name in kind.codes})
-            fields |= {
+            fields = numeric_fields({name: records[name] for name in kind.codes}) | {
                 name: SCALE[code] * records[name]
                 for name, code in kind.codes.items()
                 if code in SCALE

@@ -57,6 +57,7 @@ LONG_GAP = 1.0
 MOST_SHOWN = 8  # kinds of findings that a warning names
 EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
 WARNING_START = "Faults in the log"  # first words of the warning, for filters
+AIR_UNKNOWN = "Gusts are not known"  # first words of warnings that forbid a verdict of yes
 ENOUGH = 50  # least number of samples to estimate the usual length of runs
 IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
 LEAST_HOLD = 0.3  # shorter holds [s] are no fault

@@ -73,6 +73,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
             ).items()
             if not converged
         ],
+        "gusts_unknown": getattr(pipeline["flightpathreconstruction"], "doubt_", ""),
         "reconstruction": reconstruction_of(pipeline),
         "lags": lags_of(pipeline),
     }

@@ -27,6 +27,7 @@ from skdgp.preprocessing import (
     LagCorrector,
     RateNondimensionalizer,
     RegressorSelector,
+    prior_deviations,
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
@@ -221,22 +222,26 @@ class FlightPipeline(Pipeline):
         steps = self[:-1]
         own = np.asarray(steps.fit_transform(X, y))
         self.steps = [*steps.steps, (name, last)]  # a memory fits clones
-        last.fit(own, y, **self._known_slopes(y) | words)
+        last.fit(own, y, **self._known_slopes(own, y) | words)
         self._learn_turbulence(X)
         return own
 
-    def _known_slopes(self, y: Any) -> dict[str, KnownSlopes]:
-        """Return the slopes that the motion of the air shows, as a parameter of the last step, if it uses them."""
+    def _known_slopes(self, X: Matrix, y: Any) -> dict[str, KnownSlopes]:
+        """Return the slopes that the motion of the air shows, as a parameter of the last step, if it uses them.
+
+        Where gusts are not known, least squares with the deviations of small aircraft in general.
+        """
         steps = self.named_steps
-        motion = getattr(steps.get("flightpathreconstruction"), "air_motion_", None)
-        if motion is None or not isinstance(self[-1], DependentGPRegressor):
+        step = steps.get("flightpathreconstruction")
+        motion, doubt = getattr(step, "air_motion_", None), getattr(step, "doubt_", "")
+        if not (motion or doubt) or not isinstance(self[-1], DependentGPRegressor):
             return {}
-        value, errors = motion.slopes(
-            list(getattr(y, "columns", COEFFICIENTS)), steps["regressorselector"].regressors_
-        )
-        known = KnownSlopes(value, errors)
+        names = list(getattr(y, "columns", COEFFICIENTS)), steps["regressorselector"].regressors_
         scale = getattr(steps.get("standardscaler"), "scale_", None)
-        return {"slopes": known if scale is None else known.scaled(scale)}
+        scale = np.ones(X.shape[1]) if scale is None else scale
+        if motion is None:
+            return {"slopes": KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)}
+        return {"slopes": KnownSlopes(*motion.slopes(*names)).scaled(scale)}
 
     def _learn_turbulence(self, X):
         self.seconds_ = None

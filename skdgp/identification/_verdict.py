@@ -15,6 +15,7 @@ from skdgp._compute.messages import without_warnings
 from skdgp._flight.channels import COEFFICIENTS, RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
+from skdgp._flight.faults import AIR_UNKNOWN
 from skdgp._flight.frames import wrapped
 from skdgp.dynamics import (
     Aerodynamics,
@@ -45,6 +46,8 @@ ACCELERATIONS = {"ax", "ay", "az", *(f"{rate}_dot{end}" for rate in "pqr" for en
 N_PATHS = 200
 SHOWN_PATHS = 30  # of the simulation that the report draws
 SHOWN_STATES = ("airspeed", "alpha", "phi", "theta", "p", "q")
+UNCONVERGED = "a reconstruction did not converge"
+GUSTS_UNKNOWN = "gusts without vanes are not known"
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # of no wind and no heading
 # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
 FLIGHT_STEP = 0.05
@@ -64,7 +67,13 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table, learned = scores(evaluations)["measured"], list(train)
-    faults = _faults(mechanics.derivatives, fit.get("paths_not_converged", ()))
+    faults = _faults(
+        mechanics.derivatives,
+        fit.get("paths_not_converged", ()),
+        fit.get("gusts_unknown", ""),
+        [text for text in messages if text.startswith(AIR_UNKNOWN)],
+    )
+    rest = [text for text in messages if not text.startswith(AIR_UNKNOWN)]
     flights = pd.DataFrame(
         [
             {"duration": float(np.ptp(flight.time)), **scores([flight])["measured"].mean()}
@@ -85,8 +94,9 @@ def judge(
         _simulation(mechanics, fit["regressors"]),
         _control(mechanics, faults),
     )
-    if fit.get("paths_not_converged"):
-        uses = _doubted(uses[0]), _doubted(uses[1]), _doubted(uses[2])
+    for doubt in (UNCONVERGED, GUSTS_UNKNOWN):
+        if doubt in faults:
+            uses = _doubted(uses[0], doubt), _doubted(uses[1], doubt), _doubted(uses[2], doubt)
     return Verdict(
         learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
         f"{', '.join(fit['regressors'])}, "
@@ -97,7 +107,7 @@ def judge(
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
         uses=uses,
-        warnings=(*faults.values(), *_warnings(table, flights, fit, messages)),
+        warnings=(*faults.values(), *_warnings(table, flights, fit, rest)),
         flights=flights,
     )
 
@@ -108,11 +118,11 @@ def _amount(tables: Sequence[pd.DataFrame]) -> str:
     return f"{time} of {len(tables)} flight{'s' * (len(tables) != 1)}"
 
 
-def _doubted(use: Use) -> Use:
+def _doubted(use: Use, doubt: str) -> Use:
     """Return a use of a model whose flights were not reconstructed: never yes."""
     if use.fit != "yes":
         return use
-    return Use(use.purpose, "partly", f"{use.reason}; but a reconstruction did not converge")
+    return Use(use.purpose, "partly", f"{use.reason}; but {doubt}")
 
 
 def _prediction(table: pd.DataFrame) -> Use:
@@ -165,20 +175,23 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _faults(derivatives: pd.DataFrame, unconverged: Sequence[str]) -> dict[str, str]:
+def _faults(
+    derivatives: pd.DataFrame, unconverged: Sequence[str], unknown: str, of_tests: Sequence[str]
+) -> dict[str, str]:
     """Return by a short name the warnings that forbid the design of a controller."""
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
     wrong = values[values * pd.Series(SIGNS) < 0]
     signs = ", ".join(f"{name} {value:+.2g}" for name, value in wrong.items())
     faults = {
-        "a reconstruction did not converge": f"The paths of {len(unconverged)} flights of the fit "
+        GUSTS_UNKNOWN: f"{AIR_UNKNOWN}: {unknown}" if unknown else "".join(of_tests[:1]),
+        UNCONVERGED: f"The paths of {len(unconverged)} flights of the fit "
         f"did not converge: {_some([*map(str, unconverged)])}. Their sensors contradict one "
         f"another.",
         f"wrong sign of {', '.join(map(str, wrong.index))}": f"Signs are not as on a "
         f"conventional stable aircraft: {signs}. Look at the signs of the log's surfaces and "
         f"rates, and at gusts without vanes.",
     }
-    applies = (len(unconverged), len(wrong))
+    applies = (bool(unknown or of_tests), len(unconverged), len(wrong))
     return {name: text for (name, text), n in zip(faults.items(), applies, strict=True) if n}
 
 

@@ -21,6 +21,21 @@ class KnownSlopes(NamedTuple):
     value: Matrix  # (P, d)
     errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
 
+    @classmethod
+    def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
+        """Return the slopes of least squares with standard ``deviations`` (P, d), where these are finite."""
+        value = np.empty_like(deviations)
+        for y, slopes in zip(np.asarray(Y, dtype=float).T, value, strict=True):
+            rows = np.isfinite(y)
+            centred = X[rows] - X[rows].mean(axis=0)
+            slopes[:] = np.linalg.lstsq(centred, y[rows] - y[rows].mean(), rcond=None)[0]
+        value[~np.isfinite(deviations)] = np.nan
+        errors = np.zeros((*value.shape, value.size))
+        np.einsum("pdpd->pd", errors.reshape(*value.shape, *value.shape))[:] = np.nan_to_num(
+            deviations
+        )
+        return cls(value, errors)
+
     @property
     def known(self) -> Array:
         """Whether a slope is known, (P, d, 1)."""

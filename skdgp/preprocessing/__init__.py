@@ -11,7 +11,11 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.turns import airspeed_from_turns
-from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
+from skdgp.preprocessing._air_motion import (
+    AirMotion,
+    estimate_air_motion,
+    prior_deviations,
+)
 from skdgp.preprocessing._check import FlightCheck, inspect_flight
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
@@ -31,4 +35,5 @@ __all__ = [
     "airspeed_from_turns",
     "estimate_air_motion",
     "inspect_flight",
+    "prior_deviations",
 ]

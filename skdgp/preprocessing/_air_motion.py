@@ -23,11 +23,12 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
     SURFACES,
+    THRUST_FORCES,
     WIND,
 )
 from skdgp._flight.checks import check_columns, check_radians, check_table, numeric
 from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
-from skdgp.dynamics import Aircraft, check_aircraft, propulsive_loads
+from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.preprocessing._air_motion_equations import (
     ARM,
     FAST,
@@ -48,9 +49,8 @@ from skdgp.preprocessing._air_motion_filter import (
     innovation_slopes,
     smoothed,
     state_slopes,
-    varied,
 )
-from skdgp.preprocessing._air_motion_model import Inputs
+from skdgp.preprocessing._air_motion_model import STATE_TERMS, Inputs
 from skdgp.preprocessing._air_motion_parameters import (
     OWN,
     OWN_NOISES,
@@ -78,7 +78,6 @@ PATH_CONSTANTS = (*INERTIAL, "velocity_lag", "attitude_lag")
 FEWEST = 100  # samples of a record, of flights to learn from
 MOST = 12000  # samples to learn from, of all records
 RATE = 50.0  # Hz, of samples; faster logs are thinned to 50 to 100 Hz
-MOVE = 1e-4  # of a slope by alpha or beta, for the derivatives of the gain
 LOG_MOVE = 1e-3  # of the logarithm of a noise
 NOISE_SAMPLES = 2000  # of each record, from its middle, that tell the noises
 MAX_PASSES = 30
@@ -88,6 +87,10 @@ LARGEST_LOG = 0.7  # step of the logarithm of a noise
 LEAST_NOISE = 1e-4  # of accelerometers and gyros, SI
 LIFT_SLOPE = 4.5  # 1/rad, typical
 MEAN_GUST = 0.2  # m/s, standard deviation of the mean vertical gust of a record
+DIVERGED = (
+    "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
+    "with inputs of every surface, and look at the signs and units of their sensors."
+)
 BLOCK = 2.0  # s of scores that are summed before their covariance is taken
 LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in steps
 MODEL_ERROR = 0.03  # standard deviation of a derivative by what the model leaves out, relative
@@ -230,7 +233,8 @@ def estimate_air_motion(
     terms : mapping of str to sequence of str, optional
         Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
     thrust : str or None, default="auto"
-        As in `skdgp.dynamics.aerodynamic_coefficients`.
+        As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
+        measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
     known : AirMotion, optional
         Of other flights of the aircraft. Derivatives, lag of the servos and noise of the sensors
         are held at its values; winds, biases and gusts are those of the given flights.
@@ -238,6 +242,11 @@ def estimate_air_motion(
     Returns
     -------
     AirMotion
+
+    Raises
+    ------
+    ValueError
+        If no record has 100 samples without a gap, or the estimate diverges.
     """
     check_aircraft(aircraft)
     check_columns(check_table(table), ["time", *NEEDED, "density"])
@@ -248,7 +257,13 @@ def estimate_air_motion(
     surfaces = [name for name in SURFACES if has_values(table, name) and np.ptp(table[name]) > 0]
     if known is not None:
         surfaces = known.surfaces
-    records = _records(table, aircraft, surfaces, thrust, FEWEST if known is None else 2)
+    is_known = thrust is not None and (
+        has_values(table, "thrust")
+        or any(has_values(table, name) for name in THRUST_FORCES)
+        or propeller_speed_of(aircraft.propeller, table) is not None
+    )
+    loads = np.concatenate(propulsive_loads(table, aircraft, thrust if is_known else None), axis=1)
+    records = _records(table, surfaces, loads, FEWEST if known is None else 2)
     if not records:
         raise ValueError(
             f"Got no record of {FEWEST} samples without a gap, but expected one: give a longer flight."
@@ -258,7 +273,13 @@ def estimate_air_motion(
         derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
     else:
         derivatives = _posteriors(known.derivatives)
-    return _Fit(records, aircraft, surfaces, derivatives, known).run(len(table))
+    if not is_known:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
+        derivatives = {k: v for k, v in derivatives.items() if not k.startswith("CX_")}
+    try:
+        return _Fit(records, aircraft, surfaces, derivatives, known).run(len(table))
+    except np.linalg.LinAlgError as error:
+        raise ValueError(DIVERGED) from error
 
 
 def _posteriors(estimates: pd.DataFrame) -> Prior:
@@ -266,11 +287,8 @@ def _posteriors(estimates: pd.DataFrame) -> Prior:
     return {str(name): (row["value"], row["std"]) for name, row in estimates.iterrows()}
 
 
-def _records(
-    table: pd.DataFrame, aircraft: Aircraft, surfaces: list[str], thrust: str | None, fewest: int
-) -> list[Record]:
-    """Return the records of a table, with paths that need no aerodynamics."""
-    loads = np.concatenate(propulsive_loads(table, aircraft, thrust), axis=1)
+def _records(table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: int) -> list[Record]:
+    """Return the records of a table with propulsive ``loads`` (n, 6), and paths that need no aerodynamics."""
     given = np.column_stack([numeric(table, [*surfaces, "density"]), loads])
     vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
@@ -322,11 +340,19 @@ def _path(log: Log):
     ).path
 
 
+def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:
+    """Return prior standard deviations (P, d) of derivatives, NaN where `TERMS` has none."""
+    stds = {name: std for name, (_, std) in derivatives_of(TERMS, SURFACES).items()}
+    names = [str(name).removesuffix(HAT) for name in regressors]
+    return np.array([[stds.get(f"{C}_{name}", np.nan) for name in names] for C in coefficients])
+
+
 class _Sums(NamedTuple):
     """Score and information of the parameters, and what else one pass shows."""
 
     score: Vector
     information: Matrix
+    scatter: Matrix  # covariance of the score
     blocks: Matrix  # (b, p) scores summed over blocks
     states: list[Matrix]
     passes: list[Pass]
@@ -348,7 +374,9 @@ class _Fit:
         self.surfaces = surfaces
         n_flights = 1 + max(record.flight for record in records)
         self.layout = Layout.of(list(derivatives), surfaces)
-        shared, noises = SHARED, SHARED_NOISES
+        shared, noises = dict(SHARED), SHARED_NOISES
+        if not any(name.startswith("CX_") for name in derivatives):  # thrust is a measured force
+            shared["thrust_scale"] = (0.0, 1e-6)
         if known is not None:
             shared = _posteriors(known.constants.loc[list(SHARED)])
             noises = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
@@ -378,6 +406,8 @@ class _Fit:
             information = sums.information[free, free]
             damped = information + damping * np.diag(np.diag(information))
             step = -np.linalg.solve(damped, sums.score[free])
+            if not np.isfinite(step).all():
+                raise np.linalg.LinAlgError
             self.x[free] += step
             settled = self._noise_step(sums.parts) if number else np.inf
             before, small = small, bool(step @ information @ step < TOLERANCE)
@@ -412,10 +442,13 @@ class _Fit:
         """
         pairs = [self._regression(record) for record in self.records]
         X, C = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        rows, columns, by_air = self.layout.rows, self.layout.columns, self.layout.by_air
+        rows, columns = self.layout.rows, self.layout.columns
+        by_air = np.isin(columns, [STATE_TERMS.index(name) for name in ("alpha", "beta")])
         for row in range(6):
-            given = by_air[rows[by_air] == row]
+            given = np.flatnonzero((rows == row) & by_air)
             free = np.setdiff1d(np.flatnonzero(rows == row), given)
+            if not len(free):
+                continue
             rest = C[:, row] - X[:, columns[given]] @ self.x[given]
             self.x[free] = np.linalg.lstsq(X[:, columns[free]], rest, rcond=None)[0]
 
@@ -450,25 +483,25 @@ class _Fit:
 
     def _pass(self) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
-        p, by_air = len(self.x), self.layout.by_air[: 0 if self.n_held else None]
-        moves = np.full(len(by_air), MOVE)
+        p = len(self.x)
         information = np.diag(self.parameters.precision)
         score = (self.x - self.parameters.mean) * self.parameters.precision
         blocks, states, passes, parts = [], [], [], []
         for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
+        scatter = information.copy()
         for record, before in zip(self.records, self.states, strict=True):
             at = self.parameters.places[record.flight]
             linear = self.linearised(record, before).of(np.flatnonzero(at >= self.n_held))
-            sets = np.tile(self.psi, (len(moves) + 1, 1))
-            run = filtered(varied(linear, moves), self.noise(sets, record))
-            slopes = innovation_slopes(linear, run, by_air, moves)
-            run = run.first()
+            run = filtered(linear, self.noise(self.psi, record))
             whitener = np.linalg.inv(np.linalg.cholesky(run.covariance))
-            D, e = whitener @ slopes, (whitener @ run.innovation[..., None])[..., 0]
+            D = whitener @ innovation_slopes(linear, run)
+            e = (whitener @ run.innovation[..., None])[..., 0]
             at = at[at >= self.n_held]
-            information[np.ix_(at, at)] += np.tensordot(D, D, axes=((0, 1), (0, 1)))
-            scores = np.einsum("nmk,nm->nk", D, e)
+            Z = D if self.known else _projected(D, record.inputs_past())
+            information[np.ix_(at, at)] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
+            scatter[np.ix_(at, at)] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
+            scores = np.einsum("nmk,nm->nk", Z, e)
             score[at] += scores.sum(axis=0)
             number = np.arange(len(scores)) // max(round(BLOCK / np.median(record.step)), 1)
             sums = np.zeros((number[-1] + 1, p))
@@ -478,7 +511,7 @@ class _Fit:
             states.append(run.filtered)
             passes.append(run)
             parts.append(_middle(linear, NOISE_SAMPLES))
-        return _Sums(score, information, np.concatenate(blocks), states, passes, parts)
+        return _Sums(score, information, scatter, np.concatenate(blocks), states, passes, parts)
 
     def _noise_step(self, parts: list[Linearisation]) -> float:
         """Move the logarithms of the noises by a step of Fisher scoring; return its squared length."""
@@ -545,7 +578,10 @@ class _Fit:
             earth = np.swapaxes(record.attitude, 1, 2)
             angles = Rotation.from_matrix(earth).as_euler("ZYX")[:, ::-1]
             ground = (earth @ record.velocity[..., None])[..., 0]
-            out[record.rows, 18:] = np.column_stack([record.measured[:, :3], angles, ground])
+            force = record.measured[:, :3].copy()
+            if not record.sampled[0]:
+                force[:, 0] = record.inputs.thrust[:, 0] / self.aircraft.mass
+            out[record.rows, 18:] = np.column_stack([force, angles, ground])
         return pd.DataFrame(out, columns=[*names, *(f"{name}_std" for name in names), *path])
 
     def _shift(
@@ -572,7 +608,7 @@ def _white_noise(records: list[Record], sensors: slice) -> float:
     Gusts shake one axis more than another; all have the same sensor.
     """
     differences = np.concatenate([np.diff(r.measured[:, sensors], 3, axis=0) for r in records])
-    return float(max(np.sqrt(np.mean(differences**2, axis=0).min() / 20), LEAST_NOISE))
+    return float(max(np.sqrt(np.nanmin(np.mean(differences**2, axis=0)) / 20), LEAST_NOISE))
 
 
 def _rates_alone(record: Record) -> Matrix:
@@ -613,8 +649,6 @@ def _middle(linear: Linearisation, n_samples: int) -> Linearisation:
     n = len(linear.states)
     fields = {}
     for name, values in linear._asdict().items():
-        if name.startswith("gain"):
-            continue
         rows = slice(part.start, part.stop + 1) if len(values) == n else part
         fields[name] = values[rows]
     return linear._replace(**fields)
@@ -635,14 +669,21 @@ def _likelihood_slopes(run: Pass) -> tuple[Vector, Matrix]:
     return np.array(gradient), rows @ rows.T
 
 
+def _projected(slopes: Array, basis: Matrix) -> Array:
+    """Return slopes (n, m, p) projected on an orthonormal basis (n, k)."""
+    flat = slopes.reshape(len(slopes), -1)
+    return (basis @ (basis.T @ flat)).reshape(slopes.shape)
+
+
 def _covariance(sums: _Sums) -> Matrix:
-    """Return the covariance of the parameters, in sandwich form where its variance is larger.
+    """Return the covariance of the parameters, in sandwich form over blocks where its variance is larger.
 
     Scores of neighbouring blocks may be correlated (Newey & West 1987).
     """
     inverse = np.linalg.inv(sums.information)
+    covariance = inverse @ sums.scatter @ inverse.T
     later = sums.blocks[1:].T @ sums.blocks[:-1]
     scatter = sums.blocks.T @ sums.blocks + 0.5 * (later + later.T)
-    robust = np.diag(inverse @ scatter @ inverse)
-    scale = np.sqrt(np.maximum(robust / np.diag(inverse), 1.0))
-    return scale[:, None] * inverse * scale
+    robust = np.diag(inverse @ scatter @ inverse.T)
+    scale = np.sqrt(np.maximum(robust / np.diag(covariance), 1.0))
+    return scale[:, None] * covariance * scale

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.signal import lfilter
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.frames import air_data_slopes, cross_matrix
+from skdgp._flight.frames import cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion_filter import Linearisation, Noise
 from skdgp.preprocessing._air_motion_model import (
@@ -33,13 +34,17 @@ PATH_TIME = 10.0  # s, correlation of errors of the path; guess
 RATE_START = 0.1  # (rad/s)^2, variance of the rates of the first sample
 NOT_SAMPLED = 1e12
 LAG_STEP = 1e-4  # s
+INPUT_SECONDS = 4.0  # past of the surfaces that moves the aircraft
+N_BINS = 14  # of this past, wider the earlier
+LATE = 2  # samples; a command follows the gust of the same sample
+LEAST_DIRECTION = (
+    0.05  # relative to the largest singular value; chosen on the trainer and the delta
+)
 WINDS = ("wind_north", "wind_east", "wind_down")
 ARM = ("arm_x", "arm_y", "arm_z")
 BIASES = {"p_bias": 3, "q_bias": 4, "r_bias": 5, "alpha_bias": 7, "beta_bias": 8}
 """Places of the biased among the sensors."""
 AIRSPEED = 6
-ANGLES = {1: 1, 3: 2}
-"""Alpha and beta: places among the terms of a coefficient, and in air data."""
 
 
 class Record(NamedTuple):
@@ -58,6 +63,34 @@ class Record(NamedTuple):
         parts = self.velocity[:n], self.attitude[:n], self.measured[:n]
         inputs = self.inputs.part(slice(n))
         return Record(self.flight, self.rows[:n], self.step[: n - 1], *parts, inputs)
+
+    def with_axial_force(self, mass: float) -> Record:
+        """Return the record with the measured axial force in place of thrust and CX."""
+        measured, thrust = self.measured.copy(), self.inputs.thrust.copy()
+        thrust[:, 0] = mass * measured[:, 0]
+        measured[:, 0] = np.nan
+        return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
+
+    def inputs_past(self) -> Matrix:
+        """Return an orthonormal basis (n - 1, k) of what past surfaces and heading tell of each sample but the first.
+
+        Columns are means of the surfaces over bins of their past, heading and a constant. The last
+        samples and small directions are left out: they are the answers of an autopilot to gusts.
+        """
+        n, surfaces = len(self.rows), self.inputs.surfaces
+        reach = max(INPUT_SECONDS / np.median(self.step), 2.0)
+        edges = np.unique(np.geomspace(1, reach, N_BINS).round().astype(int))
+        edges = LATE + np.append(0, edges)
+        before = np.tile(surfaces[:1], (edges[-1] + 1, 1))
+        total = np.cumsum(np.concatenate([before, surfaces]), axis=0)
+        columns = [np.ones((n, 1)), self.attitude[:, :2].mean(axis=1)]
+        for early, late in pairwise(edges):
+            last = np.arange(n) + edges[-1] - early
+            columns.append((total[last + 1] - total[last + 1 - (late - early)]) / (late - early))
+        W = np.concatenate(columns, axis=1)[1:]
+        size = np.linalg.norm(W, axis=0)
+        U, s, _ = np.linalg.svd(W[:, size > 0] / size[size > 0], full_matrices=False)
+        return U[:, s > LEAST_DIRECTION * s[0]]
 
     @property
     def sampled(self) -> Mask:
@@ -81,11 +114,6 @@ class Layout(NamedTuple):
         rows = np.array([COEFFICIENTS.index(row) for row, _ in parts])
         columns = np.array([features.index(term) for _, term in parts])
         return cls(rows, columns, [*derivatives, *SHARED, *OWN], len(features))
-
-    @property
-    def by_air(self) -> Indices:
-        """Places of the slopes by alpha and beta, on which the gain depends most."""
-        return np.flatnonzero(np.isin(self.columns, list(ANGLES)))
 
     def place(self, *names: str) -> list[int]:
         """Return places among the parameters of a flight."""
@@ -233,7 +261,6 @@ def linearised(
     known_slopes = at.known.by_parameters(layout, record.attitude[1:])
     known_slopes += _direct(at.known, layout, model, later, value)
 
-    gain_transition, gain_residual = _gain_slopes(layout, at)
     measured, use = record.measured[1:], record.sampled
     there = np.isfinite(measured)
     return Linearisation(
@@ -250,8 +277,6 @@ def linearised(
         residual_slopes=known_slopes[:, use],
         step=record.step,
         surface_noise=_surface_noise(at.start.slopes, model, inputs),
-        gain_transition=gain_transition,
-        gain_residual=gain_residual[:, :, use],
         weight=np.where(there, 1.0, NOT_SAMPLED)[:, use],
     )
 
@@ -319,24 +344,3 @@ def _direct(
     slopes[:, AIRSPEED, scale] = point.values[:, AIRSPEED] / (1 + value["airspeed_scale"])
     slopes[:, :3, layout.place(*ARM)] = model.arm_slopes(point.state, inputs)
     return slopes
-
-
-def _gain_slopes(layout: Layout, at: Predictions) -> tuple[Array, Array]:
-    """Return d transition / d slopes by alpha and beta (j, n, N, N), and of the sensors (j, n, 9, N)."""
-    transitions, residuals = [], []
-    for j in layout.by_air:
-        row, column = layout.rows[j], layout.columns[j]
-        pair = []
-        for point, terms, by_state in (
-            (at.start, at.terms, at.by_state[:-1]),
-            (at.known, at.known.terms, at.by_state[1:]),
-        ):
-            air = point.state[:, AIR]
-            by_air = air_data_slopes(air)[:, ANGLES[column]]
-            by_air = by_air + 2 * terms[:, [column]] * air / np.sum(air**2, axis=1)[:, None]
-            pair.append(point.slopes[:, :, 6 + row, None] * (by_air[:, None] @ by_state))
-        transition = np.zeros((len(at.terms), N_STATES, N_STATES))
-        transition[:, TURN] = pair[0][:, RATES]
-        transitions.append(transition)
-        residuals.append(pair[1])
-    return np.array(transitions), np.array(residuals)

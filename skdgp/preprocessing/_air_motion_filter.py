@@ -35,17 +35,12 @@ class Linearisation(NamedTuple):
     residual_slopes: Array  # (n - 1, m, k)
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
-    gain_transition: Array  # (j, n - 1, N, N) d transition / d derivatives by the air
-    gain_residual: Array  # (j, n - 1, m, N)
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
 
     def of(self, parameters: Indices) -> Linearisation:
-        """Return the linearisation in some of the parameters, with no slopes of the gain if not in all."""
-        if len(parameters) == self.transition_slopes.shape[-1]:
-            return self
+        """Return the linearisation in some of the parameters."""
         names = ("transition_slopes", "innovation_slopes", "residual_slopes")
-        gains = {name: getattr(self, name)[:0] for name in ("gain_transition", "gain_residual")}
-        return self._replace(**{n: getattr(self, n)[..., parameters] for n in names}, **gains)
+        return self._replace(**{name: getattr(self, name)[..., parameters] for name in names})
 
 
 class Noise(NamedTuple):
@@ -67,10 +62,6 @@ class Pass(NamedTuple):
     filtered_covariance: Array  # (..., n, N, N)
     predicted_covariance: Array  # (..., n - 1, N, N)
     gain: Array  # (..., n - 1, N, m)
-
-    def first(self) -> Pass:
-        """Return the first of several sets."""
-        return Pass(*(values[0] for values in self))
 
 
 def filtered(linear: Linearisation, noise: Noise, keep: bool = True) -> Pass:
@@ -146,37 +137,9 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     return (squares[0] + 4 * squares[1] + squares[2]) / 6
 
 
-def varied(linear: Linearisation, moves: Vector) -> Linearisation:
-    """Return the linearisation, and those with the derivatives by the air moved, on a leading axis."""
-    scale = np.append(0.0, moves)[:, None, None, None]
-    zero = np.zeros((1, 1, 1, 1))
-
-    def added(values, slopes):
-        return values + scale * np.concatenate(
-            [np.broadcast_to(zero, (1, *slopes.shape[1:])), slopes]
-        )
-
-    return linear._replace(
-        transition=added(linear.transition, linear.gain_transition),
-        residual_states=added(linear.residual_states, linear.gain_residual),
-    )
-
-
-def innovation_slopes(linear: Linearisation, run: Pass, by: Indices, moves: Vector) -> Array:
-    """Return d innovation / d parameters (n - 1, m, k).
-
-    The first set of the ``run`` is that of the linearisation; in the others the derivatives ``by`` of
-    the air are moved, which changes the gain: a larger slope makes the gusts smaller.
-    """
-    gain = run.gain[0]
-    KH = np.eye(linear.states.shape[1]) - gain @ linear.residual_states
-    T = KH @ linear.transition
-    B = KH @ linear.transition_slopes - gain @ linear.residual_slopes
-    moved = linear.transition @ (run.filtered[0] - linear.states)[:-1, :, None]
-    update = linear.residual[..., None] - linear.residual_states @ moved
-    for j, (place, move) in enumerate(zip(by, moves, strict=True), start=1):
-        B[..., place] += ((run.gain[j] - gain) @ update)[..., 0] / move
-    Z = _recursion(T, B)
+def innovation_slopes(linear: Linearisation, run: Pass) -> Array:
+    """Return d innovation / d parameters (n - 1, m, k), the gains being given."""
+    Z = state_slopes(linear, run)
     return -(linear.innovation_states @ Z[:-1] + linear.innovation_slopes)
 
 
@@ -184,11 +147,7 @@ def state_slopes(linear: Linearisation, run: Pass) -> Array:
     """Return d filtered states / d parameters (n, N, k), the gains of one set being given."""
     KH = np.eye(linear.states.shape[1]) - run.gain @ linear.residual_states
     T = KH @ linear.transition
-    return _recursion(T, KH @ linear.transition_slopes - run.gain @ linear.residual_slopes)
-
-
-def _recursion(T: Array, B: Array) -> Array:
-    """Return Z with Z_{k+1} = T_k Z_k + B_k from zero."""
+    B = KH @ linear.transition_slopes - run.gain @ linear.residual_slopes
     Z = np.zeros((len(T) + 1, *B.shape[1:]))
     for k in range(len(T)):
         Z[k + 1] = T[k] @ Z[k] + B[k]

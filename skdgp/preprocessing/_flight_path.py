@@ -27,7 +27,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.clock import flight_codes
-from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.faults import AIR_UNKNOWN, FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
@@ -171,6 +171,8 @@ class FlightPathReconstruction(TableTransformer):
     air_motion_ : AirMotion or None
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
+    doubt_ : str
+        Why gusts of flights without vanes are not known, in words; empty if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds that of each flight.
@@ -255,12 +257,13 @@ class FlightPathReconstruction(TableTransformer):
         )
         self.tells_gusts_ = self.used_
         self.air_motion_: AirMotion | None = None
+        self.doubt_ = ""
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
-        if self.aircraft is not None and not has_values(table, *AIR_DATA):
+        if not has_values(table, *AIR_DATA):
             self._fit_air_motion(table)
         if self.air_motion_ is not None:
             return
@@ -305,8 +308,11 @@ class FlightPathReconstruction(TableTransformer):
             self.used_, self.tells_gusts_, self.reason_ = decision(self.errors_)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
-        """Set the fitted attributes by the motion of the air, if it can be estimated; else warn."""
-        motion = self._estimated_motion(table)
+        """Set the fitted attributes by the motion of the air, if it can be estimated."""
+        if self.aircraft is None:
+            self.doubt_ = "no sensor measures alpha and beta, and no aircraft is given"
+            return
+        motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
             return
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
@@ -320,18 +326,30 @@ class FlightPathReconstruction(TableTransformer):
         self.error_std_ = {name: float(mean[f"{name}_std"].item()) for name in AIR_DATA}
         self.sensors_ = dict.fromkeys(SENSORS, 0.0)
 
-    def _estimated_motion(self, table: pd.DataFrame, known: Any = None) -> AirMotion | None:
-        """Return the motion of the air, with a warning None where it cannot be estimated."""
+    def _estimated_motion(
+        self, table: pd.DataFrame, known: Any = None
+    ) -> tuple[AirMotion | None, str]:
+        """Return the motion of the air, None where it cannot be estimated, and why it is in doubt."""
         aircraft: Any = self.aircraft
+        motion, doubt = None, ""
         try:
-            return estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
+            motion = estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
         except ValueError as error:
-            warn(f"Alpha and beta lack the gusts, which are not estimated: {error}", stacklevel=5)
-            return None
+            doubt = str(error)
+        if motion is not None and not motion.converged:
+            doubt = (
+                "the estimate did not converge. Give longer flights with inputs of every surface, and "
+                "look at the signs and units of their sensors."
+            )
+        if doubt:
+            fallback = "alpha and beta lack them. " if motion is None else ""
+            bands = "Bands of derivatives are those of small aircraft in general." * (known is None)
+            warn(f"{AIR_UNKNOWN}: {doubt} {fallback}{bands}".strip(), stacklevel=5)
+        return motion, doubt
 
     def _motion_of(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
         """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
-        motion = self._estimated_motion(table, known)
+        motion, _ = self._estimated_motion(table, known)
         if motion is None:
             return self._path_of(table)
         air = motion.air

@@ -274,6 +274,16 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
     assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
 
 
+@pytest.mark.parametrize("where", ["fit", "test"])
+def test_with_gusts_that_are_not_known_nothing_is_yes(where):
+    text = "Gusts are not known: too short."
+    words = {"gusts_unknown": "too short."} if where == "fit" else {"messages": [text]}
+    found = verdict(**words)
+    assert found.warnings == (text,)
+    assert "yes" not in {use.fit for use in found.uses}
+    assert use(found, "design a controller") == ("no", "gusts without vanes are not known")
+
+
 def test_warnings_are_ranked():
     messages = ["Flight 'a' lasts 1.5 s.", "A gap.", "Flight 'b' lasts 2 s."]
     bad = [

@@ -16,12 +16,10 @@ from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, estimate_air_motion
 from skdgp.preprocessing._air_motion_equations import (
     N_STATES,
-    TURN,
     Layout,
     Record,
     lagged,
     linearised,
-    noise,
 )
 from skdgp.preprocessing._air_motion_filter import (
     Linearisation,
@@ -29,15 +27,12 @@ from skdgp.preprocessing._air_motion_filter import (
     filtered,
     innovation_slopes,
     smoothed,
-    varied,
 )
 from skdgp.preprocessing._air_motion_model import Inputs
 from skdgp.preprocessing._air_motion_parameters import (
     DERIVATIVES,
     OWN,
-    OWN_NOISES,
     SHARED,
-    SHARED_NOISES,
     TERMS,
     derivatives_of,
 )
@@ -84,8 +79,6 @@ def linear_system(rng, n=7, N=3, m=2):
         residual_slopes=zero,
         step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
-        gain_transition=zero,
-        gain_residual=zero,
         weight=np.ones((n - 1, m)),
     )
     noises = Noise(
@@ -213,35 +206,37 @@ def test_slopes_by_states_are_those_of_the_predictions():
             np.testing.assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
 
 
-def test_innovations_move_with_a_slope_as_the_filter_run_again():
-    """The gain depends on CZ_alpha: a larger slope makes the gusts smaller."""
-    record, layout, value, states = flight_of_sines()
-    noises = {name: median for name, (median, _) in (dict(SHARED_NOISES) | OWN_NOISES).items()}
-    noises = noise({name: np.asarray(v) for name, v in noises.items()}, record.sampled)
+def test_basis_of_inputs_holds_a_surface_and_its_past():
+    record, *_ = flight_of_sines(200)
+    basis = record.inputs_past()
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-10)
+    surface = record.inputs.surfaces[:, 0]
+    for late in (2, 4, 12):
+        wanted = surface[51 - late : 200 - late]
+        rest = wanted - basis[50:] @ np.linalg.lstsq(basis[50:], wanted, rcond=None)[0]
+        assert rest.std() < 0.05 * wanted.std()
+    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
+    assert still.inputs_past().shape[1] < 6
 
-    def innovation(move):
-        X = np.zeros_like(states)
-        X[:, TURN] = record.measured[:, 3:6]
-        for _ in range(6):
-            changed = value | {"CZ_alpha": value["CZ_alpha"] + move}
-            linear = linearised(record, layout, AIRCRAFT, changed, X, noises.decay)
-            run = filtered(linear, noises)
-            X = run.filtered
-        return linear, run.innovation
 
-    linear, _ = innovation(0.0)
-    moves = np.full(len(layout.by_air), 1e-4)
-    run = filtered(
-        varied(linear, moves),
-        Noise(*(np.stack([part] * (len(moves) + 1)) for part in noises)),
+def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
+    linear, noises = linear_system(np.random.default_rng(3))
+    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    slopes = np.random.default_rng(4).standard_normal((n - 1, N, 1))
+    linear = linear._replace(
+        transition_slopes=slopes,
+        innovation_slopes=linear.residual_states @ slopes,
+        residual_slopes=np.zeros((n - 1, m, 1)),
     )
-    slopes = innovation_slopes(linear, run, layout.by_air, moves)
-    j = layout.names.index("CZ_alpha")
-    numeric = (innovation(1e-3)[1] - innovation(-1e-3)[1]) / 2e-3
-    first = slice(0, 8)  # before the sensors, which contradict each other, make it diverge
-    for sensor in (0, 2, 4):
-        error = slopes[first, sensor, j] - numeric[first, sensor]
-        assert np.abs(error).max() < 0.1 * np.abs(numeric[first, sensor]).max()
+    run = filtered(linear, noises)
+    push = 1e-6 * linear.residual_states @ slopes
+    moved = linear._replace(
+        predicted=linear.predicted + 1e-6 * slopes[..., 0],
+        innovation=linear.innovation - push[..., 0],
+        residual=linear.residual - push[..., 0],
+    )
+    change = (filtered(moved, noises).innovation - run.innovation) / 1e-6
+    np.testing.assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
 
 
 def test_lag_of_a_ramp_is_the_lag():
@@ -258,7 +253,8 @@ def simulated(case, seconds, *, pulses=True, seed=3):
     fleet.legs = [(0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
     fleet.pulses[:] = 0.0
     time = module.STEP * np.arange(len(fleet.pulses))
-    for k, start in enumerate(np.arange(0.5, seconds - 2, 2.0) if pulses else ()):
+    starts = np.arange(0.5, seconds - 2, 2.0) if pulses else np.zeros(0)
+    for k, start in enumerate(starts + rng.uniform(0.0, 0.02, len(starts))):  # between samples
         sign = np.select(
             [time < start, time < start + 0.6, time < start + 1.0, time < start + 1.2, time < start + 1.4],
             [0, 1, -1, 1, -1],
@@ -388,10 +384,69 @@ def test_table_that_is_too_short_is_refused():
         estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))
 
 
-def test_without_a_thrust_gusts_are_not_estimated_which_is_said():
-    table, plane = simulated("calm", seconds=4.0)
-    table = table.drop(columns=["alpha_true", "thrust_x"])
-    with pytest.warns(UserWarning, match=r"lack the gusts, which are not estimated: .*propeller"):
-        step = FlightPathReconstruction(aircraft=as_aircraft(plane)).fit(table)
+def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
+    table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
+    alpha = table.pop("alpha_true")
+    found = estimate_air_motion(table.drop(columns="thrust_x"), as_aircraft(plane))
+    assert found.converged
+    assert not [name for name in found.derivatives.index if name.startswith("CX")]
+    truth = benchmark().truth_of(plane, alpha.mean())
+    known = [name for name in truth if name in found.derivatives.index]
+    value, std, _ = found.derivatives.loc[known].to_numpy().T
+    assert np.mean(abs(value - [truth[name] for name in known]) < 1.96 * std) >= 0.85
+    np.testing.assert_allclose(found.air["ax"].mean(), table["ax"].mean(), atol=0.05)
+    value, _ = found.slopes(["CX", "CZ"], ["alpha"])
+    np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
+
+
+def short_flight():
+    table, plane = simulated("calm", seconds=1.5, pulses=False)
+    moves = 0.01 * np.sin(np.outer(table["time"], [3.0, 5.0]))
+    return table.drop(columns="alpha_true").assign(
+        aileron=moves[:, 0], rudder=moves[:, 1]
+    ), as_aircraft(plane)
+
+
+def test_gusts_that_cannot_be_estimated_are_said_and_bands_are_wide():
+    table, aircraft = short_flight()
+    targets = aerodynamic_coefficients(table, aircraft, cutoff=5.0)
+    regressor = DependentGPRegressor(structure="trend", random_state=0)
+    model = make_identification_pipeline(aircraft, regressor=regressor, lags=None, cutoff=5.0)
+    with pytest.warns(UserWarning, match="Gusts are not known: Got no record of 100 samples"):
+        model.fit(table, targets)
+    step = model["flightpathreconstruction"]
     assert step.air_motion_ is None
+    assert step.doubt_.startswith("Got no record")
     assert np.isfinite(step.transform(table)["alpha"]).all()
+    state = np.zeros(13)
+    state[[3, 5, 6]] = 17.0, 0.5, 1.0
+    rest = dict.fromkeys(model["regressorselector"].regressors_[5:], 0.0)
+    flown = stability_derivatives(model, aircraft, state, rest, n_paths=20, thrust=None)
+    for name, std in (("CZ_alpha", 1.5), ("Cm_q", 10.0), ("Cm_elevator", 1.0)):
+        assert flown.loc[name, "std"] > 0.9 * std
+
+
+def test_diverged_estimate_is_told_in_plain_words(monkeypatch):
+    table, plane = simulated("calm", seconds=4.0, pulses=False)
+
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("skdgp.preprocessing._air_motion.filtered", singular)
+    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
+    with pytest.warns(UserWarning, match="Gusts are not known: The estimate diverged"):
+        step.fit(table.drop(columns="alpha_true"))
+    assert "Singular" not in step.doubt_
+
+
+def test_estimate_that_does_not_converge_is_in_doubt(monkeypatch):
+    monkeypatch.setattr("skdgp.preprocessing._air_motion.MAX_PASSES", 1)
+    table, plane = simulated("calm", seconds=4.0)
+    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
+    with pytest.warns(UserWarning, match="Gusts are not known: the estimate did not converge"):
+        step.fit(table.drop(columns="alpha_true"))
+    assert step.doubt_
+    assert not any(step.converged_.values())
+    np.testing.assert_allclose(
+        step.air_motion_.derivatives["std"], step.air_motion_.derivatives["prior_std"], rtol=0.05
+    )

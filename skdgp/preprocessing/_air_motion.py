@@ -378,7 +378,7 @@ class _Fit:
         if not any(name.startswith("CX_") for name in derivatives):  # thrust is a measured force
             shared["thrust_scale"] = (0.0, 1e-6)
         if known is not None:
-            shared = _posteriors(known.constants.loc[list(SHARED)])
+            shared = dict(_posteriors(known.constants.loc[list(SHARED)]))
             noises = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         self.parameters = Parameters.of(dict(derivatives) | dict(shared), OWN, n_flights)
         self.noises = Parameters.of(noises, OWN_NOISES, n_flights)

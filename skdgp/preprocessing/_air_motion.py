@@ -212,15 +212,18 @@ def estimate_air_motion(
     The filter-error method (Maine & Iliff 1981; Jategaonkar 2015, chapter 5). Coefficients are
     linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. With innovations
     :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
-    :math:`D_k = \partial e_k / \partial \theta`, the derivatives solve
+    :math:`D_k = \partial e_k / \partial \theta` at given gains, the derivatives solve
 
-    .. math:: \sum_k D_k^T S_k^{-1} e_k + \Lambda (\theta - \theta_0) = 0,
+    .. math:: \sum_k Z_k^T e_k + \Lambda (\theta - \theta_0) = 0, \quad
+              Z_k = L_k^{-T} P (L_k^{-1} D_k), \quad S_k = L_k L_k^T,
 
-    an equation that holds on average whatever the gusts' spectrum, since an innovation has the
-    mean zero given the past. Noises maximise the likelihood of the innovations. Priors
-    :math:`\Lambda` are wide; they bound what a flight does not tell. The covariance is that of the
-    sandwich form where it is larger than the inverse information, and 3 % of each derivative are
-    added for what a linear model leaves out.
+    where P is the projection on the past of the surfaces and on the heading (instruments; Soderstrom &
+    Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of gusts correlate with past
+    gusts, and so with D, but hardly with past inputs. An autopilot that answers gusts by its
+    surfaces leaves part of this error. Noises maximise the likelihood of the innovations. Priors
+    :math:`\Lambda` are wide; they bound what a flight does not tell. The covariance is
+    :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
+    larger, and 3 % of each derivative are added for what a linear model leaves out.
 
     Parameters
     ----------

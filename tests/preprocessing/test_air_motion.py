@@ -399,44 +399,37 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
 
 
-def short_flight():
-    table, plane = simulated("calm", seconds=1.5, pulses=False)
-    moves = 0.01 * np.sin(np.outer(table["time"], [3.0, 5.0]))
-    return table.drop(columns="alpha_true").assign(
-        aileron=moves[:, 0], rudder=moves[:, 1]
-    ), as_aircraft(plane)
+def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide(monkeypatch):
+    table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
+    table, aircraft = table.drop(columns="alpha_true"), as_aircraft(plane)
 
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
 
-def test_gusts_that_cannot_be_estimated_are_said_and_bands_are_wide():
-    table, aircraft = short_flight()
-    targets = aerodynamic_coefficients(table, aircraft, cutoff=5.0)
+    monkeypatch.setattr("skdgp.preprocessing._air_motion.filtered", singular)
+    targets = thin_targets(aerodynamic_coefficients(table, aircraft), 300)
     regressor = DependentGPRegressor(structure="trend", random_state=0)
-    model = make_identification_pipeline(aircraft, regressor=regressor, lags=None, cutoff=5.0)
-    with pytest.warns(UserWarning, match="Gusts are not known: Got no record of 100 samples"):
+    model = make_identification_pipeline(aircraft, regressor=regressor, lags=None)
+    with pytest.warns(UserWarning, match="Gusts are not known: The estimate diverged"):
         model.fit(table, targets)
     step = model["flightpathreconstruction"]
     assert step.air_motion_ is None
-    assert step.doubt_.startswith("Got no record")
+    assert "Singular" not in step.doubt_
     assert np.isfinite(step.transform(table)["alpha"]).all()
     state = np.zeros(13)
     state[[3, 5, 6]] = 17.0, 0.5, 1.0
     rest = dict.fromkeys(model["regressorselector"].regressors_[5:], 0.0)
     flown = stability_derivatives(model, aircraft, state, rest, n_paths=20, thrust=None)
     for name, std in (("CZ_alpha", 1.5), ("Cm_q", 10.0), ("Cm_elevator", 1.0)):
-        assert flown.loc[name, "std"] > 0.9 * std
+        assert flown.loc[name, "std"] > 0.95 * std
 
 
-def test_diverged_estimate_is_told_in_plain_words(monkeypatch):
-    table, plane = simulated("calm", seconds=4.0, pulses=False)
-
-    def singular(*_):
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    monkeypatch.setattr("skdgp.preprocessing._air_motion.filtered", singular)
+def test_flight_that_is_too_short_to_estimate_gusts_is_in_doubt():
+    table, plane = simulated("calm", seconds=1.5, pulses=False)
     step = FlightPathReconstruction(aircraft=as_aircraft(plane))
-    with pytest.warns(UserWarning, match="Gusts are not known: The estimate diverged"):
+    with pytest.warns(UserWarning, match="Gusts are not known: Got no record of 100 samples"):
         step.fit(table.drop(columns="alpha_true"))
-    assert "Singular" not in step.doubt_
+    assert step.doubt_.startswith("Got no record")
 
 
 def test_estimate_that_does_not_converge_is_in_doubt(monkeypatch):

@@ -12,6 +12,7 @@ from sklearn.gaussian_process.kernels import (
     RBF,
     ConstantKernel,
     DotProduct,
+    Exponentiation,
     Kernel,
     Matern,
     WhiteKernel,
@@ -32,44 +33,15 @@ LEAST_ROWS = 10  # in which the output is observed
 REMEDY = "Give fewer rows at a time, the ones with missing values and their neighbours."
 
 
-class Columns(Kernel):
-    """A kernel of some columns of its input, which scikit-learn does not have."""
-
-    def __init__(self, kernel: Kernel, columns: slice) -> None:
-        self.kernel = kernel
-        self.columns = columns
-
-    def get_params(self, deep: bool = True) -> dict:
-        return {"kernel": self.kernel, "columns": self.columns}
-
-    @property
-    def hyperparameters(self) -> list:
-        """Hyperparameters of the kernel."""
-        return self.kernel.hyperparameters
-
-    @property
-    def theta(self) -> Vector:
-        """Logarithms of the hyperparameters."""
-        return self.kernel.theta
-
-    @theta.setter
-    def theta(self, theta: Vector) -> None:
-        self.kernel.theta = theta
-
-    @property
-    def bounds(self) -> Matrix:
-        """Bounds on theta."""
-        return self.kernel.bounds
+class Columns(Exponentiation):
+    """A kernel of some columns of its input, whose slice stands in the place of scikit-learn's exponent."""
 
     def __call__(self, X: Matrix, Y: Matrix | None = None, eval_gradient: bool = False) -> Any:
-        second = None if Y is None else Y[:, self.columns]
-        return self.kernel(X[:, self.columns], second, eval_gradient)
+        second = None if Y is None else Y[:, self.exponent]
+        return self.kernel(X[:, self.exponent], second, eval_gradient)
 
     def diag(self, X: Matrix) -> Vector:
-        return self.kernel.diag(X[:, self.columns])
-
-    def is_stationary(self) -> bool:
-        return self.kernel.is_stationary()
+        return self.kernel.diag(X[:, self.exponent])
 
 
 def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Matrix]:

@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import joblib
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
@@ -47,6 +48,22 @@ if (
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
+
+
+@pytest.fixture(scope="session")
+def central_difference():
+    """Return d function / d x along a new last axis, of fourth order, for a function of a vector x."""
+
+    def difference(function, x, step=1e-3):
+        x = np.asarray(x, dtype=float)
+        columns = []
+        for unit in step * np.eye(len(x)):
+            near = function(x + unit) - function(x - unit)
+            far = function(x + 2 * unit) - function(x - 2 * unit)
+            columns.append((8 * near - far) / (12 * step))
+        return np.stack(columns, axis=-1) if columns else np.empty((*np.shape(function(x)), 0))
+
+    return difference
 
 
 @pytest.fixture

@@ -9,17 +9,6 @@ from skdgp.inference import Data
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
-def central_difference(function, x, step=1e-3):
-    """Return d function / d x along a new last axis, of fourth order, for a function of a vector x."""
-    x = np.asarray(x, dtype=float)
-    columns = []
-    for unit in step * np.eye(len(x)):
-        near = function(x + unit) - function(x - unit)
-        far = function(x + 2 * unit) - function(x - 2 * unit)
-        columns.append((8 * near - far) / (12 * step))
-    return np.stack(columns, axis=-1)
-
-
 def stacked_covariances(features, arrays):
     """Return Kfu of all outputs, (N, K), zero where a feature is not felt."""
     K = np.zeros((sum(map(len, arrays)), features.size))
@@ -36,12 +25,7 @@ def stacked():
 
 
 @pytest.fixture(scope="session")
-def differences():
-    return central_difference
-
-
-@pytest.fixture(scope="session")
-def assert_gradient():
+def assert_gradient(central_difference):
     """Return a check of a gradient along random directions: a wrong entry shows in every one of them."""
 
     def check(gradient, function, x, *, rtol, atol, n_directions=8):

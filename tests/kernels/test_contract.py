@@ -102,36 +102,22 @@ def inputs(kernel, sizes=(4, 3, 5), seed=2):
     return [rng.normal(0, 1.2, (n, n_features(kernel))) for n in sizes[: kernel.n_outputs]]
 
 
-def central_difference(function, x, step=1e-3):
-    """Return d function / d x along a new last axis, of fourth order, for a function of a vector x."""
-    x = np.asarray(x, dtype=float)
-    columns = []
-    for unit in step * np.eye(len(x)):
-        near = function(x + unit) - function(x - unit)
-        far = function(x + 2 * unit) - function(x - 2 * unit)
-        columns.append((8 * near - far) / (12 * step))
-    return np.stack(columns, axis=-1) if columns else np.empty((*np.shape(function(x)), 0))
+@pytest.fixture(scope="session")
+def gradient_by_differences(central_difference):
+    """Return a function of a name: dK/dtheta at the inputs of the kernel, (N, N, n_theta), by differences."""
 
+    @cache
+    def get(name):
+        kernel = KERNELS[name]
+        return central_difference(
+            lambda theta: kernel.clone_with_theta(theta)(inputs(kernel)), kernel.theta
+        )
 
-@cache
-def gradient_by_differences(name):
-    """dK/dtheta at the inputs of a kernel, (N, N, n_theta), by differences of its matrix."""
-    kernel = KERNELS[name]
-    return central_difference(
-        lambda theta: kernel.clone_with_theta(theta)(inputs(kernel)), kernel.theta
-    )
+    return get
 
 
 def equal(a, b, **tolerance):
     np.testing.assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
-
-
-def assert_gradient(gradient, function, x):
-    """Compare a gradient with differences along random directions: a wrong entry shows in every one of them."""
-    assert gradient.shape == x.shape
-    for way in np.random.default_rng(0).choice([-1.0, 1.0], (5, len(x))):
-        slope = central_difference(lambda t, way=way: function(x + t[0] * way), [0.0])[0]
-        equal(gradient @ way, slope, rtol=1e-7, atol=1e-8)
 
 
 def test_every_public_kernel_is_in_the_list():
@@ -168,12 +154,16 @@ class TestContract:
         values = np.linalg.eigvalsh(kernel(inputs(kernel, (12, 9, 15))))
         assert values.min() > -1e-13 * values.max() * len(values)
 
-    def test_gradient_is_the_derivative_with_respect_to_theta(self, kernel, name):
+    def test_gradient_is_the_derivative_with_respect_to_theta(
+        self, kernel, name, gradient_by_differences
+    ):
         K, gradient = kernel(inputs(kernel), eval_gradient=True)
         equal(K, kernel(inputs(kernel)))
         equal(gradient, gradient_by_differences(name), rtol=1e-8, atol=1e-9)
 
-    def test_contraction_is_the_derivative_of_the_weighted_sum(self, kernel, name):
+    def test_contraction_is_the_derivative_of_the_weighted_sum(
+        self, kernel, name, gradient_by_differences
+    ):
         X = inputs(kernel)
         rng = np.random.default_rng(6)
         edges = np.cumsum([0, *map(len, X)])
@@ -185,7 +175,9 @@ class TestContract:
                 got = kernel.block_gradient(i, j, Xi, Xj, W.copy())
                 equal(got, np.einsum("ab,abt->t", W, block), rtol=1e-8, atol=1e-9)
 
-    def test_block_derivative_is_the_derivative_along_the_first_input(self, kernel):
+    def test_block_derivative_is_the_derivative_along_the_first_input(
+        self, kernel, central_difference
+    ):
         X = inputs(kernel)
         origin = np.zeros(n_features(kernel))
         for i, Xi in enumerate(X):
@@ -198,7 +190,7 @@ class TestContract:
                 w = np.arange(1.0, 1 + len(Xj))
                 equal(kernel.derivative_times(i, j, Xi, Xj, w), (D @ w).T, rtol=1e-9, atol=1e-11)
 
-    def test_derivative_diag_is_the_variance_of_the_slopes(self, kernel):
+    def test_derivative_diag_is_the_variance_of_the_slopes(self, kernel, central_difference):
         origin = np.zeros(n_features(kernel))
         for i, Xi in enumerate(inputs(kernel)):
             # d^2 k(x, z) / dx dz at z = x
@@ -223,7 +215,9 @@ class TestContract:
             atol=1e-10,
         )
 
-    def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(self, kernel, name):
+    def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(
+        self, kernel, name, gradient_by_differences
+    ):
         free = [h for h in kernel.hyperparameters if not h.fixed]
         assert kernel.n_dims == len(kernel.theta) == sum(h.n_elements for h in free)
         assert kernel.bounds.shape == (kernel.n_dims, 2)
@@ -335,13 +329,15 @@ class TestUse:
             < 5 * np.sqrt((variance + K**2) / len(paths))
         ).all()
 
-    def test_slopes_of_paths_are_their_derivatives(self, kernel):
+    def test_slopes_of_paths_are_their_derivatives(self, kernel, central_difference):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
         paths = prior_paths(kernel, 3, 8, np.random.RandomState(14))
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 
-    def test_paths_of_values_are_their_covariances_times_coefficients(self, kernel):
+    def test_paths_of_values_are_their_covariances_times_coefficients(
+        self, kernel, central_difference
+    ):
         X = inputs(kernel)
         rng = np.random.default_rng(15)
         points = rng.normal(size=(3, n_features(kernel)))

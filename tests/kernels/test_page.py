@@ -38,6 +38,7 @@ def kernel_of_the_page():
 
 contract = module("contract_of_kernels", HERE / "test_contract.py")
 contract.KERNELS[NAME] = kernel_of_the_page()
+gradient_by_differences = contract.gradient_by_differences  # a fixture
 
 
 class TestContractOfThePage(contract.TestContract):

@@ -402,7 +402,7 @@ class _Fit:
     def run(self, n_rows: int) -> AirMotion:
         """Return the estimate, for a table of ``n_rows``."""
         damping, small, converged = 0.3, False, False
-        free = slice(self.n_held, None)
+        free, lag = slice(self.n_held, None), self.parameters.names.index("servo_lag")
         for number in range(MAX_PASSES):
             sums = self._pass()
             self.states = sums.states
@@ -411,7 +411,10 @@ class _Fit:
             step = -np.linalg.solve(damped, sums.score[free])
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
+            before_step = self.x.copy()
             self.x[free] += step
+            self.x[lag] = max(self.x[lag], 0.0)
+            step = (self.x - before_step)[free]
             settled = self._noise_step(sums.parts) if number else np.inf
             before, small = small, bool(step @ information @ step < TOLERANCE)
             if converged := before and small and settled < NOISE_TOLERANCE:

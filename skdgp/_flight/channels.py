@@ -118,18 +118,16 @@ LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 REGRESSOR_SETS = {
     "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
     "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
-    "paper": (
-        *(
-            *SPECIFIC_FORCE,
-            *RATES,
-            "p_dot",
-            "q_dot",
-            "r_dot",
-            "alpha_dot",
-            "beta_dot",
-            "throttle",
-            *SURFACES,
-        ),
+    "paper": (  # equation 22
+        *SPECIFIC_FORCE,
+        *RATES,
+        "p_dot",
+        "q_dot",
+        "r_dot",
+        "alpha_dot",
+        "beta_dot",
+        "throttle",
+        *SURFACES,
     ),
 }
 # values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller

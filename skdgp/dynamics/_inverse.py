@@ -91,20 +91,16 @@ def aerodynamic_coefficients(
     flight = _measured(flight, ignore)
     check_flight(flight, ["time", *NEEDED])
     measured, rate_derivatives = _smoothed(flight, cutoff)
-    force, moment = propulsive_loads(measured, aircraft, thrust)
-    external_force, external_moment = external_loads(flight, external_forces)
+    thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
+    other_force, other_moment = external_loads(flight, external_forces)
     rates = measured[list(RATES)].to_numpy(float)
-    force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float) - force - external_force
-    moment = (
-        rate_derivatives @ aircraft.inertia
-        + gyroscopic_moment(rates, aircraft)
-        - moment
-        - external_moment
-    )
-    scale = (
-        dynamic_pressure(measured["airspeed"], measured["density"])[:, None] * aircraft.wing_area
-    )
-    values = np.hstack([force / scale, moment / (scale * aircraft.moment_lengths)])
+    total_force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float)
+    total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
+    F_A = total_force - thrust_force - other_force
+    M_A = total_moment - thrust_moment - other_moment
+    qbar = dynamic_pressure(measured["airspeed"], measured["density"])[:, None]
+    scale = qbar * aircraft.wing_area
+    values = np.hstack([F_A / scale, M_A / (scale * aircraft.moment_lengths)])
     values[~np.isfinite(values).all(axis=1)] = np.nan
     return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
 

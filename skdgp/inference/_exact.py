@@ -172,11 +172,11 @@ class ExactPosterior(SinglePosterior):
         mean, variance = np.empty((2, len(Xs), P))
         for rows in self._chunks(len(Xs), P * self.data.n_values):
             K = self._cross(range(P), Xs[rows])
-            mean[rows] = (K @ self.alpha).reshape(P, -1).T
+            mean[rows] = (K @ self.alpha).reshape(P, -1).T  # equation 17
             half = self._solve_lower(K).T
             explained = np.einsum("ab,ab->a", half, half).reshape(P, -1)
             prior = np.stack([self.kernel.block_diag(i, Xs[rows]) for i in range(P)])
-            variance[rows] = unexplained_variance(prior, explained).T
+            variance[rows] = unexplained_variance(prior, explained).T  # equation 18
         return mean, variance
 
     @cached_property

@@ -207,7 +207,7 @@ def log_likelihood(
         if data.pairs is not None:
             at_pairs, by_pairs = kernel.at_pairs(data.only_output, data.pairs)
         L = jittered_cholesky(lambda: covariance(kernel, noise, data, at_pairs))
-        white = triangular_solve(L, y)
+        white = triangular_solve(L, y)  # equation 20, where y^T K^-1 y = white^T white
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         if not eval_gradient:
             return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -81,6 +82,11 @@ RATE = 50.0  # Hz, of samples; faster logs are thinned to 50 to 100 Hz
 LOG_MOVE = 1e-3  # of the logarithm of a noise
 NOISE_SAMPLES = 2000  # of each record, from its middle, that tell the noises
 MAX_PASSES = 30
+# Passes before the instruments are used, whose slopes are small far from the solution. The second, where
+# the first diverges.
+ATTEMPTS = 0, 6
+DAMPING = 0.3  # of the first step, over the information
+LARGEST_PATH = 3.0  # standard deviations by which errors of the path may exceed their prior
 TOLERANCE = 0.5  # squared length of the last two steps, in standard deviations of all parameters
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
 LARGEST_LOG = 0.7  # step of the logarithm of a noise
@@ -279,10 +285,10 @@ def estimate_air_motion(
     if not is_known:
         records = [record.with_axial_force(aircraft.mass) for record in records]
         derivatives = {k: v for k, v in derivatives.items() if not k.startswith("CX_")}
-    try:
-        return _Fit(records, aircraft, surfaces, derivatives, known).run(len(table))
-    except np.linalg.LinAlgError as error:
-        raise ValueError(DIVERGED) from error
+    for n_before in ATTEMPTS:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return _Fit(records, aircraft, surfaces, derivatives, known).run(len(table), n_before)
+    raise ValueError(DIVERGED)
 
 
 def _posteriors(estimates: pd.DataFrame) -> Prior:
@@ -399,28 +405,44 @@ class _Fit:
         self.states = [_rates_alone(record) for record in records]
         self._start()
 
-    def run(self, n_rows: int) -> AirMotion:
+    def run(self, n_rows: int, n_before: int) -> AirMotion:
         """Return the estimate, for a table of ``n_rows``."""
-        damping, small, converged = 0.3, False, False
-        free, lag = slice(self.n_held, None), self.parameters.names.index("servo_lag")
+        damping, small, converged = DAMPING, False, False
+        free = slice(self.n_held, None)
         for number in range(MAX_PASSES):
-            sums = self._pass()
+            sums = self._pass(number >= n_before)
             self.states = sums.states
             information = sums.information[free, free]
             damped = information + damping * np.diag(np.diag(information))
-            step = -np.linalg.solve(damped, sums.score[free])
+            step = self._step(damped, sums.score[free])
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
-            before_step = self.x.copy()
             self.x[free] += step
-            self.x[lag] = max(self.x[lag], 0.0)
-            step = (self.x - before_step)[free]
             settled = self._noise_step(sums.parts) if number else np.inf
             before, small = small, bool(step @ information @ step < TOLERANCE)
-            if converged := before and small and settled < NOISE_TOLERANCE:
+            converged = before and small and settled < NOISE_TOLERANCE
+            if converged and number > n_before:
                 break
             damping /= 4
-        return self._result(self._pass(), converged, n_rows)
+        return self._result(self._pass(), converged and self._is_plausible(), n_rows)
+
+    def _is_plausible(self) -> bool:
+        """Whether the errors of the path are no larger than those of any attitude and GPS."""
+        at = [k for k, name in enumerate(self.noises.names) if name.startswith("path_")]
+        excess = (self.psi[at] - np.log(self.noises.mean[at])) / self.noises.std[at]
+        return bool(np.all(excess < LARGEST_PATH))
+
+    def _step(self, information: Matrix, score: Vector) -> Vector:
+        """Return the step of the parameters that are not held, with a lag that stays at or above zero."""
+        lag = self.parameters.names.index("servo_lag")
+        step = np.asarray(-np.linalg.solve(information, score), dtype=float)
+        at = lag - self.n_held
+        if at >= 0 and self.x[lag] + step[at] < 0:
+            others = np.arange(len(step)) != at
+            step[at] = -self.x[lag]
+            rest = score[others] + information[others, at] * step[at]
+            step[others] = -np.linalg.solve(information[np.ix_(others, others)], rest)
+        return step
 
     def linearised(self, record: Record, states: Matrix) -> Linearisation:
         """Return the filter's linearisation at the parameters."""
@@ -487,7 +509,7 @@ class _Fit:
         information[np.ix_(lift, lift)] += np.outer(row, row) / slope**2
         score[lift] += row * (row @ self.x[lift] - C[:, 2].mean()) / slope**2
 
-    def _pass(self) -> _Sums:
+    def _pass(self, by_instruments: bool = True) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
         p = len(self.x)
         information = np.diag(self.parameters.precision)
@@ -504,7 +526,7 @@ class _Fit:
             D = whitener @ innovation_slopes(linear, run)
             e = (whitener @ run.innovation[..., None])[..., 0]
             at = at[at >= self.n_held]
-            Z = D if self.known else _projected(D, record.inputs_past())
+            Z = D if self.known or not by_instruments else _projected(D, record.inputs_past())
             information[np.ix_(at, at)] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
             scatter[np.ix_(at, at)] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
             scores = np.einsum("nmk,nm->nk", Z, e)

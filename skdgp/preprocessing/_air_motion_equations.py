@@ -33,7 +33,7 @@ N_STATES = 11
 PATH_TIME = 10.0  # s, correlation of errors of the path; guess
 RATE_START = 0.1  # (rad/s)^2, variance of the rates of the first sample
 NOT_SAMPLED = 1e12
-LAG_STEP = 1e-4  # s
+LEAST_LAG, LAG_STEP = 1e-4, 1e-4  # s
 INPUT_SECONDS = 4.0  # past of the surfaces that moves the aircraft
 N_BINS = 14  # of this past, wider the earlier
 LATE = 2  # samples; a command follows the gust of the same sample
@@ -129,7 +129,7 @@ class Layout(NamedTuple):
 
 def lagged(surfaces: Matrix, lag: float, step: float) -> Matrix:
     """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
-    r = max(lag, 1e-4) / step
+    r = lag / step
     a = np.exp(-1 / r)
     numerator, denominator = [1 - (1 - a) * r, (1 - a) * r - a], [1, -a]
     return lfilter(numerator, denominator, surfaces - surfaces[0], axis=0) + surfaces[0]
@@ -138,10 +138,10 @@ def lagged(surfaces: Matrix, lag: float, step: float) -> Matrix:
 def actual_inputs(record: Record, value: dict) -> tuple[Inputs, Matrix]:
     """Return the inputs with lag and scale of the thrust, and d surfaces / d lag."""
     step, raw = float(np.median(record.step)), record.inputs
-    here = lagged(raw.surfaces, value["servo_lag"], step)
-    more = lagged(raw.surfaces, max(value["servo_lag"], 0.0) + LAG_STEP, step)
+    lag = max(value["servo_lag"], LEAST_LAG)
+    here, more = (lagged(raw.surfaces, each, step) for each in (lag, lag + LAG_STEP))
     inputs = Inputs(here, raw.thrust * (1 + value["thrust_scale"]), raw.density)
-    return inputs, (more - lagged(raw.surfaces, max(value["servo_lag"], 0.0), step)) / LAG_STEP
+    return inputs, (more - here) / LAG_STEP
 
 
 def noise(value: dict, sampled: Mask) -> Noise:

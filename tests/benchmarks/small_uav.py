@@ -277,7 +277,10 @@ def score(table, plane, lag):
     """Return z, relative errors and half bands of the derivatives, then other figures, of one flight."""
     sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
     began, alpha = time.process_time(), table.pop("alpha_true")
-    found = estimate_air_motion(table, Aircraft(**sizes))
+    try:
+        found = estimate_air_motion(table, Aircraft(**sizes))
+    except ValueError:  # it says that it diverged
+        return np.empty((3, 0)), np.nan, np.nan, time.process_time() - began, False
     seconds, truth = time.process_time() - began, truth_of(plane, alpha.mean())
     known = [name for name in truth if name in found.derivatives.index]
     value, std = found.derivatives.loc[known, ["value", "std"]].to_numpy().T
@@ -291,7 +294,7 @@ def score(table, plane, lag):
 def line(title, scores):
     """Return one line of the table, over flights."""
     z, error, half = np.concatenate([each[0] for each in scores], axis=1)
-    of_alpha, late, seconds, converged = np.mean([each[1:] for each in scores], axis=0)
+    of_alpha, late, seconds, converged = np.nanmean([each[1:] for each in scores], axis=0)
     return (
         f"{title:44s} {100 * np.mean(abs(z) < 1.96):4.0f} % of {len(z):3d} inside, rms z "
         f"{np.sqrt(np.mean(z**2)):5.2f}, error {100 * np.median(error):5.1f} %, half band "

@@ -244,8 +244,8 @@ def test_lag_of_a_ramp_is_the_lag():
     np.testing.assert_allclose(lagged(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
 
 
-def simulated(case, seconds, *, pulses=True, seed=3):
-    """Return table and plane of a flight of the benchmark's trainer, with commands of servos 50 ms late."""
+def simulated(case, seconds, *, pulses=True, seed=3, deflections=False):
+    """Return table and plane of a flight of the trainer, with commands of servos 50 ms late, or deflections."""
     module = benchmark()
     rng = np.random.default_rng(seed)
     plane = module.AIRCRAFT["trainer"]
@@ -262,7 +262,7 @@ def simulated(case, seconds, *, pulses=True, seed=3):
         fleet.pulses[:, 0, k % 3] += 0.12 * sign * (-1) ** (k // 3)
     rows = fleet.fly()[:, 0]
     table = module.logged(rows, rng, real=False)
-    table[SURFACES] = rows[:, 26:29]
+    table[SURFACES] = rows[:, 23:26] if deflections else rows[:, 26:29]
     return table, plane
 
 
@@ -313,6 +313,28 @@ def test_lag_wind_and_gusts_are_found():
         assert std[name] < 1.5
     assert 0.3 < found.gusts[0] < 0.8
     assert "servos" in found.summary
+
+
+def test_logged_deflections_are_not_late():
+    """A lag of zero is at the edge of what a lag can be: the search stays there, and ends."""
+    table, plane = simulated("0.5 m/s, 1 s", seconds=18.0, deflections=True)
+    found = estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))
+    assert found.converged
+    assert 0.0 <= found.constants.loc["servo_lag", "value"] < 0.005
+
+
+def test_slope_by_a_lag_of_zero_is_that_above_it():
+    record, layout, value, states = flight_of_sines()
+    at_zero, above = (
+        linearised(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
+        for lag in (0.0, 1e-3)
+    )
+    j = layout.place("servo_lag")[0]
+    expected = above.innovation_slopes[..., j]
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(
+        at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max()
+    )
 
 
 def test_angle_of_attack_follows_the_gusts():

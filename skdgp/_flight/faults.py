@@ -299,6 +299,10 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     )  # a channel that turns back repeats its value, and leaves it by one quantum
     if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
         stuck &= leap > np.quantile(steps, 0.99)
+    levels, counts = np.unique(readings[runs.start[stuck]], return_counts=True)
+    # a value that is held again and again, and left by usual steps, is one of a coarse resolution
+    again = np.isin(readings[runs.start], levels[counts > 1])
+    stuck &= ~(again & (leap <= np.quantile(steps, 0.99)))
     return [
         rows[first + 1 : first + n]
         for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)

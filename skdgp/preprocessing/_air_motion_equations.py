@@ -129,7 +129,7 @@ class Layout(NamedTuple):
 
 def lagged(surfaces: Matrix, lag: float, step: float) -> Matrix:
     """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
-    r = lag / step
+    r = max(lag, LEAST_LAG) / step
     a = np.exp(-1 / r)
     numerator, denominator = [1 - (1 - a) * r, (1 - a) * r - a], [1, -a]
     return lfilter(numerator, denominator, surfaces - surfaces[0], axis=0) + surfaces[0]

@@ -435,6 +435,10 @@ class TestSharedLogs:
         with pytest.warns(FlightDataWarning, match="v_north is stuck"):  # on the runway
             checked = FlightCheck().fit_transform(table)
         assert checked.airspeed.notna().all()
+        quarter = table.tail(len(table) // 4)  # it holds 24.98 m/s for up to 1.7 s, nine times
+        with pytest.warns(FlightDataWarning, match="v_down is stuck"):
+            checked = FlightCheck().fit_transform(quarter)
+        assert checked.airspeed.notna().all()
 
     def test_bench_logs_are_no_flights_but_can_be_read(self, shared_data):
         for name in ("pyulog_sample_log_small_vtol_bench.ulg", "pyflightcoach_elevator_bench.BIN"):

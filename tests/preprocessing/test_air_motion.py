@@ -242,6 +242,7 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
 def test_lag_of_a_ramp_is_the_lag():
     ramp = np.arange(200.0)[:, None]
     np.testing.assert_allclose(lagged(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
+    np.testing.assert_allclose(lagged(ramp, 0.0, 0.02), ramp, atol=0.01)
 
 
 def simulated(case, seconds, *, pulses=True, seed=3, deflections=False):

@@ -364,6 +364,12 @@ class TestDownstream:
         found = inspect_flight(pd.DataFrame({"time": time, "airspeed": airspeed}))
         assert found.kind.tolist() == ["stuck"]
 
+    def test_dropouts_to_the_same_value_are_found_each_time(self):
+        table = log()
+        for start in (400, 900, 1500):
+            table.loc[start : start + 60, "airspeed"] = 25.0
+        assert faults(table) == [("airspeed", "stuck")] * 3
+
 
 class TestWhatCannotBeLearned:
     def test_regressors_that_never_moved_are_named(self):

@@ -94,6 +94,10 @@ def judge(
         _simulation(mechanics, fit["regressors"]),
         _control(mechanics, faults),
     )
+    moments = table["normalized_rmse"].reindex(["Cl", "Cm", "Cn"])
+    if names := " ".join(map(str, moments.index[moments > 1])):
+        doubt = f"a constant predicts {names} of the test flights better"
+        uses = *uses[:2], _doubted(uses[2], doubt)
     for doubt in (UNCONVERGED, GUSTS_UNKNOWN):
         if doubt in faults:
             uses = _doubted(uses[0], doubt), _doubted(uses[1], doubt), _doubted(uses[2], doubt)
@@ -119,7 +123,7 @@ def _amount(tables: Sequence[pd.DataFrame]) -> str:
 
 
 def _doubted(use: Use, doubt: str) -> Use:
-    """Return a use of a model whose flights were not reconstructed: never yes."""
+    """Return a use of a model that is in doubt: never yes."""
     if use.fit != "yes":
         return use
     return Use(use.purpose, "partly", f"{use.reason}; but {doubt}")

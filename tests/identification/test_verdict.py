@@ -244,6 +244,12 @@ class TestControl:
             "not known well enough, half of the 95 % interval: Dutch roll ± 78 %",
         )
 
+    @pytest.mark.parametrize(("error", "fit"), [(1.2, "partly"), (0.8, "yes")])
+    def test_moments_that_a_constant_predicts_better_are_no_yes(self, error, fit):
+        found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, error, 0.1])])
+        assert use(found, "design a controller")[0] == fit
+        assert ("a constant predicts Cm" in use(found, "design a controller")[1]) == (error > 1)
+
     def test_no_steady_flight(self):
         found = verdict(
             mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more.")

@@ -165,8 +165,8 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     if seconds < THRESHOLDS.seconds <= apart:
         reason = (
             f"not testable in this air: it follows the test flights for {seconds:.2g} s, and gusts "
-            f"of {table['gusts'].iloc[0]:.2g} m/s, of which the log tells no more, explain the "
-            f"difference for {apart:.2g} s"
+            f"of {table['gusts'].iloc[0]:.2g} m/s, which are not estimated, explain the difference "
+            f"for {apart:.2g} s"
         )
         return Use(purpose, "unknown", reason)
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
@@ -415,12 +415,18 @@ def simulation_errors(
     )
     simulated = np.array([flight[list(STATES)].to_numpy().T for flight in flights])
     squares = np.nan_to_num(simulated - measured, nan=np.inf) ** 2  # inf where it ended
-    met = _met(pipeline, aircraft, tables, parts)
+    met = _unknown_gusts(pipeline, aircraft, tables, parts)
     gusts = np.zeros(simulated.shape[1:])
     if met is not None:
         several = max(1, MOST_STARTS // len(parts))
         drawn = _flown(
-            _certain(pipeline), aircraft, starts, parts, settings, gusts=met, n_paths=several
+            _without_uncertainty(pipeline),
+            aircraft,
+            starts,
+            parts,
+            settings,
+            gusts=met,
+            n_paths=several,
         )
         paths = drawn[list(STATES)].to_numpy().reshape(several, *simulated.swapaxes(1, 2).shape)
         gusts = np.nan_to_num((paths.swapaxes(2, 3) - simulated) ** 2).mean(axis=(0, 1))
@@ -451,7 +457,7 @@ def simulation_errors(
     return pd.DataFrame(columns, index=list(STATES))
 
 
-def _met(
+def _unknown_gusts(
     pipeline: Pipeline,
     aircraft: Aircraft,
     tables: Sequence[pd.DataFrame],
@@ -467,7 +473,7 @@ def _met(
         return as_aerodynamics(pipeline).turbulence
 
 
-def _certain(pipeline: Pipeline) -> Aerodynamics:
+def _without_uncertainty(pipeline: Pipeline) -> Aerodynamics:
     """Return the mean of a model as one whose paths differ by the gusts alone."""
     mean = as_aerodynamics(pipeline)
     shown = {name: getattr(mean, name) for name in ("limits", "span", "chord", "mixing", "units")}

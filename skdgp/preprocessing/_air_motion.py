@@ -427,7 +427,7 @@ class _Fit:
         return self._result(self._pass(), converged and self._is_plausible(), n_rows)
 
     def _is_plausible(self) -> bool:
-        """Whether the errors of the path are no larger than those of any attitude and GPS."""
+        """Whether the estimated errors of the path are as small as attitude and GPS make them."""
         at = [k for k, name in enumerate(self.noises.names) if name.startswith("path_")]
         excess = (self.psi[at] - np.log(self.noises.mean[at])) / self.noises.std[at]
         return bool(np.all(excess < LARGEST_PATH))

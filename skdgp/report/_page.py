@@ -421,7 +421,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
             gusts = number(mechanics.simulation["gusts"].iloc[0], ".2g")
             caption += (
                 f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
-                "of which the log tells no more."
+                "which are not estimated."
             )
         parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
     if draw and mechanics.simulated is not None:

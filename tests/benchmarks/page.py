@@ -2,7 +2,7 @@
 
     python tests/benchmarks/page.py ../shared/data REPOSITORY PUBLISHED --out OUT
 
-REPOSITORY is what pairs.py needs, PUBLISHED what published.py needs. Results are kept in OUT, and
+REPOSITORY is what pairs.py needs, PUBLISHED what published.py and tabular.py need. Results are kept in OUT, and
 what is there is not measured again. Machine, versions, commit and tables are then written to
 docs/results.md, and to other pages with marked tables, between ``<!-- NAME:TABLE -->`` and ``<!--
 end -->``. It takes a day on two cores.
@@ -27,6 +27,7 @@ def commands(data, repository, published):
         "comparison": [data, "--seeds", *range(6)],
         "pairs": [repository, data, "--seeds", *range(3)],
         "published": [published],
+        "tabular": [published],
         "freeflight_air": [],
         "little_told": [data],
         "derivatives": [],

@@ -101,7 +101,7 @@ def run(data, method):
     spread = np.sqrt(np.mean(y**2, axis=0))
     return {
         "error": float(np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread)),
-        "held": float(np.mean(np.abs(y - mean) <= 1.96 * std)),
+        "held": float(np.mean(np.where(np.isfinite(std), np.abs(y - mean) <= 1.96 * std, np.nan))),
         "density": float(np.mean(norm.logpdf(y, mean, std))),
         "seconds": seconds,
         "scale": float(scaler.scale_[0]),

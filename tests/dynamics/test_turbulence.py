@@ -501,20 +501,8 @@ def test_low_altitude_model_joins_the_standards_corner_at_1000_feet():
 
 def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
     mean, heading = np.array([4.0, -2.0, 0.5]), 0.7
-    winds = [
-        dryden_wind(
-            200.0,
-            30.0,
-            40.0,
-            wind_at_6m=8.0,
-            mean_wind=mean,
-            heading=heading,
-            span=0.01,
-            dt=0.05,
-            random_state=k,
-        )
-        for k in range(12)
-    ]
+    options = {"wind_at_6m": 8.0, "mean_wind": mean, "heading": heading, "span": 0.01, "dt": 0.05}
+    winds = [dryden_wind(200.0, 30.0, 40.0, **options, random_state=k) for k in range(12)]
     gusts = np.concatenate([wind.iloc[:, 1:].to_numpy() for wind in winds]) - mean
     turn = np.array(
         [[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
@@ -523,17 +511,7 @@ def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
     _, intensity = low_altitude_turbulence(40.0, 8.0)
     np.testing.assert_allclose(along.std(axis=0), intensity, rtol=0.15)
     assert abs(np.corrcoef(along.T)[0, 1]) < 0.15
-    again = dryden_wind(
-        200.0,
-        30.0,
-        40.0,
-        wind_at_6m=8.0,
-        mean_wind=mean,
-        heading=heading,
-        span=0.01,
-        dt=0.05,
-        random_state=3,
-    )
+    again = dryden_wind(200.0, 30.0, 40.0, **options, random_state=3)
     np.testing.assert_allclose(again, winds[3], rtol=1e-9, atol=1e-10)
 
 

@@ -23,10 +23,13 @@ class KnownSlopes(NamedTuple):
 
     @classmethod
     def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
-        """Return the slopes of least squares with standard ``deviations`` (P, d), where these are finite."""
-        value = np.empty_like(deviations)
+        """Return the slopes of least squares with standard ``deviations`` (P, d), where these are finite.
+
+        Rows of X (n, d) and Y (n, P) with missing values are left out.
+        """
+        value, complete = np.empty_like(deviations), np.isfinite(X).all(axis=1)
         for y, slopes in zip(np.asarray(Y, dtype=float).T, value, strict=True):
-            rows = np.isfinite(y)
+            rows = np.isfinite(y) & complete
             centred = X[rows] - X[rows].mean(axis=0)
             slopes[:] = np.linalg.lstsq(centred, y[rows] - y[rows].mean(), rcond=None)[0]
         value[~np.isfinite(deviations)] = np.nan

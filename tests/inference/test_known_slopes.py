@@ -54,3 +54,16 @@ def test_model_has_the_known_slopes_and_their_errors():
     drawn = model.function_errors().draw(4000, random_state=0).gradient(np.zeros((4000, 1, 3)))
     least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
     assert np.all(drawn[:, 0].std(axis=0)[known] > 0.95 * least)
+
+
+def test_slopes_of_samples_leave_missing_values_out():
+    """On a plane least squares is exact, and errors have the given standard deviations."""
+    rng = np.random.default_rng(0)
+    X, slopes = rng.normal(size=(40, 2)), np.array([[1.0, -2.0], [0.5, 3.0]])
+    Y = X @ slopes.T + [4.0, -1.0]
+    X[3, 0], Y[7, 1] = np.nan, np.nan
+    deviations = np.array([[0.1, np.nan], [0.2, 0.3]])
+    known = KnownSlopes.of_samples(X, Y, deviations)
+    np.testing.assert_allclose(known.value, np.where(np.isnan(deviations), np.nan, slopes))
+    std = np.sqrt((known.errors**2).sum(axis=-1))
+    np.testing.assert_allclose(std, np.nan_to_num(deviations))

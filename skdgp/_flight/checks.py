@@ -56,6 +56,10 @@ ALIASES = {
     "gx": "p", "gy": "q", "gz": "r", "gyrx": "p", "gyry": "q", "gyrz": "r",
     "accx": "ax", "accy": "ay", "accz": "az",
 }  # fmt: skip
+NO_AIRSPEED = (
+    " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: give a "
+    "column airspeed [m/s]."
+)
 MOST_NAMES = 8  # unknown columns that a message names
 HEADING_UNIT = re.compile(r"[\[(].*")
 ENOUGH = 5  # least number of changes to judge an angle by
@@ -138,6 +142,8 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
             f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns "
             f"{lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."
+            + NO_AIRSPEED
+            * ("'airspeed'" in lacking)
         )
 
 

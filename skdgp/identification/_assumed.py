@@ -15,7 +15,6 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import (
     MOMENTS,
-    PRESSURE,
     QUANTITIES,
     REMEDIES,
     Aircraft,
@@ -25,7 +24,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     relative_errors,
 )
-from skdgp.identification._flights import AIRSPEED_ERROR, Flights, items_of
+from skdgp.identification._flights import Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
 
 THRUST_IN_COEFFICIENTS = (
@@ -94,13 +93,6 @@ def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
 def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
     deviations = {**(aircraft.deviations or {}), **factors}
     return replace(aircraft, deviations=deviations) if factors else aircraft
-
-
-def with_airspeed_errors(aircraft: Aircraft, tables: Iterable[pd.DataFrame]) -> Aircraft:
-    """Return the aircraft, with the deviation of airspeeds that are of turns, as if one error were in all samples."""
-    std = max((table.attrs.get(AIRSPEED_ERROR, 0.0) for table in tables), default=0.0)
-    factor = ScaleFactor(2 * std, {PRESSURE: 1.0}, "velocity over the ground in turns")
-    return _with_deviations(aircraft, {"airspeed": factor} if std else {})
 
 
 def with_thrust_errors(

@@ -12,7 +12,6 @@ import pandas as pd
 from skdgp._compute.messages import warn
 from skdgp._flight.channels import (
     CHANNELS,
-    EARTH_VELOCITY,
     ELEVONS,
     MIXED,
     RATES,
@@ -26,7 +25,6 @@ from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
-from skdgp._flight.turns import airspeed_from_turns
 from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import FlightCheck
 
@@ -38,7 +36,6 @@ FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
-AIRSPEED_ERROR = "relative error of airspeed"  # attribute of tables with an airspeed by turns
 
 
 def named_flights(
@@ -115,7 +112,7 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
-    table = _with_airspeed(with_air_data(table), needed)
+    table = with_air_data(table)
     try:
         check_columns(table, needed)
     except ValueError as error:
@@ -125,31 +122,6 @@ def _checked_columns(table, needed, path=None) -> pd.DataFrame:
             f"{error} What a log has, and why it lacks them: skdgp inspect {path}"
         ) from None
     return table
-
-
-def _with_airspeed(flight: pd.DataFrame, needed: Sequence[str]) -> pd.DataFrame:
-    """Return a flight with the airspeed of its turns, if it has only the velocity over the ground, with a warning."""
-    measured = "airspeed" in flight and flight["airspeed"].notna().any()
-    if measured or not {"time", *EARTH_VELOCITY} <= set(flight):
-        return flight
-    try:
-        turns = airspeed_from_turns(flight)
-    except ValueError:
-        if "airspeed" in needed:
-            raise
-        return flight
-    error = (turns["airspeed_std"] ** 2).mean() ** 0.5
-    wind = turns[["wind_north", "wind_east"]].mean()
-    warn(
-        f"Flight {flight['flight'].iloc[0]!r} has no airspeed: its turns give it, ± "
-        f"{error:.2g} m/s, in a wind "
-        f"of {np.hypot(*wind):.2g} m/s.",
-        FlightDataWarning,
-        stacklevel=5,
-    )
-    flight = flight.assign(airspeed=turns["airspeed"])
-    flight.attrs = {**flight.attrs, AIRSPEED_ERROR: float(error / turns["airspeed"].mean())}
-    return flight
 
 
 def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:

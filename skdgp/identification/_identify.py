@@ -54,8 +54,7 @@ def identify(
     ----------
     flights : DataFrame, path, dict of name to table, or list of tables and paths
         Training flights at their full rate. A column ``flight`` separates several flights in one
-        table. Flights without an airspeed get it by their turns
-        (:func:`skdgp.preprocessing.airspeed_from_turns`).
+        table. Each has an ``airspeed``.
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
@@ -231,7 +230,6 @@ def prepare(
     options = {**reading, "servos": servos, "needed": _flights.MEASURED}
     train = _flights.named_flights(flights, **options)
     _flights.check_controls(train, regressors)
-    aircraft = _assumed.with_airspeed_errors(aircraft, train.values())
     named = {} if test is None else _flights.named_flights(test, default="test flight", **options)
     train, named, held_out = _flights.train_and_test(train, named)
     servos, train, named = _assumed.with_signs_of_flights(servos, train, named)

@@ -47,8 +47,8 @@ ADVICE = {
     "to fill in)",
     "thrust_x or propeller_speed": "propeller_speed: log RPM or ESC telemetry, add thrust "
     "columns, or take no thrust",
-    "airspeed": "airspeed: a pitot tube, calibrated and enabled; without one identify takes it "
-    "from turns",
+    "airspeed": "airspeed: a pitot tube, calibrated and enabled, or ground velocity less an "
+    "estimated wind",
     "alpha or reconstruction": "alpha, beta: vanes, or the columns of the reconstruction",
 }
 COLUMN = ["source", "rate", "constant"]  # facts of a column of the flight table

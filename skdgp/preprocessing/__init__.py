@@ -10,7 +10,6 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 """
 
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.turns import airspeed_from_turns
 from skdgp.preprocessing._air_motion import (
     AirMotion,
     estimate_air_motion,
@@ -32,7 +31,6 @@ __all__ = [
     "LagCorrector",
     "RateNondimensionalizer",
     "RegressorSelector",
-    "airspeed_from_turns",
     "estimate_air_motion",
     "inspect_flight",
     "prior_deviations",

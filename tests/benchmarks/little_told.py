@@ -4,15 +4,15 @@
 
 `identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
 (`Aircraft.estimate` of mass, span and kind), the thrust, the vanes, the angles of the surfaces (in
-parts of their largest deflection), or all of these; and the airspeed alone, which is then that of
-turns. Two are of the shared data; three of JSBSim, of three kinds, fly as in freeflight_air.py, 200
-s in light gusts. Derivatives at the mean of the flight are compared with the true ones, slopes of
-the polynomial of third order of the noise-free columns; their bands are value +- 1.96 sqrt(std^2 +
-std_aircraft^2). "ratios" are those of the derivatives of a coefficient to its main one, by rates in
-rad/s: no size is in them, so their bands are those of the log alone. "width" is the median ratio of
-bands to those with everything told, "log width" that of bands by the log of accelerations by
-regressors (m f / m, I^-1 M: normalised derivatives): again without a size. The error of the
-held-out flight is over the spread of what was measured there, with the same sizes.
+parts of their largest deflection), or all of these. Two are of the shared data; three of JSBSim, of
+three kinds, fly as in freeflight_air.py, 200 s in light gusts. Derivatives at the mean of the
+flight are compared with the true ones, slopes of the polynomial of third order of the noise-free
+columns; their bands are value +- 1.96 sqrt(std^2 + std_aircraft^2). "ratios" are those of the
+derivatives of a coefficient to its main one, by rates in rad/s: no size is in them, so their bands
+are those of the log alone. "width" is the median ratio of bands to those with everything told, "log
+width" that of bands by the log of accelerations by regressors (m f / m, I^-1 M: normalised
+derivatives): again without a size. The error of the held-out flight is over the spread of what was
+measured there, with the same sizes.
 """
 
 import time
@@ -47,7 +47,6 @@ WITHHELD = {
     "nothing": (),
     **{name: (name,) for name in THINGS},
     "all of these": THINGS,
-    "airspeed": ("airspeed",),
 }
 SURFACES = ("elevator", "aileron", "rudder")
 REGRESSORS = STEADY[:-1]
@@ -80,8 +79,6 @@ def withhold(things, aircraft, kind, *flights):
         aircraft = Aircraft.estimate(aircraft.mass, aircraft.span, kind=kind, name=aircraft.name)
     if "thrust" in things:
         dropped |= {name for name in flights[0] if name.startswith(("thrust_", "propeller"))}
-    if "airspeed" in things:
-        dropped |= {"airspeed"}
     if "vanes" in things:
         dropped |= {"alpha", "beta"}
     flights = [table.drop(columns=[*dropped], errors="ignore") for table in flights]
@@ -101,7 +98,7 @@ def learned(things, aircraft, kind, train, test, at, airspeed, samples):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = identify(train, told, test=test, samples=samples, reading=reading)
-        told = found.aircraft  # with the deviations of vanes, airspeed and thrust
+        told = found.aircraft  # with the deviations of vanes and thrust
         table = learned_derivatives(found.pipeline, told, at, airspeed, REGRESSORS, units)
     by = table["regressor"].map(units).fillna(1.0)
     for column in ("value", "std", *(["std_aircraft"] if told.deviations else [])):

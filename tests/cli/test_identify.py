@@ -207,6 +207,14 @@ class TestBadInput:
     def test_a_missing_flight(self, refused):
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
 
+    def test_no_airspeed(self, refused, folder, tmp_path):
+        table = pd.read_csv(folder / "latlon.csv").drop(columns="airspeed")
+        table.to_csv(tmp_path / "blind.csv", index=False)
+        refused(
+            "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
+            train=[str(tmp_path / "blind.csv")],
+        )
+
     def test_no_row_is_complete(self, refused, folder, tmp_path):
         pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(
             tmp_path / "empty.csv", index=False

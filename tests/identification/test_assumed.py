@@ -8,8 +8,14 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft, stability_derivatives, trim
-from skdgp.dynamics._aircraft import relative_errors
+from skdgp.dynamics import (
+    PRESSURE,
+    Aircraft,
+    ScaleFactor,
+    relative_errors,
+    stability_derivatives,
+    trim,
+)
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _assumed, identify, load_model, validate
 from skdgp.identification._assumed import (
@@ -99,6 +105,12 @@ class TestWords:
         )[-1]
         assert of_chord.startswith("An hour each, most useful first: swing it")
         assert "throw" not in of_chord
+
+
+def test_errors_of_dynamic_pressure_scale_coefficients_and_slopes():
+    """C = 2 F / (rho V^2 S): V^2 1 % too large makes C 1 % too small, and p b / 2V .5 % too small."""
+    errors = relative_errors({"airspeed": ScaleFactor(0.01, {PRESSURE: 1.0})}, ("alpha", "p"))
+    assert errors[0] == pytest.approx(np.tile([-0.01, -0.01, -0.005], (6, 1)))
 
 
 class TestThrows:

@@ -14,7 +14,15 @@ from skdgp._cli._output import Run, check_writable, picture_writers, table_write
 from skdgp._compute.files import Writer, csv_writer
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._display.style import display_unit
-from skdgp._flight.channels import AIR_DATA, EULER, RATES, THRUST_FORCES, THRUST_MOMENTS, WIND
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    EULER,
+    RATES,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+    WIND,
+)
 from skdgp._flight.checks import check_columns, check_names
 from skdgp.design import doublet
 from skdgp.dynamics import (
@@ -269,9 +277,13 @@ def _logged(options, model) -> Bunch:
             f"{times}."
         )
     log = FlightCheck(bridge=0).fit_transform(flights[inside[0]])
+    commands = log[[name for name in ALL_SURFACES if name in log]]
     for step in model.pipeline:
         if isinstance(step, MEASUREMENTS):
             log = step.transform(log)
+        if isinstance(step, FlightCheck):
+            commands = log[list(commands)]
+    log = log.assign(**commands)
     check_columns(log, START)
     log = log[log["time"] >= options.at].reset_index(drop=True)
     if model.get("options", {}).get("thrust") == "propeller":

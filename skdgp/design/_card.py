@@ -194,6 +194,8 @@ def _limits(plan: Plan) -> str:
         f"{_drawn(plan)}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held; the "
         f"risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
+    if plan.servo_lag > 0:
+        caption += f" Surfaces follow these inputs {1e3 * plan.servo_lag:.0f}{THIN}ms late."
     return _section("Abort limits", instruction + table(head, rows, caption=caption))
 
 

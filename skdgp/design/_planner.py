@@ -80,6 +80,8 @@ class Plan:
     gusts : tuple of float, optional
         Standard deviations [m/s] of the gusts u, v, w of the predicted risks; None: in calm
         air.
+    servo_lag : float, default=0.0
+        Of the surfaces behind the inputs, which are commands [s].
     """
 
     trains: tuple[Wavetrain, ...]
@@ -90,6 +92,7 @@ class Plan:
     limits: pd.DataFrame
     aircraft: Aircraft
     gusts: tuple[float, ...] | None = None
+    servo_lag: float = 0.0
     #: Seconds of response after a manoeuvre that the flight records
     response: ClassVar[float] = RESPONSE
     #: Seconds after a manoeuvre without action of the pilot, which its risk includes
@@ -787,6 +790,7 @@ class _Planner:
             limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
             aircraft=self.aircraft,
             gusts=None if is_still else tuple(map(float, gusts.intensity)),
+            servo_lag=self.aerodynamics.servo_lag,
         )
 
     def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:

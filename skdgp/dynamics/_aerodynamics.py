@@ -106,6 +106,9 @@ class Aerodynamics:
         How the model's controls follow from the aircraft's surfaces.
     units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
+    servo_lag : float, default=0.0
+        Time constant [s] of the servos, from the commands of a simulation to the surfaces, which
+        are the regressors.
     slope_errors, function_errors : callable, optional
         Regressors (n, d) to errors of the slopes, and () to errors of the function or None, that
         the paths do not contain: see ``DependentGPRegressor``.
@@ -146,6 +149,7 @@ class Aerodynamics:
     chord: float | None = None
     mixing: Mixing | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    servo_lag: float = 0.0
     slope_errors: Callable | None = None
     function_errors: Callable | None = None
     training_rows: Callable | None = None
@@ -254,7 +258,8 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
       and ``ranges_`` of channels by name. The last counts.
     - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
     - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
-    - "measurements": treats measurements, and is left out. So is a step without the attribute.
+    - "measurements": treats measurements, and is left out. So is a step without the attribute. Its
+      ``servo_lag_`` [s], if any, is how late surfaces follow the logged commands.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n,
@@ -325,6 +330,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         chord=getattr(rates, "chord", None),
         mixing=mixing,
         units=dict(getattr(model, "control_units_", None) or {}),
+        servo_lag=sum(getattr(step, "servo_lag_", 0.0) for step in steps),
         **learned,
     )
 

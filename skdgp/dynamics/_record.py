@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from skdgp._flight.checks import check_number
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._air import AirAt
-from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._motion import PROPULSION, Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rk4_step
 
 SLOWEST = 1.0  # Airspeed [m/s] below which a trajectory ends: no angle of attack is known there
@@ -115,6 +115,34 @@ class Record(NamedTuple):
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
+class Servos:
+    r"""Servos of the control surfaces with a first-order lag: :math:`T \dot\delta = c - \delta`, commands c.
+
+    Called with the controls by name, and the time since the beginning of a step, where it must be
+    called first; exact for commands that are linear within a step. They begin at rest.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        model = motion.aerodynamics
+        moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
+        self.lag = model.servo_lag
+        self.names = sorted(moved - {*PROPULSION, "gust"}) if self.lag > 0 else []
+        self._reached: dict[str, Array] = {}
+
+    def __call__(self, controls: Mapping[str, Array], elapsed: float) -> dict[str, Array]:
+        """Return the controls by name, with the deflections of the surfaces."""
+        if elapsed == 0:
+            self._first = controls
+            self._begun = {name: self._reached.get(name, controls[name]) for name in self.names}
+            return {**controls, **self._begun}
+        decay = np.exp(-elapsed / self.lag) if self.names else 0.0
+        for name in self.names:
+            behind = self.lag / elapsed * (controls[name] - self._first[name])
+            late = self._begun[name] - self._first[name] + behind
+            self._reached[name] = controls[name] - behind + late * decay
+        return {**controls, **self._reached}
+
+
 def fly_record(
     motion: Motion,
     commands: Callable,
@@ -147,11 +175,14 @@ def fly_record(
     ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
     flown: list[tuple[Array, Instant, dict, Array | None]] = []
 
-    def instant(step, stage, state, last):
-        stage += 2 * step
+    servos = Servos(motion)
+
+    def instant(step, part, state, last):
+        stage = 2 * step + part
         local = air(stage, state)
         wind = None if local is None else local.wind
-        controls = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+        commanded = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+        controls = servos(commanded, 0.5 * clock.dt * part)
         drift = 0.0 if drifts is None else drifts[stage]
         return (
             motion.at(state, controls, local, None if last is None else last.implicit, drift),

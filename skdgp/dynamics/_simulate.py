@@ -50,6 +50,7 @@ from skdgp.dynamics._record import (
     FLYING,
     REASONS,
     Clock,
+    Servos,
     channels,
     end_reasons,
     fly_record,
@@ -90,7 +91,8 @@ def simulate(
         other values are zero. Of paths also an `UncertainStart`.
     controls : DataFrame, list of DataFrame, mapping or callable
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
-        gives the thrust: a table with ``time`` [s], its first row the start (linear between rows; a
+        gives the thrust. Surfaces are commands, which the servos follow with the lag that the model
+        has learned. A table with ``time`` [s], its first row the start (linear between rows; a
         list: one for each start); constants by name; or a feedback law, a function (t, state) to
         values by name, where ``state`` maps the names of channels to arrays, ``state["phi"]``; or
         ``FlightComputer(law)``, which asks it once a step.
@@ -117,11 +119,11 @@ def simulate(
     -------
     pandas.DataFrame
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta,
-        altitude, density, ``ax``, ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls and
-        coefficients; ``beyond``, the regressor farthest outside its training range, or "";
-        ``ended``, why the trajectory is over, or "": its rows are then NaN. Several starts have a
-        column ``start``, paths also ``path``; ``flight`` names each. ``attrs["air"]`` says in words
-        which gusts were met.
+        altitude, density, ``ax``, ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls (of the
+        surfaces the deflections) and coefficients; ``beyond``, the regressor farthest outside its
+        training range, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
+        Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
+        ``attrs["air"]`` says in words which gusts were met.
 
     Raises
     ------
@@ -299,6 +301,7 @@ class Simulator:
         self._single, self._start, self._steps = single, self._state, 0
         self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
         self._implicit: Any = None
+        self._servos = Servos(self.motion)
         self.beyond = "" if single else np.full(len(states), "", dtype=object)
         return self._seen()
 
@@ -309,10 +312,11 @@ class Simulator:
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             )
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
-        controls = self.motion.mixed(controls)
+        controls, begin = self.motion.mixed(controls), self.time
 
         def at(t, state):
-            now = self.motion.at(state, controls, self._air(t, state), self._implicit)
+            deflections = self._servos(controls, t - begin)
+            now = self.motion.at(state, deflections, self._air(t, state), self._implicit)
             self._implicit = now.implicit
             return now
 

@@ -102,6 +102,7 @@ def _header(model: PortableModel) -> dict[str, Any]:
     constants = {n.upper(): getattr(aircraft, n) for n in ("mass", "wing_area", "span", "chord")}
     tensor = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     constants |= {f"I{'XYZ'[i]}{'XYZ'[j]}": aircraft.inertia[i, j] for i, j in tensor}
+    constants["SERVO_LAG"] = model.servo_lag[0]
     functions = max(len(readout.weights) for readout in model.readouts)
     name = re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name)
     return {

@@ -151,6 +151,7 @@ def _checked(onnx: Any, graph: _Graph, model: PortableModel) -> Any:
         "low": ",".join(map(repr, model.limits[0].tolist())),
         "high": ",".join(map(repr, model.limits[1].tolist())),
         "names": json.dumps(names),
+        "servo_lag": repr(float(model.servo_lag[0])),
         "content_hash": model.content_hash,
     }
     helper.set_model_props(proto, properties)

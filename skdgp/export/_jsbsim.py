@@ -64,7 +64,8 @@ NOTE = """
    aero/coefficient/CX      coefficients CX CY CZ Cl Cm Cn: a constant and the effects of the regressors
    aero/effect/CX-NAME      effect of a regressor, with mean zero over the flights; CX-joint: of all together
  Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. A command of 1 is the largest
- deflection of the flights. Of a model with controls in parts of their full throw, -pos-rad holds these parts.
+ deflection of the flights, which surfaces follow with the lag of the servos. Of a model with controls in parts of
+ their full throw, -pos-rad holds these parts.
 """
 Content: TypeAlias = "Element[Any] | str | float"
 """Of an element: other elements and comments, or a text or a number."""
@@ -249,14 +250,20 @@ def _controls(model: PortableModel, properties: Sequence[str]) -> Element:
             largest = float(np.abs(model.limits[:, model.regressor_names.index(name)]).max())
             places = (command, TRIMS[name])  # JSBSim trims by the second
             inputs = [element("input", place) for place in places]
+            servo = element(
+                "actuator",
+                element("input", f"fcs/{name}-sum"),
+                *(element("lag", 1.0 / lag) for lag in model.servo_lag.tolist() if lag > 0),
+                name=f"fcs/{name}-servo",
+            )
             scale = element(
                 "aerosurface_scale",
-                element("input", f"fcs/{name}-sum"),
+                element("input", f"fcs/{name}-servo"),
                 element("range", element("min", -largest), element("max", largest)),
                 element("output", position),
                 name=f"fcs/{name}-scale",
             )
-            parts += [element("summer", *inputs, name=f"fcs/{name}-sum"), scale]
+            parts += [element("summer", *inputs, name=f"fcs/{name}-sum"), servo, scale]
     settable = [element("property", name, value="0") for name in properties]
     return element(
         "flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces"

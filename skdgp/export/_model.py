@@ -235,6 +235,8 @@ class PortableModel:
         Smallest and largest value of each regressor in the training data.
     samples : ndarray (n, d)
         Some rows of the training data.
+    servo_lag : ndarray (1,)
+        Time constant T of the servos [s]: surfaces follow commands c by :math:`T \dot\delta = c - \delta`.
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
     """
@@ -254,6 +256,7 @@ class PortableModel:
     input_covariance: Matrix
     limits: Matrix
     samples: Matrix
+    servo_lag: Vector
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -483,7 +486,7 @@ class PortableModel:
 
 NUMBERS = (
     *("shift", "scale", "center", "output_scale", "deviation_scale", "trend_center", "mixture"),
-    *("noise_variance", "input_covariance", "limits", "samples"),
+    *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
 """Arrays of a model."""
 OF_PARTS = ("trend_weights", "trend_scale", "prior_variance")

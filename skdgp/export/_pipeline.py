@@ -91,6 +91,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
         limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
         samples=samples[:: -(-len(samples) // MAX_SAMPLES)],
+        servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
     )
 

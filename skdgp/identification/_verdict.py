@@ -12,7 +12,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import without_warnings
-from skdgp._flight.channels import COEFFICIENTS, RATES, WIND
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import AIR_UNKNOWN
@@ -328,13 +328,14 @@ def flight_mechanics(
 
 
 def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight with its reconstructed states and wind, unchanged without a reconstruction."""
+    """Return a flight with its logged inputs, and reconstructed states and wind; unchanged without reconstruction."""
     steps = getattr(pipeline, "named_steps", {})
     if not getattr(steps.get("flightpathreconstruction"), "used_", False):
         return table
     last = list(steps).index("flightpathreconstruction")
     with without_warnings():  # the evaluation has shown them
-        return table.assign(**pipeline[: last + 1].transform(table))
+        motion = pipeline[: last + 1].transform(table)
+    return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
 
 
 def _air(parts: Sequence[pd.DataFrame]) -> Air:

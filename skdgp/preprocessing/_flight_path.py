@@ -230,6 +230,12 @@ class FlightPathReconstruction(TableTransformer):
         self.aircraft = aircraft
         self.thrust = thrust
 
+    @property
+    def servo_lag_(self) -> float:
+        """How late the surfaces follow their logged commands [s], zero where it is not estimated."""
+        motion = self.air_motion_
+        return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
+
     def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
 
@@ -360,9 +366,9 @@ class FlightPathReconstruction(TableTransformer):
             part |= _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
             gust = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
             part["gust"] = np.full(len(rows), gust)
-            lag = float(known.constants["value"].to_dict()["servo_lag"])
             names = [name for name in ALL_SURFACES if has_values(table, name)]
-            part |= dict(zip(names, _late(log, numeric(table, names)[rows], lag).T, strict=True))
+            late = _late(log, numeric(table, names)[rows], self.servo_lag_)
+            part |= dict(zip(names, late.T, strict=True))
             for name, column in part.items():
                 new.setdefault(name, np.empty(len(table)))[rows] = column
         order = [*MADE, "gust", *ALL_SURFACES]

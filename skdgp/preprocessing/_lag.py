@@ -131,6 +131,11 @@ class LagCorrector(TableTransformer):
     def __init__(self, lags: Any = "auto") -> None:
         self.lags = lags
 
+    @property
+    def servo_lag_(self) -> float:
+        """How late the surfaces follow their logged commands [s], zero where they do not."""
+        return max(0.0, -float(self.lags_["applied"].get("surfaces", 0.0)))
+
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):

@@ -118,8 +118,10 @@ def test_the_crew_knows_who_flies_when_and_at_which_risk(plan, html, tmp_path):
     assert "the flight 15.0 7.4 " in words
     assert all(name in words for name in ("Date", "Pilot", "MANUAL (ArduPilot) or Manual (PX4)"))
     assert "gusts calm air: no gust was checked" in words
-    gusty = write_flight_card(tmp_path / "card.html", replace(plan, gusts=(0.9, 0.9, 0.6)))
+    late = replace(plan, gusts=(0.9, 0.9, 0.6), servo_lag=0.047)
+    gusty = write_flight_card(tmp_path / "card.html", late)
     said = words_of(gusty.read_text(encoding="utf-8"))
+    assert "Surfaces follow these inputs 47 ms late." in said
     assert re.search(r"above ground at most 6\.0 m/s above .* hands off within ±1\.8 m/s", said)
 
 

@@ -21,12 +21,18 @@ from skdgp.dynamics import (
     Simulator,
     UncertainStart,
     aerodynamic_coefficients,
+    as_aerodynamics,
     simulate,
     standard_density,
     trajectory_bands,
 )
 from skdgp.dynamics._aerodynamics import Drift
-from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import (
+    ElevonSplitter,
+    LagCorrector,
+    RateNondimensionalizer,
+    RegressorSelector,
+)
 
 NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")
 SLOPES = np.array(
@@ -289,6 +295,34 @@ class TestControls:
         first, second = (part for _, part in two.groupby("start"))
         np.testing.assert_allclose(first[STATES], by_table[STATES], atol=1e-12)
         assert np.abs(second["theta"].to_numpy() - first["theta"].to_numpy()).max() > 0.01
+
+    def test_surfaces_follow_the_commands_with_the_lag_of_the_servos(self, aircraft):
+        """Against an independent solution of T d(delta)/dt = command - delta, and the flight with these deflections."""
+        late = linear(servo_lag=0.08)
+        table = table_of(2.0, step=0.02).assign(rudder=lambda t: 0.05 * (t["time"] > 0.5))
+        flown = simulate(late, aircraft, START, table, dt=0.02)
+        surfaces = ["elevator", "aileron", "rudder"]
+
+        def slope(t, delta):
+            target = [np.interp(t, table["time"], table[name]) for name in surfaces]
+            return (target - delta) / 0.08
+
+        exact = {"t_eval": table["time"], "max_step": 0.005, "rtol": 1e-9, "atol": 1e-12}
+        solved = solve_ivp(slope, (0, 2.0), table[surfaces].iloc[0], **exact)
+        np.testing.assert_allclose(flown[surfaces].T, solved.y, atol=1e-7)
+        np.testing.assert_array_equal(flown["thrust"], table["thrust"])
+        deflected = table.assign(**dict(zip(surfaces, solved.y, strict=True)))
+        expected = simulate(linear(), aircraft, START, deflected, dt=0.02)
+        np.testing.assert_allclose(flown[STATES], expected[STATES], atol=1e-3)
+        assert np.abs(simulate(linear(), aircraft, START, table)["phi"] - flown["phi"]).max() > 0.02
+
+    def test_a_model_has_the_servo_lag_of_its_pipeline(self):
+        rng = np.random.default_rng(0)
+        table = pd.DataFrame(rng.normal(size=(60, 2)), columns=["alpha", "elevator"])
+        table["time"] = 0.02 * np.arange(60)
+        steps = LagCorrector({"surfaces": -0.06}), RegressorSelector(["alpha", "elevator"])
+        model = make_pipeline(*steps, LinearRegression()).fit(table, rng.normal(size=(60, 6)))
+        assert as_aerodynamics(model).servo_lag == 0.06
 
     def test_a_law_that_is_held_sees_the_flight_once_a_step(self, aircraft):
         seen = []
@@ -589,12 +623,13 @@ class TestEnsembles:
 
 
 class TestSimulator:
-    def test_steps_are_those_of_a_held_law(self, aircraft):
+    @pytest.mark.parametrize("lag", [0.0, 0.1])
+    def test_steps_are_those_of_a_held_law(self, aircraft, lag):
         def law(t, state):
             return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
 
         at_once = simulate(
-            linear(),
+            linear(servo_lag=lag),
             aircraft,
             START,
             FlightComputer(law),
@@ -602,7 +637,7 @@ class TestSimulator:
             duration=1.0,
             air=[1.0, 2.0, 0.0],
         )
-        simulator = Simulator(linear(), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
+        simulator = Simulator(linear(servo_lag=lag), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
         seen = simulator.reset(START)
         for _, row in at_once.iterrows():
             assert seen["time"] == pytest.approx(row["time"])

@@ -117,6 +117,19 @@ def test_thrust_is_that_of_the_propeller(load, portable_of):
     np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
 
 
+def test_surfaces_follow_commands_with_the_lag_of_the_servos(load, portable_of):
+    model = replace(portable_of("trend"), servo_lag=np.array([0.2]))
+    fdm = load(model)
+    placed(fdm, model, np.zeros(6))
+    fdm["fcs/elevator-cmd-norm"] = 0.5
+    begin, largest = fdm.get_sim_time(), np.abs(model.limits[:, 3]).max()
+    while fdm.get_sim_time() < begin + 0.4:
+        fdm.run()
+    elapsed = fdm.get_sim_time() - begin
+    expected = 0.5 * largest * (1 - np.exp(-elapsed / 0.2))
+    assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=0.03)
+
+
 @pytest.mark.parametrize("propeller", [None, PROPELLER])
 def test_trim_is_that_of_jsbsim(load, portable_of, propeller):
     """JSBSim's full trim, to 0.001 ft/s^2, from controls at zero; with a propeller it finds the throttle."""

@@ -29,7 +29,8 @@ extern const char *const aero_output_names[AERO_OUTPUTS];
 /* Smallest and largest value of each input in the training data. */
 extern const double aero_limits[2][AERO_INPUTS];
 
-/* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products. */
+/* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products; and the
+ * lag T of the servos in s: surfaces d follow commands c by T d' = c - d. */
 ${constants}
 
 /* Inputs of the sources: non-dimensional rates, mixed controls. */

@@ -111,23 +111,11 @@ class AveragePosterior(Posterior):
     """
 
     def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
-        self._members, self._parts = members, parts
-        self._mixture = np.asarray(mixture, dtype=float)
+        self.members, self.parts = members, parts
+        self.mixture = np.asarray(mixture, dtype=float)
         self.kernel = members[0].kernel
         self.noise = members[0].noise
         self.log_marginal_likelihood = members[0].log_marginal_likelihood
-
-    @property
-    def members(self) -> Sequence[SinglePosterior]:
-        return self._members
-
-    @property
-    def parts(self) -> list[tuple[int, ...]]:
-        return self._parts
-
-    @property
-    def mixture(self) -> Matrix:
-        return self._mixture
 
     def likelihood_at(
         self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from skdgp._compute.linalg import unexplained_variance
+from skdgp._compute.parallel import few_threads, thread_map
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._paths import Paths
-from skdgp.kernels import MultiOutputKernel
+from skdgp.kernels import MultiOutputKernel, PathBundle
+
+CHUNK_BYTES = 2**27  # working memory of one batch of predictions
+ROWS = 512  # largest number of samples in a batch: their covariances fit the cache
 
 
 class Posterior(ABC):
@@ -31,20 +37,12 @@ class Posterior(ABC):
     noise: Vector
     log_marginal_likelihood: float
 
-    @property
-    @abstractmethod
-    def members(self) -> Sequence[SinglePosterior]:
-        """The components of the mixture. The first has all terms."""
-
-    @property
-    @abstractmethod
-    def parts(self) -> list[tuple[int, ...]]:
-        """The terms of the kernel that each component has, by their numbers."""
-
-    @property
-    @abstractmethod
-    def mixture(self) -> Matrix:
-        """The weight of each component, for each output, (K, P)."""
+    members: Sequence[SinglePosterior]
+    """The components of the mixture. The first has all terms."""
+    parts: list[tuple[int, ...]]
+    """The terms of the kernel that each component has, by their numbers."""
+    mixture: Matrix
+    """The weight of each component, for each output, (K, P)."""
 
     @abstractmethod
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
@@ -74,7 +72,13 @@ class Posterior(ABC):
 
 
 class SinglePosterior(Posterior):
-    """A Gaussian process: the only component of its mixture."""
+    """A Gaussian process: the only component of its mixture.
+
+    The mean of output i at Xs is A b, with the covariances A of its values and the variables that
+    it is learned from, the observed values or the inducing variables.
+    """
+
+    data: Data
 
     @property
     @abstractmethod
@@ -82,16 +86,19 @@ class SinglePosterior(Posterior):
         """Number of values or of inducing variables: the side of the largest matrix."""
 
     @property
-    def members(self) -> Sequence[SinglePosterior]:
+    def members(self) -> Sequence[SinglePosterior]:  # type: ignore[override]
         return [self]
 
     @property
-    def parts(self) -> list[tuple[int, ...]]:
+    def parts(self) -> list[tuple[int, ...]]:  # type: ignore[override]
         return [tuple(range(len(self.kernel.summands())))]
 
     @property
-    def mixture(self) -> Matrix:
+    def mixture(self) -> Matrix:  # type: ignore[override]
         return np.ones((1, self.kernel.n_outputs))
+
+    def samples(self) -> Data:
+        return self.data
 
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
@@ -110,5 +117,48 @@ class SinglePosterior(Posterior):
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
 
     @abstractmethod
+    def slope_loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:
+        """Return dA / dXs (d, n, c) and b (c,)."""
+
+    @abstractmethod
     def explained(self, i: int, A: Matrix) -> Array:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
+
+    @property
+    @abstractmethod
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path."""
+
+    def mean_slopes(self, Xs: Matrix) -> Array:
+        """Return d mean / d x at Xs, (n, P, d)."""
+        return self.mean_function.slopes(Xs[None])[0]
+
+    @few_threads
+    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
+        if not return_variance:
+            return self._in_batches(lambda X: [self.mean_function.values(X[None])[0]], Xs, 1)[0]
+        return self._in_batches(partial(self._moments, self.loading, self.kernel.block_diag), Xs, 1)
+
+    @few_threads
+    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
+        d = np.shape(Xs)[1]
+        if not return_variance:
+            return self._in_batches(lambda X: [self.mean_slopes(X)], Xs, d)[0]
+        moments = partial(self._moments, self.slope_loading, self.kernel.derivative_diag)
+        return self._in_batches(moments, Xs, d)
+
+    def _moments(self, loading, prior, X):
+        """Return mean and variance (n, P, ...) of functions with a loading (..., n, c) and prior variance."""
+        mean, variance = [], []
+        for i in range(self.kernel.n_outputs):
+            A, b = loading(i, X)
+            mean.append(A @ b)  # equation 17
+            explained = self.explained(i, A.reshape(-1, A.shape[-1])).reshape(A.shape[:-1])
+            variance.append(unexplained_variance(prior(i, X).T, explained))  # equation 18
+        return np.moveaxis(np.array(mean), -1, 0), np.moveaxis(np.array(variance), -1, 0)
+
+    def _in_batches(self, function, Xs, width):
+        """Return the arrays that a function of X returns, whose matrices hold ``width`` times A."""
+        step = int(np.clip(CHUNK_BYTES / (8 * width * max(self.size, 1)), 1, ROWS))
+        batches = [Xs[a : a + step] for a in range(0, max(len(Xs), 1), step)]
+        return tuple(map(np.concatenate, zip(*thread_map(function, batches), strict=True)))

@@ -21,26 +21,23 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.linalg
 from sklearn.utils import check_random_state, gen_batches
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
     cholesky_solve,
-    consecutive,
     jittered_cholesky,
     log_determinant,
     semidefinite_root,
     symmetric,
     triangular_solve,
-    unexplained_variance,
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._paths import FREQUENCIES, Paths
 from skdgp.inference._posterior import SinglePosterior
-from skdgp.kernels import Features, MultiOutputKernel
+from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
@@ -161,10 +158,6 @@ class SparsePosterior(SinglePosterior):
             variance[i] = s.unexplained / s.n
         return variance
 
-    def samples(self) -> Data:
-        """Return the values that the posterior has learned from."""
-        return self.data
-
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, data)
@@ -182,14 +175,9 @@ class SparsePosterior(SinglePosterior):
         return SparsePosterior(kernel, features, noise, self.data).log_marginal_likelihood
 
     @cached_property
-    def _readout(self):
-        """The function of the rows of `Features.rows`, the columns of each output, and weights of means (C, P).
-
-        Like ``roots``, it is computed at the first prediction.
-        """
-        rows, variables = self.features.rows()
-        weights = scipy.linalg.block_diag(*(self.weights[own][:, None] for own in variables))
-        return rows, consecutive(variables), weights
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path."""
+        return self.features.paths(self.weights[None])
 
     @cached_property
     def roots(self) -> list[np.ndarray]:
@@ -209,33 +197,6 @@ class SparsePosterior(SinglePosterior):
                 )
         return roots
 
-    @few_threads
-    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        rows, slices, weights = self._readout
-        roots = self.roots if return_variance else []
-
-        def evaluate(X):
-            A = rows(X)
-            if not return_variance:
-                return A @ weights
-            explained = [
-                explained_variance(A[:, own], root) for own, root in zip(slices, roots, strict=True)
-            ]
-            prior = [self.kernel.block_diag(i, X) for i in range(len(slices))]
-            return A @ weights, unexplained_variance(
-                np.stack(prior, axis=1), np.stack(explained, axis=1)
-            )
-
-        if len(Xs) <= ROWS:
-            return evaluate(Xs)
-        parts = thread_map(lambda some: evaluate(Xs[some]), [*gen_batches(len(Xs), ROWS)])
-        return (
-            tuple(map(np.concatenate, zip(*parts, strict=True)))
-            if return_variance
-            else np.concatenate(parts)
-        )
-
     def term(self, kernel: MultiOutputKernel) -> SparsePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
@@ -246,16 +207,21 @@ class SparsePosterior(SinglePosterior):
         new = object.__new__(SparsePosterior)
         features = self.features.rebuild(kernel)
         vars(new).update(vars(self) | {"kernel": kernel, "features": features, "roots": self.roots})
-        vars(new).pop("_readout", None)
+        vars(new).pop("mean_function", None)
         return new
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
         return self.features.Kfu(i, Xs), self.weights[self.features.columns(i)]
 
+    def slope_loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return dA / dXs (d, n, c) and b (c,)."""
+        return self.features.Kfu_derivative(i, Xs), self.weights[self.features.columns(i)]
+
     def explained(self, i: int, A: Matrix) -> np.ndarray:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
-        return explained_variance(A, self.roots[i])
+        half = A @ self.roots[i]
+        return np.einsum("nc,nc->n", half, half)
 
     @few_threads
     def covariance(self, Xs: Matrix) -> np.ndarray:
@@ -277,40 +243,6 @@ class SparsePosterior(SinglePosterior):
             w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
             coefficients = triangular_solve(self.Lu, np.asfortranarray(w), transposed=True).T
             return Paths(prior + self.features.paths(coefficients), n_paths, self.kernel.n_features)
-
-    @few_threads
-    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        roots = self.roots if return_variance else None
-        parts = thread_map(partial(self._gradient, Xs, roots), [*gen_batches(len(Xs), ROWS)])
-        mean, variance = zip(*parts, strict=True)
-        return (
-            (np.concatenate(mean), np.concatenate(variance))
-            if return_variance
-            else np.concatenate(mean)
-        )
-
-    def _gradient(self, Xs, roots, rows):
-        """Return the mean and, unless ``roots`` is None, the variance of the slopes at some rows, (n, P, d) each."""
-        x, outputs = Xs[rows], range(self.kernel.n_outputs)
-        D = [self.features.Kfu_derivative(i, x) for i in outputs]
-        mean = np.stack(
-            [(D[i] @ self.weights[self.features.columns(i)]).T for i in outputs], axis=1
-        )
-        if roots is None:
-            return mean, None
-        explained = [
-            explained_variance(D[i].reshape(-1, D[i].shape[-1]), roots[i]).reshape(-1, len(x)).T
-            for i in outputs
-        ]
-        prior = np.stack([self.kernel.derivative_diag(i, x) for i in outputs], axis=1)
-        return mean, unexplained_variance(prior, np.stack(explained, axis=1))
-
-
-def explained_variance(A, root: Matrix):
-    """Return the variance explained by the data for functions with covariances A (n, c) with the features."""
-    half = A @ root
-    return np.einsum("nc,nc->n", half, half)
 
 
 # -- shares of the samples

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import reduce, singledispatch
 from itertools import pairwise
 from operator import add
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
-from skdgp._compute.linalg import cluster_centres, column_scale
 from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
@@ -24,16 +23,14 @@ from skdgp.kernels._gaussian_filters import CovarianceColumns
 from skdgp.kernels._prior_paths import (
     FeaturePaths,
     PathBundle,
-    TrendPaths,
     Waves,
-    draw_latents,
     prior_paths,
 )
 from skdgp.kernels._trend import LinearTrend
 
 # variance of white noise in the inducing variables, over their variance; the bound remains a bound
 JITTER = 1e-6
-ADDITIVE_POINTS = 8  # inducing inputs for each regressor of a term of few regressors
+ADDITIVE_POINTS = 8  # inducing inputs of a term of a single regressor
 
 
 class Features(ABC):
@@ -104,17 +101,20 @@ class ValueFeatures(Features):
     """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
 
     The outputs of the kernel come first in ``joint``. An output covaries with the blocks to
-    which ``joint`` couples it, directly or through other blocks.
+    which ``joint`` couples it, directly or through other blocks. By default ``joint`` is the kernel,
+    and the variables are values of all outputs.
     """
 
     def __init__(
         self,
         kernel: MultiOutputKernel,
-        joint: MultiOutputKernel,
-        outputs: Sequence[int],
         Z: Sequence[Matrix],
+        joint: MultiOutputKernel | None = None,
     ) -> None:
-        self.kernel, self.joint, self.outputs = kernel, joint, outputs
+        first = 0 if joint is None else kernel.n_outputs
+        joint = joint or kernel
+        outputs = range(first, joint.n_outputs)
+        self.kernel, self.joint, self.outputs, self.arguments = kernel, joint, outputs, (Z,)
         self.Z = [np.asarray(z, dtype=float) for z in Z]
         edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(edges[-1])
@@ -146,6 +146,16 @@ class ValueFeatures(Features):
         ]
         return np.concatenate([np.empty((*np.shape(X)[::-1], 0)), *blocks], axis=2)
 
+    def prior_paths(
+        self, n_paths: int, n_frequencies: int, random_state: Any
+    ) -> tuple[PathBundle, Matrix]:
+        paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
+        values = {id(z): paths.values(z[None]) for z in self.Z}
+        u = np.hstack([values[id(z)][..., f] for f, z in zip(self.outputs, self.Z, strict=True)])
+        variance = [self.joint.block_diag(f, z) for f, z in zip(self.outputs, self.Z, strict=True)]
+        u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)
+        return paths, u
+
     def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
         if not isinstance(self.joint, ConvolvedGaussian):
             return super().rows()
@@ -156,22 +166,8 @@ class ValueFeatures(Features):
             tiles = zip(blocks, of_output, strict=True)
             tiled = [np.tile(self._variables[f], len(pair.gain)) for f, pair in tiles]
             variables.append(np.concatenate([np.arange(0), *tiled]))
-        return CovarianceColumns(self.kernel.n_features, pairs), variables
-
-
-class PointFeatures(ValueFeatures):
-    """The values of all outputs at one array of inputs for each, for any kernel."""
-
-    def __init__(self, kernel: MultiOutputKernel, Z: Sequence[Matrix]) -> None:
-        super().__init__(kernel, kernel, range(kernel.n_outputs), Z)
-        self.arguments = (self.Z,)
-
-    def prior_paths(self, n_paths, n_frequencies, random_state):
-        paths = prior_paths(self.kernel, n_paths, n_frequencies, random_state)
-        u = np.hstack([paths.values(z[None])[..., i] for i, z in enumerate(self.Z)])
-        variance = [self.kernel.block_diag(i, z) for i, z in enumerate(self.Z)]
-        u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)
-        return paths, u
+        columns = CovarianceColumns(self.kernel.n_features, pairs)
+        return super().rows() if columns.far else (columns, variables)
 
 
 class LatentFeatures(ValueFeatures):
@@ -188,8 +184,7 @@ class LatentFeatures(ValueFeatures):
         self, kernel: ConvolvedGaussian, latents: Iterable[int], Z: Sequence[Matrix], width: Matrix
     ) -> None:
         latents = [int(m) for m in latents]
-        self.arguments = latents, Z, width
-        P, unit = kernel.n_outputs, np.eye(len(kernel.value("feeds")))[:, latents]
+        unit = np.eye(len(kernel.value("feeds")))[:, latents]
         further = {"amplitude": unit, "feeds": unit, "length_scale": width}
         arrays: dict[str, Any] = {}
         for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
@@ -199,16 +194,16 @@ class LatentFeatures(ValueFeatures):
             arrays[name] = np.concatenate([value, added], axis=1)
         kind = "full" if kernel.covariance_type == "full" else "diag"
         joint = ConvolvedGaussian(covariance_type=kind, **arrays)
-        super().__init__(kernel, joint, range(P, P + len(latents)), Z)
+        super().__init__(kernel, Z, joint)
+        self.arguments = latents, Z, width
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
-        latents = draw_latents(self.joint, n_paths, n_frequencies, random_state)
-        blocks = zip(self.outputs, self.Z, strict=True)
-        u = np.hstack([Waves.combine(latents, [f]).values(z[None])[..., 0] for f, z in blocks])
-        u += np.sqrt(JITTER) * random_state.standard_normal(u.shape)
-        return Waves.combine(latents, range(self.kernel.n_outputs)), u
+        paths, u = super().prior_paths(n_paths, n_frequencies, random_state)
+        waves = cast(Waves, paths)
+        weights = waves.weights[..., : self.kernel.n_outputs]
+        return Waves(waves.omega, waves.phase, weights), u
 
 
 class TrendFeatures(Features):
@@ -249,9 +244,6 @@ class TrendFeatures(Features):
         u = random_state.standard_normal((n_paths, self.size))
         return self.paths(u), u
 
-    def paths(self, coefficients):
-        return TrendPaths(self.kernel, coefficients.reshape(len(coefficients), -1, self.n_weights))
-
 
 class SumFeatures(Features):
     """The features of both terms of a sum."""
@@ -279,14 +271,6 @@ class SumFeatures(Features):
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
 
-    def rows(self):
-        (first, one), (second, other) = self.first.rows(), self.second.rows()
-        of_both = [[a, self.first.size + b] for a, b in zip(one, other, strict=True)]
-        term = np.repeat([0, 1] * len(one), [len(part) for pair in of_both for part in pair])
-        order = np.argsort(np.argsort(term, kind="stable"))  # for each output columns of both terms
-        variables = [np.concatenate(pair) for pair in of_both]
-        return lambda X: np.take(np.hstack([first(X), second(X)]), order, axis=1), variables
-
     def Kfu_derivative(self, i, X):
         return np.concatenate(
             [self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2
@@ -312,7 +296,7 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
     By default they are the values of the outputs at Z. ``inducing_features.register`` adds a class
     of kernels with others.
     """
-    return PointFeatures(kernel, [Z] * kernel.n_outputs)
+    return ValueFeatures(kernel, [Z] * kernel.n_outputs)
 
 
 @inducing_features.register
@@ -338,16 +322,13 @@ def _(kernel: Sum, Z):
 
 
 def _thinned(Z, without_effect):
-    """Return inducing inputs for functions of few regressors: fewer than the given ones."""
-    used = ~without_effect
-    n = ADDITIVE_POINTS * int(used.sum())
-    if used.all() or n >= len(Z):
+    """Return inducing inputs for functions of a single regressor: fewer than the given ones."""
+    used = np.flatnonzero(~without_effect)
+    if len(used) > 1 or len(Z) <= ADDITIVE_POINTS or len(without_effect) == 1:
         return Z
-    chosen = np.tile(Z.mean(axis=0), (n, 1))
-    if used.sum() == 1:
-        chosen[:, used] = np.linspace(Z[:, used].min(axis=0), Z[:, used].max(axis=0), n)
-    else:
-        chosen[:, used] = cluster_centres(Z[:, used], column_scale(Z)[used], n, 0)
+    chosen = np.tile(Z.mean(axis=0), (ADDITIVE_POINTS, 1))
+    column = Z[:, used[0]]
+    chosen[:, used[0]] = np.linspace(column.min(), column.max(), ADDITIVE_POINTS)
     return chosen
 
 
@@ -359,10 +340,13 @@ def covariance_paths(
 
     def of_term(term):
         if not isinstance(term, LinearTrend):
-            return FeaturePaths(PointFeatures(term, X), coefficients)
-        pairs = zip(X, by_output, strict=True)
-        return TrendPaths(
-            term, np.stack([c @ term.basis(i, x) for i, (x, c) in enumerate(pairs)], 1)
-        )
+            return ValueFeatures(term, X).paths(coefficients)
+        weights = [c @ term.basis(i, x) for i, (x, c) in enumerate(zip(X, by_output, strict=True))]
+        return TrendFeatures(term).paths(np.hstack(weights))
 
     return reduce(add, map(of_term, kernel.summands()))
+
+
+@prior_paths.register
+def _(kernel: LinearTrend, n_paths, n_frequencies, random_state):
+    return TrendFeatures(kernel).prior_paths(n_paths, n_frequencies, random_state)[0]

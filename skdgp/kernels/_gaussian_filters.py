@@ -107,12 +107,6 @@ class FilterPair:
                 out += E
         return total
 
-    def terms(self, Xi: Matrix, Xj: Matrix) -> Matrix:
-        """Return the terms of equation 16 side by side, (n_i, m n_j)."""
-        exponents = self.exponents(Xi, Xj)
-        terms = [g * e.all(len(Xi), len(Xj)) for g, e in zip(self.gain, exponents, strict=True)]
-        return np.hstack([np.empty((len(Xi), 0)), *terms])
-
     def at_pairs(
         self, pairs: RowPairs, columns: slice | Array
     ) -> tuple[Vector, Callable[[Vector], Moments]]:
@@ -344,7 +338,7 @@ class CovarianceColumns:
     """
 
     def __init__(self, n_features: int, pairs: list[tuple[FilterPair, Matrix]]) -> None:
-        self.pairs = pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
+        pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
         self.middle = _middle(np.concatenate([np.empty((0, n_features)), *(Z for _, Z in pairs)]))
         terms = [(pair, m, Z) for pair, Z in pairs for m in range(len(pair.gain))]
         uses = sum((np.triu(pair.Sigma(m)) != 0 for pair, m, _ in terms), np.eye(n_features) > 0)
@@ -364,9 +358,6 @@ class CovarianceColumns:
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all columns at X (n, d), (n, C)."""
-        if self.far:
-            terms = [pair.terms(X, Z) for pair, Z in self.pairs]
-            return np.hstack([np.empty((len(X), 0)), *terms])
         x = X - self.middle
         squares = x[:, self.i] * x[:, self.j]
         E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix

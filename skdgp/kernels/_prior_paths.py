@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import singledispatch
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -13,7 +12,6 @@ from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
-from skdgp.kernels._trend import LinearTrend
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 
@@ -132,32 +130,6 @@ class MixedPaths(PathBundle):
         return values
 
 
-class TrendPaths(PathBundle):
-    """Trends with standardised weights u, (S, P, d + 1): tau_i0 u_i0 + sum_k tau_ik u_ik (s_k - c_k)."""
-
-    def __init__(self, kernel, weights):
-        self.kernel, self.weights = kernel, weights
-        self._center = kernel.value("center")
-        self._intercept = weights[:, None, :, 0] * kernel.value("intercept_scale")
-        self._slope = (weights[:, :, 1:] * kernel.value("slope_scale")).swapaxes(1, 2).copy()
-
-    def take(self, index):
-        return TrendPaths(self.kernel, self.weights[index])
-
-    def doubles(self, same_points):
-        return self.weights[:1].size if same_points else self.weights.size
-
-    def each(self, X):
-        columns = _flatten_points(X) - self._center
-        values = _unflatten_points(columns, X) @ self._slope
-        values += self._intercept
-        return values
-
-    def gradient(self, X):
-        slopes = np.swapaxes(self._slope, 1, 2)[:, None]  # (S, 1, P, d)
-        return np.array(np.broadcast_to(slopes, (len(slopes), X.shape[1], *slopes.shape[2:])))
-
-
 class FeaturePaths(PathBundle):
     """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
@@ -178,22 +150,17 @@ class FeaturePaths(PathBundle):
         return (1 if same_points else len(self.coefficients)) * self._columns[-1].stop
 
     def each(self, X):
-        A = _unflatten_points(self._rows(_flatten_points(X)), X)
+        A = _unflatten_points(self._rows(X.reshape(-1, X.shape[-1])), X)
         pairs = zip(self._columns, self._weights, strict=True)
         return np.stack([contract(A[..., columns], c) for columns, c in pairs], axis=-1)
 
     def gradient(self, X):
         slopes = []
         for i in range(len(self._columns)):
-            D = _unflatten_points(self.features.Kfu_derivative(i, _flatten_points(X)), X)
+            D = _unflatten_points(self.features.Kfu_derivative(i, X.reshape(-1, X.shape[-1])), X)
             c = self.coefficients[:, self.features.columns(i)]
             slopes.append(np.moveaxis(contract(D, c), 0, -1))
         return np.stack(slopes, axis=2)
-
-
-def _flatten_points(X):
-    """Return the points of X (S, n, d) one after another, (S n, d)."""
-    return X.reshape(-1, X.shape[-1])
 
 
 def _unflatten_points(A, X):
@@ -210,20 +177,6 @@ def contract(A, c):
 # --------------------------------------------
 
 
-class LatentWaves(NamedTuple):
-    """The contribution of a latent to its outputs: sums of gain * cos(omega . (s - shift) + phase).
-
-    ``omega`` (S, F, d), ``phase`` (S, F), ``outputs`` (c,), and for these outputs ``gain`` (S, F,
-    c), ``shift`` (c, d).
-    """
-
-    omega: np.ndarray
-    phase: np.ndarray
-    outputs: np.ndarray
-    gain: np.ndarray
-    shift: np.ndarray
-
-
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
@@ -234,25 +187,6 @@ class Waves(PathBundle):
         self.omega, self.phase, self.weights = omega, phase, weights
         self._half = 0.5 * omega, 0.5 * phase
         self._sum = weights.sum(axis=1, keepdims=True)
-
-    @classmethod
-    def combine(cls, latents: list[LatentWaves], outputs) -> Waves:
-        """Return the paths of the given outputs, (P,)."""
-        waves = []
-        for latent in latents:
-            place, selected = np.nonzero(np.equal.outer(outputs, latent.outputs))
-            if len(place) == 0:
-                continue
-            turn = latent.omega @ latent.shift[selected].T
-            # the phase of the first output, and differences of the others
-            phase, turn = latent.phase - turn[..., 0], turn - turn[..., :1]
-            gain, unit = latent.gain[..., selected], np.eye(len(outputs))[place]
-            waves.append((latent.omega, phase, (gain * np.cos(turn)) @ unit))
-            if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-                sine = (gain * np.sin(turn)) @ unit
-                waves.append((latent.omega, phase - 0.5 * np.pi, sine))
-        omega, phase, weights = (np.concatenate(part, 1) for part in zip(*waves, strict=True))
-        return cls(omega.swapaxes(1, 2).copy(), phase[:, None], weights)
 
     def take(self, index):
         return Waves(self.omega[index], self.phase[index], self.weights[index])
@@ -277,8 +211,8 @@ class Waves(PathBundle):
         return (wave[:, :, None] * weights[:, None]) @ turned
 
 
-def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWaves]:
-    r"""Return F waves for each of S paths of every latent of a ConvolvedGaussian, h_i * x with A_i = 2 R_i R_i^T.
+def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
+    r"""Return sample paths of a ConvolvedGaussian: F waves for each of S paths of every latent, A_i = 2 R_i R_i^T.
 
     The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
 
@@ -292,7 +226,7 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
     path has new frequencies, so paths have the moments of the prior for any number of
     frequencies, at least c.
     """
-    feeds, latents = kernel.value("feeds"), []
+    feeds, waves = kernel.value("feeds"), []
     S, F = n_paths, max(n_frequencies, int(feeds.sum(axis=1).max()))
     for m, i in enumerate(map(np.flatnonzero, feeds)):
         amplitude, shift, lengths = (
@@ -315,10 +249,16 @@ def draw_latents(kernel, n_paths, n_frequencies, random_state) -> list[LatentWav
         gain *= random_state.rayleigh(
             size=(S, F, 1)
         )  # the length of (g, g'); the phase is its direction
-        latents.append(
-            LatentWaves(omega, random_state.uniform(0.0, 2 * np.pi, (S, F)), i, gain, shift)
-        )
-    return latents
+        turn = omega @ shift.T
+        # the phase of the first output, and differences of the others
+        phase = random_state.uniform(0.0, 2 * np.pi, (S, F)) - turn[..., 0]
+        turn -= turn[..., :1].copy()
+        unit = np.eye(len(feeds.T))[i]
+        waves.append((omega, phase, (gain * np.cos(turn)) @ unit))
+        if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
+            waves.append((omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
+    omega, phase, weights = (np.concatenate(part, 1) for part in zip(*waves, strict=True))
+    return Waves(omega.swapaxes(1, 2).copy(), phase[:, None], weights)
 
 
 # -- paths of a kernel
@@ -351,16 +291,7 @@ def prior_paths(
     )
 
 
-@prior_paths.register
-def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
-    latents = draw_latents(kernel, n_paths, n_frequencies, random_state)
-    return Waves.combine(latents, range(kernel.n_outputs))
-
-
-@prior_paths.register
-def _(kernel: LinearTrend, n_paths, n_frequencies, random_state):
-    shape = n_paths, kernel.n_outputs, kernel.n_weights
-    return TrendPaths(kernel, random_state.standard_normal(shape))
+prior_paths.register(ConvolvedGaussian, draw_waves)
 
 
 @prior_paths.register

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute import parallel
-from skdgp.inference import Data, ExactPosterior, _exact, _likelihood, log_likelihood
+from skdgp.inference import Data, ExactPosterior, _likelihood, _posterior, log_likelihood
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -159,7 +159,7 @@ class TestTiles:
         )
         monkeypatch.setattr(_likelihood, "TILE", tile)
         monkeypatch.setattr(_likelihood, "HALF", 2)
-        monkeypatch.setattr(_exact, "CHUNK_BYTES", 100)
+        monkeypatch.setattr(_posterior, "CHUNK_BYTES", 100)
         monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
             again, again_gradient = log_likelihood(
@@ -204,7 +204,7 @@ class TestMemory:
         assert matrix <= used < 3 * matrix
 
     def test_of_predictions_does_not_grow_with_their_number(self, large, monkeypatch):
-        monkeypatch.setattr(_exact, "CHUNK_BYTES", 2**19)
+        monkeypatch.setattr(_posterior, "CHUNK_BYTES", 2**19)
         kernel, noise, data = large
         few_data = Data([x[:80] for x in data.X], [y[:80] for y in data.y])
         posterior = ExactPosterior(kernel, noise, few_data)
@@ -216,12 +216,5 @@ class TestMemory:
                 lambda call=call: call(few, True)
             )
             assert (
-                grown < 2 * times * results + _exact.CHUNK_BYTES
+                grown < 2 * times * results + _posterior.CHUNK_BYTES
             )  # which threads need not hold at the same time
-
-
-def test_few_points_have_the_means_that_many_have(one_problem):
-    posterior = posterior_of(one_problem)
-    many = np.random.default_rng(3).normal(size=(200, NEW.shape[1]))
-    one_by_one = np.concatenate([posterior.predict(row[None]) for row in many])
-    np.testing.assert_allclose(one_by_one, posterior.predict(many), rtol=1e-9, atol=1e-11)

@@ -7,14 +7,12 @@ import io
 import os
 import shlex
 import sys
-import traceback
-from contextlib import nullcontext
-from difflib import get_close_matches
 from importlib.metadata import version
+from pathlib import Path
 
 from skdgp._cli import _fly, _learn, _write
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Console, OutputFolder, Run
+from skdgp._cli._output import Console, Run, check_folder
 
 __all__ = ["main"]
 
@@ -44,38 +42,39 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
     _open_streams()
-    folder: OutputFolder | None = None
     console = Console()
     try:
         with console:
             options = parse(argv)
-            if (output := getattr(options, "output", None)) is not None:
-                folder = OutputFolder(output, options.command == "predict")
-            with folder or nullcontext():
-                options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
+            folder = _folder(options)
+            options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
     except KeyboardInterrupt:
-        is_written = folder is None or folder.is_written
-        console.print_error("stopped" if is_written else "stopped: no output was written")
+        console.print_error("stopped")
         return INTERRUPTED
-    except Exception as error:
-        if "--traceback" in argv:
-            console.print_error(traceback.format_exc().rstrip())
+    except BrokenPipeError:  # nobody reads any more
+        return DONE
+    except EXPECTED as error:
         console.print_error(f"error: {_message(error)}")
         return FAILED
     return DONE
 
 
+def _folder(options: argparse.Namespace) -> Path | None:
+    """Return the folder of the outputs, if any; raise OSError if it cannot be written to."""
+    if getattr(options, "output", None) is None:
+        return None
+    output = Path(options.output)
+    folder = output.parent if options.command == "predict" else output
+    check_folder(folder)
+    return folder
+
+
 def parse(argv: list[str]) -> argparse.Namespace:
     """Return the options of a command line; SystemExit, as of argparse, ends wrong usage."""
-    options, unknown = make_parser().parse_known_args(argv)
+    options = make_parser().parse_args(argv)
     strange = [word for word in argv if word != word.encode(errors="replace").decode()]
     if strange:  # no record of the run could hold it
         options.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
-    if unknown:
-        names = ["--" + name.replace("_", "-") for name in vars(options)]
-        near = get_close_matches(unknown[0].split("=")[0], names, n=1)
-        hint = f"did you mean {near[0]}?" if near else "--help lists the options"
-        options.parser.error(f"unrecognized arguments {' '.join(unknown)}: {hint}")
     return options
 
 
@@ -110,7 +109,4 @@ def _message(error: Exception) -> str:
     """Return the message on one line; of the system's errors with the file's name."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or ''}: {error.strerror}".removeprefix(": ")
-    message = " ".join(str(error).split()) or type(error).__name__
-    if isinstance(error, EXPECTED):
-        return message
-    return f"Got an unexpected {type(error).__name__}: {message}. Run again with --traceback, and report what it says."
+    return " ".join(str(error).split()) or type(error).__name__

@@ -10,10 +10,9 @@ import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, check_writable, picture_writers, table_writer
+from skdgp._cli._output import Run, picture_writers
 from skdgp._compute.files import Writer, csv_writer
 from skdgp._compute.messages import warn, without_warnings
-from skdgp._display.style import display_unit
 from skdgp._flight.channels import (
     AIR_DATA,
     ALL_SURFACES,
@@ -108,11 +107,10 @@ def predict(run: Run) -> None:
 
     For example:
       skdgp predict results/model.joblib wednesday.csv -o coefficients.csv
-      skdgp predict results/model.joblib a.csv b.csv -o coefficients.parquet --include-noise
+      skdgp predict results/model.joblib a.csv b.csv -o coefficients.csv --include-noise
     """
     options = run.options
     output = Path(options.output)
-    check_writable(output.suffix)
     if output.resolve() in (Path(flight).resolve() for flight in options.flight):
         raise FileExistsError(
             f"Got {options.output} as the output, but it is one of the flights: name another."
@@ -130,7 +128,7 @@ def predict(run: Run) -> None:
         ],
         ignore_index=True,
     )
-    run.write({output.name: table_writer(table, output.suffix)})
+    run.write({output.name: csv_writer(table)})
     rows = {name: len(flight) for name, flight in flights.items()}
     names = model.pipeline[-1].output_names_
     summary = table[names].agg(["min", "max"]).T.set_axis(["lowest", "highest"], axis="columns")
@@ -334,33 +332,20 @@ def _spread(paths) -> dict:
 
 def _simulation_text(numbers, files) -> str:
     """Return duration, end and files of a simulation as text."""
-    beyond, paths = numbers["beyond"], numbers["paths"]
-    lines = [f"flown {numbers['flown']:.4g} s, to the end"]
+    beyond, paths, seconds = numbers["beyond"], numbers["paths"], f"{numbers['flown']:.4g}"
+    lines = [f"flown {seconds} s, to the end"]
     if numbers["ended"] is not None:
-        lines = [
-            f"ended after {numbers['flown']:.4g} of {numbers['duration']:.4g} s: {numbers['ended']}"
-        ]
-    if numbers["trim"] is not None:
-        units = {"throttle": "", "thrust": " N", "propeller_speed": " rad/s"}
-        controls = numbers["trim"].items()
-        shown = (f"{name} {value:.4g}{units.get(name, ' rad')}" for name, value in controls)
-        lines.append(f"trim: {', '.join(shown)}")
+        lines = [f"ended after {seconds} of {numbers['duration']:.4g} s: {numbers['ended']}"]
     lines.append(
         "always within the training data"
         if beyond is None
         else f"beyond the training data in {100 * beyond['fraction']:.0f} % of the time, the first "
         f"after {beyond['first']:.4g} s: {', '.join(beyond['regressors'])}"
     )
-    states = pd.DataFrame({name: numbers[name] for name in ("start", "end")})
     if paths is not None:
         counts = f"{paths['ended_early']} ended early, {paths['beyond']} left the training data"
         lines += [f"{paths['n']} functions of the posterior: {counts}", paths["air"]]
-        states = states.join(pd.DataFrame(paths["end"], index=["2.5 % of paths", "97.5 %"]).T)
-    shown_units = [display_unit(name) for name in START]
-    states = states.loc[list(START)].mul([factor for factor, _ in shown_units], axis=0)
-    states["unit"] = [unit for _, unit in shown_units]
-    lines += ["", states.to_string(float_format="{:z.2f}".format), "", *map(str, files)]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *map(str, files)])
 
 
 def derivatives(run: Run) -> None:
@@ -484,7 +469,7 @@ COMMANDS: opt.Commands = {
                 "metavar": "FILE",
                 "type": opt.table_file,
                 "required": True,
-                "help": "the table: .csv or .parquet",
+                "help": "the table, .csv",
             },
         },
     },

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._fly import read_model
 from skdgp._cli._output import Run
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
@@ -22,8 +20,7 @@ from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
 from skdgp.identification import validate as judge
-from skdgp.io import inspect_log, read_flight, servo_template
-from skdgp.preprocessing import LagCorrector
+from skdgp.io import inspect_log, servo_template
 
 SIZES = {
     "mass": "[kg]",
@@ -44,11 +41,9 @@ CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": 
 
 
 def inspect(run: Run) -> None:
-    """Print what a log holds: vehicle, firmware, topics with rates and gaps, columns of its flight table, flights.
+    """Print what a log holds: vehicle, firmware, topics with rates, columns of its flight table, flights.
 
-    And the columns missing for coefficients, reconstruction, regressors, replay; which channels
-    contradict physics (a wrong sign, unit or axis); and how late air data, surfaces, attitude and
-    GPS are against the inertial unit (identify corrects them).
+    And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis).
 
     LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
 
@@ -67,26 +62,7 @@ def inspect(run: Run) -> None:
                 f"one."
             )
         write_atomically(path, text_writer(text))
-    run.console.stage("estimating lags")
-    lags, why = (
-        _lags(options) if len(summary.flights) else (None, "not estimated: there is no flight")
-    )
-    lines = [f"  {'lags':<18}{why}"]
-    for name, row in {} if lags is None else lags.iterrows():
-        value = f"{row['lag']:>z8.3f} +- {row['std']:.3f} s" if np.isfinite(row["std"]) else ""
-        lines.append(f"    {name:<16}{value:20}{row['remark']}")
-    numbers = summary.to_dict() | {"lags": None if lags is None else lags.to_dict("index")}
-    run.print("\n".join([str(summary), "", *lines]), numbers)
-
-
-def _lags(options) -> tuple[pd.DataFrame | None, str]:
-    """Return the lags of a log and their unit, or None and why they cannot be estimated."""
-    with without_warnings():  # the summary shows them
-        try:
-            table = read_flight(options.log, servos=options.servos, rename=dict(options.rename))
-            return LagCorrector().fit(table).lags_, "seconds, positive where late"
-        except ValueError as error:
-            return None, f"not estimated: {error}"
+    run.print(str(summary), summary.to_dict())
 
 
 def identify(run: Run) -> None:
@@ -121,8 +97,7 @@ def identify(run: Run) -> None:
       assumed, how far that may be off, and what to measure next. A log of an autopilot then needs
       no servo file and no thrust either.
 
-    Ctrl-C during the fit keeps the best model so far and goes on; a second one stops, and nothing
-    is written.
+    Ctrl-C during the fit keeps the best model so far and goes on.
 
     For example:
       skdgp identify sortie.ulg --mass 3.2 --span 1.6
@@ -192,7 +167,7 @@ def demo(run: Run) -> None:
 
 
 def _learn(run, train, aircraft, test, title=None, **loads):
-    options, console = run.options, run.console
+    options = run.options
     parameters = {"n_latent": "latents", "max_iter": "max_iter", "n_inducing": "inducing"}
     regressor = DependentGPRegressor(
         structure=options.structure,
@@ -209,19 +184,18 @@ def _learn(run, train, aircraft, test, title=None, **loads):
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
         "lags": opt.none_of(options.lags),
     }
-    with listening(console.progress):
-        with console.counting_interrupts():
-            result = learn(
-                train,
-                aircraft,
-                test=test,
-                regressors=options.regressors,
-                regressor=regressor,
-                pipeline=steps,
-                samples=options.samples,
-                horizons=options.horizons,
-                **loads,
-            )
+    with listening(run.console.progress):
+        result = learn(
+            train,
+            aircraft,
+            test=test,
+            regressors=options.regressors,
+            regressor=regressor,
+            pipeline=steps,
+            samples=options.samples,
+            horizons=options.horizons,
+            **loads,
+        )
         _finish(run, replace(result, title=title or result.title))
 
 

@@ -56,11 +56,7 @@ def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:
     return number(f"{unit} > 0", lambda value: value > 0, keywords=keywords)
 
 
-table_file = checked(
-    "a name that ends in .csv or .parquet",
-    str,
-    lambda text: Path(text).suffix in (".csv", ".parquet"),
-)
+table_file = checked("a name that ends in .csv", str, lambda text: Path(text).suffix == ".csv")
 axis_value = checked(
     "AXIS=NUMBER such as elevator=0.4",
     lambda text: (text.partition("=")[0], float(text.partition("=")[2])),
@@ -165,7 +161,6 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
 # Options of every command
 COMMON: dict[str, dict[str, Any]] = {
     "--json": {"action": "store_true", "help": "print JSON instead of text"},
-    "--traceback": {"action": "store_true", "help": "on an error also show where it arose"},
 }
 
 

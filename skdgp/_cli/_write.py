@@ -7,13 +7,12 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from skdgp._cli import _options as opt
 from skdgp._cli._fly import read_model, read_model_to_fly
-from skdgp._cli._output import Run, table_writer
-from skdgp._compute.files import Writer, text_writer
+from skdgp._cli._output import Run
+from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import warn
 from skdgp._compute.progress import listening
 from skdgp._excitation import AXES
@@ -84,7 +83,7 @@ def plan(run: Run) -> None:
         climb=None if thrust is None else 0.0,
         thrust=thrust,
     )
-    with listening(console.progress), console.counting_interrupts():
+    with listening(console.progress):
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
@@ -107,7 +106,7 @@ def _writers(options, planned: Plan) -> dict[str, Writer]:
     full = dict(options.full)
     for number, train in enumerate(planned.trains, start=1):
         name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
-        files[f"{name}.csv"] = table_writer(train.table(RATE), ".csv")
+        files[f"{name}.csv"] = csv_writer(train.table(RATE))
         if full:
             try:
                 files[f"{name}.lua"] = text_writer(ardupilot_script(train, RATE, full))
@@ -115,37 +114,22 @@ def _writers(options, planned: Plan) -> dict[str, Writer]:
                 warn(f"No script for ArduPilot: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
-        "expected.csv": table_writer(planned.flight, ".csv"),
+        "expected.csv": csv_writer(planned.flight),
     }
 
 
 def _text(planned: Plan, options, files: list) -> str:
-    """Return trims, manoeuvres, limits and standard deviations as tables."""
-    lines = [
-        f"train {number}: {point.airspeed:g} m/s, "
-        + ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
-        for number, point in enumerate(planned.trims)
-    ]
+    """Return trims, manoeuvres and standard deviations as tables."""
+    lines = [f"train {n}: {point.airspeed:g} m/s" for n, point in enumerate(planned.trims)]
     flown = {point.airspeed for point in planned.trims}
     lines += [f"{speed:g} m/s: nothing planned there" for speed in {*options.airspeed} - flown]
     columns = ["train", "start", "name", "scale", "risk"]
-    lines += ["", planned.manoeuvres[columns].to_string(index=False, float_format="{:.3g}".format)]
-    if not np.isnan(planned.risk):
-        lines.append(f"risk of the flight, of any of these: {planned.risk:.1%}")
-    limits = planned.abort_limits
-    if limits.empty:
-        lines += ["", "no limits, not even a floor: set them by --growth, --max-bank, --floor ..."]
-    else:
-        expected = planned.expected(range(len(planned.manoeuvres)))
-        until = (
-            f"up to {planned.response:g} s after the inputs; the risk counts {planned.reaction:g} s"
-        )
-        lines += ["", f"limits, and expected extremes {until}, SI units"]
-        lines.append(_table(limits.join(expected, rsuffix=" expected")))
-    lines += ["", "standard deviations", _table(planned.errors)]
+    lines += ["", _table(planned.manoeuvres[columns]), "", _table(planned.errors), ""]
+    if planned.abort_limits.empty:
+        lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not options.full:
-        lines += ["", "no script for ArduPilot: --full gives the full deflections that it needs"]
-    return "\n".join([*lines, "", *map(str, files)])
+        lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
+    return "\n".join([*lines, *map(str, files)])
 
 
 def _table(table: pd.DataFrame) -> str:
@@ -185,26 +169,19 @@ def export(run: Run) -> None:
         facts = export_model(temporary, model, options.to, max_kb=options.max_kb)
         files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
         sizes = {name: path.stat().st_size for name, path in files.items()}
-        for name in files:
-            Path(options.output, name).parent.mkdir(parents=True, exist_ok=True)
         run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
     numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
     run.print(_export_text(options.output, numbers), numbers)
 
 
 def _export_text(folder, numbers) -> str:
-    width = max(map(len, numbers["files"])) + 2
-    lines = [f"{name:<{width}}{size / 1024:>9.1f} kB" for name, size in numbers["files"].items()]
+    lines = [
+        f"{size / 1024:>9.1f} kB  {Path(folder, name)}" for name, size in numbers["files"].items()
+    ]
     if loss := numbers.get("loss"):
-        lines += [
-            *(
-                "",
-                "loss, root mean square, in posterior deviations",
-                f"{'':6}{'mean':>12}{'std':>12}",
-            ),
-            *(f"{name:6}{row['mean']:>12.2g}{row['std']:>12.2g}" for name, row in loss.items()),
-        ]
-    return "\n".join([*lines, "", f"written into {folder}"])
+        lines += ["", "loss, root mean square, in posterior deviations"]
+        lines.append(_table(pd.DataFrame.from_dict(loss, orient="index")))
+    return "\n".join(lines)
 
 
 COMMANDS: opt.Commands = {

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import platform
-import re
 import secrets
 import tomllib
 from collections import Counter
@@ -22,9 +21,6 @@ import pandas as pd
 Writer: TypeAlias = "Callable[[Path], object]"
 """Fills a file."""
 LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
-FORMULA = re.compile(r"'*[=+\-@\t\r]")
-"""How a text begins that a spreadsheet computes (OWASP, CSV injection), perhaps behind apostrophes.
-"""
 
 
 def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
@@ -63,21 +59,15 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
     return path
 
 
-def write_together(
-    folder: Path, writers: dict[str, Writer], when_complete: Callable[[], object] = lambda: None
-) -> None:
-    """Write several files: all are complete beside their places before the first is put into its own.
-
-    ``when_complete`` is called in between.
-    """
+def write_together(folder: Path, writers: dict[str, Writer]) -> None:
+    """Write several files: all are complete beside their places before the first is put into its own."""
     if not writers:
-        when_complete()
         return
     (name, writer), *further = writers.items()
 
     def write_with_others(temporary):
         writer(temporary)
-        write_together(folder, dict(further), when_complete)
+        write_together(folder, dict(further))
 
     write_atomically(folder / name, write_with_others)
 
@@ -186,28 +176,5 @@ def column_names(y) -> list[str]:
 
 
 def csv_writer(table: pd.DataFrame) -> Writer:
-    """Return the writer of a table as CSV, with every digit, and an apostrophe before a formula of spreadsheets."""
-    texts = table.select_dtypes(exclude="number").astype(object).map(guarded)
-    safe = table.assign(**{str(name): texts[name] for name in texts}).rename(columns=guarded)
-    return lambda path: safe.to_csv(path, index=False)
-
-
-def guarded(value: Any) -> Any:
-    """Return a text with an apostrophe before it if a spreadsheet would compute it, and any other value as it is."""
-    return f"'{value}" if isinstance(value, str) and _is_formula(value) else value
-
-
-def unguarded(value: Any) -> Any:
-    """Return the value that :func:`guarded` was given."""
-    is_guarded = isinstance(value, str) and value.startswith("'") and _is_formula(value[1:])
-    return value[1:] if is_guarded else value
-
-
-def _is_formula(text: str) -> bool:
-    if not FORMULA.match(text):
-        return False
-    try:
-        float(text)
-    except ValueError:
-        return True
-    return False
+    """Return the writer of a table as CSV, with every digit."""
+    return lambda path: table.to_csv(path, index=False)

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import unguarded
 from skdgp._compute.messages import warn
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX
 from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
@@ -293,11 +292,7 @@ def _csv_table(file, file_name, rename):
             stacklevel=4,
         )
         table = table.iloc[:-1]
-    texts = {
-        str(name): column.map(unguarded)
-        for name, column in table.select_dtypes(exclude="number").items()
-    }
-    return to_si(table.assign(**texts), units)
+    return to_si(table, units)
 
 
 def _forward(file, n_lines):
@@ -327,7 +322,7 @@ def _separator(file, above) -> str:
 def _split_headings(headings, rename=MappingProxyType({})):
     """Return names, and units by name of a flight table; other headings stay as they are."""
     names, units = [], {}
-    for heading in map(unguarded, map(str.strip, headings)):
+    for heading in map(str.strip, headings):
         match = HEADING.fullmatch(heading)
         name = match[1].strip() if match else heading
         name = rename.get(heading, rename.get(name, name))

@@ -80,13 +80,10 @@ class TestPredict:
         assert said["flights"] == {"two_altitudes": 300}
         assert said["coefficients"]["CZ"]["median_std"] == pytest.approx(np.median(std[:, 2]))
 
-    def test_noise_and_parquet(self, run, model, tmp_path):
+    def test_noise(self, run, model, tmp_path):
         run("predict", "test.csv", "lateral.csv", output="a.csv")
-        run("predict", "test.csv", "lateral.csv", "--include-noise", output="b.parquet")
-        function, measured = (
-            pd.read_csv(tmp_path / "a.csv"),
-            pd.read_parquet(tmp_path / "b.parquet"),
-        )
+        run("predict", "test.csv", "lateral.csv", "--include-noise", output="b.csv")
+        function, measured = (pd.read_csv(tmp_path / name) for name in ("a.csv", "b.csv"))
         assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
         names = [f"{name}_std" for name in COEFFICIENTS]
         noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
@@ -106,15 +103,6 @@ class TestPredict:
         assert "10 of 300 rows are left out" in said.err
         assert "290 rows of flight two_altitudes" in said.out
         assert len(pd.read_csv(tmp_path / "out.csv")) == 290
-
-    def test_a_table_of_no_known_kind(self, path, capsys):
-        with pytest.raises(SystemExit) as end:
-            main(["predict", path, "test.csv", "-o", "out.xlsx"])
-        assert end.value.code == 2
-        assert (
-            "got out.xlsx, but expected a name that ends in .csv or .parquet"
-            in capsys.readouterr().err
-        )
 
     def test_never_replaces_what_was_there(self, path, tmp_path, capsys):
         table = tmp_path / "flight.csv"
@@ -147,7 +135,7 @@ class TestAllOrNone:
         )
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
         assert not (tmp_path / "new").exists()
-        assert capsys.readouterr().err == "stopped: no output was written\n"
+        assert capsys.readouterr().err == "stopped\n"
 
 
 class TestValidate:

@@ -51,10 +51,6 @@ CASES = {
         ],
         {**RIGHT, "note": ["gust, left", "a\nb"]},
     ),
-    "apostrophe before a formula": (
-        ["time,'@x,pilot,flight,alpha\n0,5,'=a,'-b,.1\n.02,6,'c,'-b,.2\n"],
-        {**RIGHT, "@x": [5, 6], "pilot": ["=a", "'c"], "flight": ["-b", "-b"]},
-    ),
     "quotes that do not end": (['time,alpha\n0,".1\n.02,.2\n'], "not a CSV table|unequal length"),
     "units in the header": (
         ["time [ms],alpha [deg]\n0,1\n20,2\n", "time (ms);alpha (°)\n0;1\n20;2\n"],

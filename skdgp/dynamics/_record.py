@@ -126,19 +126,20 @@ class Servos:
         model = motion.aerodynamics
         moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
         self.lag = model.servo_lag
-        self.names = sorted(moved - {*PROPULSION, "gust"}) if self.lag > 0 else []
+        self.surfaces = moved - {*PROPULSION, "gust"} if self.lag > 0 else set()
         self._reached: dict[str, Array] = {}
 
     def __call__(self, controls: Mapping[str, Array], elapsed: float) -> dict[str, Array]:
         """Return the controls by name, with the deflections of the surfaces."""
         if elapsed == 0:
             self._first = controls
-            self._begun = {name: self._reached.get(name, controls[name]) for name in self.names}
+            commanded = {name: c for name, c in controls.items() if name in self.surfaces}
+            self._begun = commanded | self._reached
             return {**controls, **self._begun}
-        decay = np.exp(-elapsed / self.lag) if self.names else 0.0
-        for name in self.names:
+        decay = np.exp(-elapsed / self.lag) if self._begun else 0.0
+        for name, begun in self._begun.items():
             behind = self.lag / elapsed * (controls[name] - self._first[name])
-            late = self._begun[name] - self._first[name] + behind
+            late = begun - self._first[name] + behind
             self._reached[name] = controls[name] - behind + late * decay
         return {**controls, **self._reached}
 

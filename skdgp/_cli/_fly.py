@@ -408,7 +408,7 @@ def _modes(linear: Any) -> pd.DataFrame:
 def _point(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
     """Return the numbers of one airspeed."""
     names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
-    columns = table.columns.intersection(["value", "std", "lower", "upper", "std_unmerged"])
+    columns = table.columns.intersection(["value", "std", "lower", "upper", "std_merged"])
     return {name: getattr(point, name) for name in names} | {
         "beyond": {name: list(values) for name, values in point.beyond.items()},
         "derivatives": table[columns].to_dict("index"),

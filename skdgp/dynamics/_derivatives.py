@@ -24,7 +24,7 @@ ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl
 # Rates about the x and the z axis, which turn with the axes
 TURNED = (("p", "r"), ("p_dot", "r_dot"))
 # Columns whose squares add up to the square of ``std``
-PARTS = ("std_posterior", "std_random", "std_method", "std_merged")
+PARTS = ("std_posterior", "std_random", "std_method")
 NORMAL_95 = 1.959963984540054
 
 
@@ -89,17 +89,18 @@ def stability_derivatives(
           block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as
           instruments, what third powers change, and how far noise of the regressors may flatten a
-          slope,
-        - ``std_merged``: alpha_dot and beta_dot; ``merged`` names the derivative.
-          ``std_unmerged`` is without it: what more flights of the same kind lower.
+          slope.
 
         ``n_effective`` is the number of independent samples that would determine the slope as well.
         Compact models lack ``std_random``, ``std_method`` and ``n_effective``.
 
+        ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
+        the model merges with others, see the notes; ``merged`` names the larger one.
+
         Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make
-        of the values, and ``aircraft`` names the largest. They are shared, and not part of
-        ``std``: trim, modes and simulations with the same aircraft do not depend on them. Compare
-        derivatives of two sources by both.
+        of the values, and ``aircraft`` names the largest. These are shared. Neither is part of
+        ``std``: trim, modes and simulations with the same aircraft hardly depend on them. Compare
+        derivatives with other sources by all three.
 
     Notes
     -----
@@ -282,8 +283,7 @@ class _Frame:
         if "merged" in columns:
             sources = columns.pop("merged").astype(int)
             merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
-            unmerged = np.sqrt(sum(columns[name] ** 2 for name in PARTS[:-1] if name in columns))
-            table = table.assign(**columns, std_unmerged=unmerged, merged=merged)
+            table = table.assign(**columns, merged=merged)
         return table
 
 

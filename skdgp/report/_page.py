@@ -347,6 +347,8 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
         f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
         "deviations. ▼: the 95 % band holds both signs."
     )
+    if derivatives.get("merged", pd.Series(dtype=str)).any():
+        caption += " Derivatives by q and r include the effect of alpha_dot and beta_dot."
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
     note = _note(f"Not told by these flights: {unknown}." if unknown else "")

@@ -271,6 +271,8 @@ def learned_derivatives(model, aircraft, at, airspeed, names=STEADY, units=None,
     state = np.concatenate([[0.0, 0.0, -HEIGHT], velocity, attitude, rates])
     controls = {name: at[name] / (units or {}).get(name, 1.0) for name in STEADY[5:]}
     table = stability_derivatives(model, aircraft, state, controls, thrust=None, **options)
+    if "std_merged" in table:  # the known ones are without alpha_dot and beta_dot
+        table["std"] = np.hypot(table["std"], table["std_merged"])
     return table[table["coefficient"].isin(COEFFICIENTS) & table["regressor"].isin(names)].copy()
 
 

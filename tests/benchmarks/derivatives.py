@@ -69,7 +69,8 @@ def compared(model, truth, data):
 def coverage(table):
     """Return the percentage of the derivatives in body axes within two standard deviations."""
     table = table[~table["coefficient"].isin(["CL", "CD"])]
-    kinds = {"known": "std", "merged": "std", "known, posterior alone": "std_posterior"}
+    table = table.assign(std_known=np.hypot(table["std"], table["std_merged"]))
+    kinds = {"known": "std_known", "merged": "std", "known, posterior alone": "std_posterior"}
     row = {"derivatives": len(table)}
     for kind, std in kinds.items():
         off = np.abs(table["value"] - table[kind.partition(",")[0]])

@@ -358,7 +358,7 @@ class TestDerivatives:
         assert point["alpha"] == pytest.approx(at.alpha)
         assert list(point["derivatives"]) == list(table.index)
         for name in ("CL_alpha", "Cm_q", "Cn_rudder"):
-            expected = table.loc[name, ["value", "std", "lower", "upper", "std_unmerged"]].to_dict()
+            expected = table.loc[name, ["value", "std", "lower", "upper", "std_merged"]].to_dict()
             assert point["derivatives"][name] == pytest.approx(expected)
         assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0

@@ -21,6 +21,7 @@ RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is com
 JOINT = "joint"  # name of the term of all regressors
 LEVELS = (0.05, 0.95)  # quantiles of the second regressor of an interaction
 N_SAMPLES = 60  # samples over which interactions are compared
+N_GRID = 30  # points of each curve
 
 
 class Curve(NamedTuple):
@@ -77,7 +78,7 @@ class Effects:
         Their sum and ``intercept`` are the predicted mean. With ``return_std`` return a pair of
         such dicts, means and standard deviations.
         """
-        regressor, before, _, _ = split_model(self._model)
+        regressor, before, _, _ = _split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
         moments = {name: term.predict(X) for name, term in self._terms.items()}
         mean = {name: values * regressor.scale_ for name, (values, _) in moments.items()}
@@ -86,7 +87,7 @@ class Effects:
         return mean, {name: np.sqrt(x) * regressor.scale_ for name, (_, x) in moments.items()}
 
 
-def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects:
+def effects(model: BaseEstimator) -> Effects:
     r"""Return the effect of each regressor on each output, and of the joint term, with standard deviations.
 
     The kernel of the model is a sum of terms: a line in each regressor (``trend="linear"``), a
@@ -102,20 +103,14 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     With ``structure="trend"`` effects are straight lines. With ``"joint"`` they are straight lines,
     and the term "joint" holds the rest. Terms share the data, so where regressors move together in
     the samples their bands are wide, though the sum is known. Raises TypeError if the model is not
-    a ``DependentGPRegressor``, nor a pipeline that ends in one; ValueError if the model is compact
-    and X is not given, X is not finite, or ``n_grid`` is less than 2; NotFittedError if the model
-    is not fitted.
+    a ``DependentGPRegressor``, nor a pipeline that ends in one; NotFittedError if the model is not
+    fitted.
 
     Parameters
     ----------
     model : DependentGPRegressor or Pipeline
         Fitted; a pipeline ends in a ``DependentGPRegressor``. Scalers before it are undone in the
         result.
-    X : array or DataFrame (n, ...), optional
-        Input of the model: samples over which effects are centred and compared. Default: the
-        training samples.
-    n_grid : int, default=30
-        Points of each curve.
 
     Returns
     -------
@@ -136,13 +131,10 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     >>> bool(np.allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X)))
     True
     """
-    regressor, before, scalers, names = split_model(model)
-    check_is_fitted(regressor)
-    if n_grid < 2:
-        raise ValueError(f"Got n_grid={n_grid!r}, but expected at least 2 points for each curve.")
-    rows = samples_of(regressor, before, X)
+    regressor, _, scalers, names = _split_model(model)
+    rows = training_inputs(regressor.posterior_)
     rows = rows[:: -(-len(rows) // MAX_ROWS)]
-    units = pd.DataFrame(in_units(rows, scalers), columns=names)
+    units = pd.DataFrame(_in_units(rows, scalers), columns=names)
     posterior, scale = regressor.posterior_, regressor.scale_
     columns = posterior.kernel.term_regressors()
     terms = {
@@ -153,12 +145,12 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
     curves = {}
     for k, name in enumerate(names):
         if name in terms:
-            points = np.tile(rows.mean(axis=0), (n_grid, 1))
+            points = np.tile(rows.mean(axis=0), (N_GRID, 1))
             low, high = np.quantile(rows[:, k], RANGE)
-            points[:, k] = np.linspace(low, high, n_grid)
+            points[:, k] = np.linspace(low, high, N_GRID)
             mean, variance = terms[name].predict(points)
             curves[name] = Curve(
-                in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale
+                _in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale
             )
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
     return Effects(
@@ -174,7 +166,7 @@ def effects(model: BaseEstimator, X: Any = None, *, n_grid: int = 30) -> Effects
 
 
 def interactions(
-    model: BaseEstimator, X: Any = None, *, most: int = 2, n_grid: int = 15
+    model: BaseEstimator, *, most: int = 2, n_grid: int = 15
 ) -> dict[str, list[Interaction]]:
     r"""Return the ``most`` strongest interactions of two regressors on each output, the strongest first.
 
@@ -196,8 +188,8 @@ def interactions(
     >>> interactions(model, most=1)["Cm"][0].regressors
     ('alpha', 'q')
     """
-    regressor, before, scalers, names = split_model(model)
-    rows = samples_of(regressor, before, X)
+    regressor, _, scalers, names = _split_model(model)
+    rows = training_inputs(regressor.posterior_)
     rows = rows[:: -(-len(rows) // N_SAMPLES)]
     posterior, scale = regressor.posterior_, regressor.scale_
     centre = rows.mean(axis=0)
@@ -241,7 +233,7 @@ def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -
     cov = posterior.covariance(flat)[block, block].reshape(2, n_grid + 1, 2, n_grid + 1)
     cov = np.stack([cov[0, :, 0], cov[1, :, 1]])
     variance = np.einsum("lnn->ln", cov) + cov[:, :1, 0] - 2 * cov[:, :, 0]
-    units = in_units(flat, scalers).reshape(points.shape)
+    units = _in_units(flat, scalers).reshape(points.shape)
     return Interaction(
         regressors=(names[first], names[second]),
         at=units[0, 1:, first],
@@ -252,7 +244,7 @@ def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -
     )
 
 
-def split_model(model):
+def _split_model(model):
     """Return the regressor, the steps before it or None, the scalers at their end, and the names of the regressors."""
     last = model[-1] if isinstance(model, Pipeline) else model
     regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
@@ -276,14 +268,7 @@ def split_model(model):
     return regressor, model[:-1], scalers, names
 
 
-def samples_of(regressor, before, X):
-    """Return X or the samples of the fit, (n, d), as the regressor sees them."""
-    if X is not None:
-        return regressor._check_regressors(X if before is None else before.transform(X))
-    return training_inputs(regressor.posterior_)
-
-
-def in_units(rows, scalers):
+def _in_units(rows, scalers):
     """Return rows of regressors before the scalers."""
     for step in scalers:
         rows = np.asarray(step.inverse_transform(rows))

@@ -43,7 +43,7 @@ from skdgp.identification import (
     predict_flight,
     usable_flights_of_model,
 )
-from skdgp.plotting import DerivativeDisplay, TimeHistoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 # Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
@@ -353,8 +353,7 @@ def derivatives(run: Run) -> None:
 
     CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its
     standard deviation, whose parts are in derivatives.csv. With -o writes derivatives.csv,
-    modes.csv, trims.csv, derivatives.json and, of several airspeeds, a picture derivatives.png into
-    DIR, all or none.
+    modes.csv, trims.csv and derivatives.json into DIR, all or none.
 
     For example:
       skdgp derivatives results/model.joblib --airspeed 35
@@ -381,8 +380,7 @@ def derivatives(run: Run) -> None:
     numbers["points"] = [_point(*point) for point in points]
     blocks = [_derivatives_text(*point) for point in points]
     if run.folder is not None:
-        files = _writers(trims, table, modes)
-        written = run.write(files, "derivatives.json", numbers, r"derivatives\.png")
+        written = run.write(_writers(trims, table, modes), "derivatives.json", numbers)
         blocks.append("wrote " + ", ".join(map(str, written)))
     run.print("\n\n".join(blocks), numbers)
 
@@ -419,14 +417,11 @@ def _point(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
 def _writers(trims: list[Trim], table: pd.DataFrame, modes: list) -> dict[str, Writer]:
     airspeeds = [point.airspeed for point in trims]
     named = pd.concat(modes, keys=airspeeds, names=["airspeed", "mode"])
-    files = {
+    return {
         "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
         "modes.csv": csv_writer(named.reset_index()),
         "trims.csv": csv_writer(pd.concat([point.to_frame() for point in trims])),
     }
-    if len(trims) == 1:
-        return files
-    return files | picture_writers("derivatives.png", DerivativeDisplay.from_sweep, table)
 
 
 def _derivatives_text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:

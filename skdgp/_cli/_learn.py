@@ -72,8 +72,8 @@ def identify(run: Run) -> None:
         known loads, over rho V^2 S / 2.
      2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian
         process learns all six coefficients at once from --samples rows.
-     3. On flights it has not seen its coefficients are compared with the measured ones and
-        replayed: integrated from the measured state, restarted every --horizons seconds.
+     3. On flights it has not seen its coefficients are compared with the measured ones, and the
+        aircraft is simulated from measured states, restarted every --horizons seconds.
 
     Writes into DIR, all or none:
       report.html    tables and pictures; open it in a browser, print it
@@ -210,8 +210,8 @@ def _finish(run: Run, result: Identification) -> None:
 def validate(run: Run) -> None:
     """Judge a model on flights that it has not seen, as identify does on its test flights.
 
-    Its coefficients are compared with the measured ones and replayed: integrated from the measured
-    state, restarted every --horizons seconds. Prints the scores, and with -o writes report.html
+    Its coefficients are compared with the measured ones, and the aircraft is simulated from measured
+    states, restarted every --horizons seconds. Prints the scores, and with -o writes report.html
     and metrics.json into DIR, all or none. With --plan also the standard deviations of derivatives that the
     plan promised, beside this model's, which learned from its flight.
 

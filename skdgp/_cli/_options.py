@@ -129,7 +129,8 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
         "type": positive("seconds"),
         "nargs": "+",
         "default": [2.0, 10.0],
-        "help": "seconds between restarts of the replay (default: 2 10)",
+        "help": "seconds between restarts, the longest of simulations, the shortest of the figure of "
+        "replayed coefficients (default: 2 10)",
     },
     "--seed": {
         "metavar": "N",

@@ -75,13 +75,11 @@ def figure(
     key: Iterable[tuple[str, str, str]] = (),
     layout: str = "",
 ) -> str:
-    """Return a figure of panels side by side, empty without any.
+    """Return a figure of panels side by side.
 
     ``key`` holds the colour, the name and the kind of each sample: a line (""), an area, or a
     marker's sign. ``layout`` is a class of page.css.
     """
-    if not panels:
-        return ""
     lines = ""
     for color, name, kind in key:
         classes = kind if kind in ("", "area") else "mark"

@@ -33,7 +33,6 @@ ROLES = {
     "measured": PALETTE["grey"],
     "mean": PALETTE["blue"],
     "band": PALETTE["sky"],
-    "edge": "#2A86C2",
     "truth": PALETTE["vermillion"],
 }
 
@@ -116,16 +115,15 @@ def draw_curve(
     ax: Any,
     x: Vector,
     mean: Vector,
-    std: Vector | None,
+    std: Vector,
     label: str,
     color: str = ROLES["mean"],
     band: str = ROLES["band"],
 ) -> None:
-    """Draw a line and, where its standard deviation is known, its 95 % band."""
-    if std is not None:
-        half = 1.96 * std
-        style = {"color": band, "alpha": 0.35, "linewidth": 0}
-        ax.fill_between(x, mean - half, mean + half, label="95 % band", **style)
+    """Draw a line with its 95 % band."""
+    half = 1.96 * std
+    style = {"color": band, "alpha": 0.35, "linewidth": 0}
+    ax.fill_between(x, mean - half, mean + half, label="95 % band", **style)
     ax.plot(x, mean, color=color, label=label)
 
 

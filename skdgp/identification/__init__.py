@@ -1,6 +1,6 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
-from skdgp.identification._evaluation import Evaluation, check_identified, usable_flights_of_model
+from skdgp.identification._evaluation import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
@@ -14,7 +14,6 @@ from skdgp.identification._pipeline import (
 )
 
 __all__ = [
-    "Evaluation",
     "FlightPipeline",
     "Identification",
     "ModelFileError",

@@ -17,33 +17,26 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
-from skdgp._compute.messages import recorded_warnings, warn
+from skdgp._compute.messages import warn
 from skdgp._compute.progress import notify
-from skdgp._display.style import display_unit
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file
-from skdgp.identification._evaluation import Evaluation, group_means, reconstruction_of, scores
-from skdgp.identification._flights import named_flights
+from skdgp.identification._evaluation import group_means
 from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
+    Evaluation,
     FlightMechanics,
     ReportContent,
     Verdict,
     render_report,
+    scores,
     write_report,
 )
 
 FORMAT = 1  # of the metrics
-WIDTHS = {
-    "diag": "one width for each regressor",
-    "full": "a full matrix of widths",
-    "tied": "one width for each regressor, common to all outputs",
-}
-MEMBERS = {"joint": "all terms", "additive": "trend and main effects", "trend": "trend alone"}
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
@@ -125,15 +118,11 @@ class Identification:
                     flight.name: {
                         **_extent(flight.table),
                         "samples_with_std": len(flight.rows),
-                        **_score_metrics([flight]),
-                        "states": {
-                            against: table.to_dict("records")
-                            for against, table in flight.states.items()
-                        },
+                        **_score_metrics(flight.scores),
                     }
                     for flight in self.evaluations
                 },
-                "test_together": _score_metrics(self.evaluations),
+                "test_together": _score_metrics(scores(self.evaluations)),
                 "verdict": self.verdict.to_dict(),
                 "flight_mechanics": self.mechanics.to_dict(),
                 **{part.name: part.to_dict() for part in self.supplements},
@@ -153,17 +142,15 @@ class Identification:
                 f"{fit['seconds']:.1f} s on {fit['samples']} of {fit['samples_available']} "
                 f"samples, {likelihood}"
             ]
-        if not fit.get("converged", True):
+        if not fit["converged"]:
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
         together = f"{len(tested)} test flights together"
         lines += ["", f"flight {tested[0].name}" if len(tested) == 1 else together]
-        lines += [_score_text(tested, [*COEFFICIENTS, "longitudinal", "lateral", "all"]), ""]
-        for flight in tested:
-            lines += [f"flight {flight.name}"] * (len(tested) > 1)
-            lines += [_score_text([flight], ["all"])] * (len(tested) > 1)
-            lines += _state_lines(flight)
-        paths = reconstruction_of(self.pipeline)
-        lines += ["", *([f"flight paths {paths}"] if paths else [])]
+        names = [*COEFFICIENTS, "longitudinal", "lateral", "all"]
+        lines += [_score_text(scores(tested), names), ""]
+        for flight in tested if len(tested) > 1 else ():
+            lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
+        lines += [f"flight paths {paths}"] if (paths := fit["reconstruction"]) else []
         lines += [line for part in self.supplements for line in part.summary()]
         lines += [
             "",
@@ -177,19 +164,6 @@ class Identification:
         for assumption in self.assumed:
             lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
         return "\n".join(lines)
-
-    def evaluate(self, flight: Any) -> Evaluation:
-        """Predict and replay another flight, a table or a path."""
-        with recorded_warnings() as messages:
-            flights = _evaluation.usable_flights_of_model(self.pipeline, named_flights(flight))
-            messages.ignore(FlightDataWarning, WARNING_START)  # the steps meet them again
-            if len(flights) != 1:
-                raise ValueError(
-                    f"Got {len(flights)} flights, but expected one: evaluate each by itself."
-                )
-            return _evaluation.evaluate_flights(
-                flights, self.pipeline, self.aircraft, self.settings, self.fit
-            )[0]
 
     def report(self, path: str | os.PathLike) -> Path:
         """Write the report, one HTML file, and return its path."""
@@ -236,7 +210,6 @@ class Identification:
             sections=[part.section() for part in self.supplements],
             assumed=self.assumed,
             units=getattr(self.pipeline, "control_units_", {}),
-            messages=self.messages,
             command=self.command,
         )
 
@@ -258,50 +231,35 @@ class Identification:
 
     def _facts(self) -> dict[str, str]:
         """Return the facts of the fit as text; empty where a fact does not apply."""
-        fit, aircraft, tested = self.fit, self.aircraft, self.evaluations
+        fit, aircraft, settings = self.fit, self.aircraft, self.settings
         regressor = regressor_and_scale(self.pipeline)[0]
-        shared = sum(getattr(term, "n_latent", 0) for term in regressor.kernel_.summands())
-        coupled = "joint" in fit["weights"]
-        end = " (limit reached)" * (fit["iterations"] == regressor.max_iter_)
-        if not fit.get("converged", True):
-            end = " (not converged: raise max_iter)"
-        tables = [*self.train.values(), *(flight.table for flight in tested)]
-        sources = _evaluation.thrust_sources(self.settings["thrust"], tables)
-        lags = {name: row["applied"] for name, row in fit.get("lags", {}).items()}
+        tested = {flight.name: flight.table for flight in self.evaluations}
+        sources = _evaluation.thrust_sources(
+            settings["thrust"], [*self.train.values(), *tested.values()]
+        )
+        lags = {name: row["applied"] for name, row in fit["lags"].items()}
         late = [f"{name} {lag:.3g} s" for name, lag in lags.items() if lag]
-        weights = {name: np.mean(list(part.values())) for name, part in fit["weights"].items()}
-        noise = fit["input_noise_std"]
-        step = max(-(-len(flight.time) // len(flight.rows)) for flight in tested)
         has_record = "seconds" in fit
-        facts = {
+        return {
             "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area "
             f"{aircraft.wing_area:.4g} m², span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
             "Learned from": _durations(self.train),
-            "Tested on": _durations({flight.name: flight.table for flight in tested}),
+            "Tested on": _durations(tested),
             "Regressors": ", ".join(fit["regressors"]),
-            "Latent processes": f"{shared} shared, {len(COEFFICIENTS)} private" if coupled else "",
-            "Kernel": f"convolved Gaussian, {WIDTHS[regressor.covariance_type]}" if coupled else "",
-            "Trend": regressor.trend or "none",
-            "Inference": regressor.inference_
-            + " (chosen by auto)" * (regressor.inference == "auto"),
+            "Structure": f"{regressor.structure}, trend {regressor.trend or 'none'}",
+            "Inference": fit["inference"],
             "Log likelihood": f"{fit['log_marginal_likelihood']:,.1f}",
-            "Iterations": f"{fit['iterations']}{end}",
+            "Iterations": f"{fit['iterations']}"
+            + " (not converged: raise max_iter)" * (not fit["converged"]),
             "Samples": f"{fit['samples']:,} of {fit['samples_available']:,}" if has_record else "",
             "Time of the fit": f"{fit['seconds']:.1f} s" if has_record else "",
             "Thrust": " or ".join(THRUSTS[name] for name in sources),
-            "Flight paths": reconstruction_of(self.pipeline) or "",
-            "Lags": ", ".join(late) or "none to correct" * ("lags" in fit),
-            "Average": f"{', '.join(f'{w:.0%} {MEMBERS[name]}' for name, w in weights.items())}; "
-            f"weights by blocks of the training flights, predicted from the others",
-            "Noise of the regressors": ", ".join(f"{k} {x:.2g}" for k, x in noise.items() if x > 0),
-            "Other loads": ", ".join(self.settings["external_forces"]),
-            "Bands": f"computed at one row in {step}, interpolated between" * (step > 1),
-            "Truth": "contains gusts that no sensor felt: coverage and NLPD against it are in "
-            "metrics.json" * any(flight.truth is not None for flight in tested),
-            "Fit": "interrupted; this is the best model until then" * fit.get("interrupted", False),
+            "Flight paths": fit["reconstruction"] or "",
+            "Lags": ", ".join(late) or "none to correct",
+            "Other loads": ", ".join(settings["external_forces"]),
+            "Fit": "interrupted; this is the best model until then" * fit["interrupted"],
             "Versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
         }
-        return facts | ({"Average": ""} if len(weights) < 2 else {})
 
 
 def air_of(pipeline: Pipeline) -> str:
@@ -339,8 +297,7 @@ def _extent(table) -> dict[str, float]:
     return {"samples": len(table), "duration": float(np.ptp(time)), "sample_rate": float(rate)}
 
 
-def _score_metrics(evaluations) -> dict:
-    tables = scores(evaluations)
+def _score_metrics(tables: Mapping[str, pd.DataFrame]) -> dict:
     return {
         "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
         "means": {
@@ -349,9 +306,9 @@ def _score_metrics(evaluations) -> dict:
     }
 
 
-def _score_text(evaluations: Sequence[Evaluation], names: list[str]) -> str:
+def _score_text(of: Mapping[str, pd.DataFrame], names: list[str]) -> str:
     """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    tables = {key: pd.concat([x, group_means(x)]) for key, x in scores(evaluations).items()}
+    tables = {key: pd.concat([x, group_means(x)]) for key, x in of.items()}
     measured, truth = tables["measured"].loc[names], tables.get("truth", pd.DataFrame())
     columns = {
         "rel. error [%]": 100 * measured["median_relative_error"],
@@ -363,15 +320,3 @@ def _score_text(evaluations: Sequence[Evaluation], names: list[str]) -> str:
         columns["NRMSE of truth"] = truth["normalized_rmse"]
     form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in columns}
     return pd.DataFrame(columns, index=names).to_string(formatters=form)
-
-
-def _state_lines(evaluation: Evaluation) -> list[str]:
-    if not evaluation.states:
-        return []
-    medians = evaluation.states["measured"].pivot(index="horizon", columns="state", values="median")
-    units = {state: display_unit(state) for state in ("v_east", "p", "r") if state in medians}
-    return [
-        f"  replayed over {horizon:g} s, median error: "
-        + ", ".join(f"{name} {f * row[name]:.3g} {unit}" for name, (f, unit) in units.items())
-        for horizon, row in medians.iterrows()
-    ]

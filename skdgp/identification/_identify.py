@@ -69,7 +69,7 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, or 755 by exact inference.
     horizons : sequence of float
-        Seconds from restart to restart of the replay.
+        Seconds from restart to restart: the shortest of the replay, the longest of the simulation.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
         autopilots; by default ``{"servos": "full throw"}``.
@@ -309,7 +309,7 @@ def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets:
         "values": int(targets.notna().sum().sum()),
         "thrust": _evaluation.thrust_sources(prepared.loads["thrust"], prepared.train.values()),
         **_evaluation.fit_facts(model),
-        **_evaluation.fit_least_squares(model, X, targets),
+        "least_squares": _evaluation.fit_least_squares(model, X, targets),
         "flights": {name: len(part) for name, part in prepared.train.items()},
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,9 +29,9 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._evaluation import Evaluation, scores, sensor_noise
+from skdgp.identification._evaluation import sensor_noise
 from skdgp.plotting import TimeHistoryDisplay
-from skdgp.report import THRESHOLDS, FlightMechanics, Use, Verdict
+from skdgp.report import THRESHOLDS, Evaluation, FlightMechanics, Use, Verdict, scores
 
 CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
@@ -74,13 +74,9 @@ def judge(
         [text for text in messages if text.startswith(AIR_UNKNOWN)],
     )
     rest = [text for text in messages if not text.startswith(AIR_UNKNOWN)]
-    flights = pd.DataFrame(
-        [
-            {"duration": float(np.ptp(flight.time)), **scores([flight])["measured"].mean()}
-            for flight in evaluations
-        ],
-        index=[flight.name for flight in evaluations],
-    )
+    errors = {
+        flight.name: flight.scores["measured"]["normalized_rmse"].mean() for flight in evaluations
+    }
     linear = table.get("least_squares_normalized_rmse")
     ratio = pd.Series(dtype=float) if linear is None else table["normalized_rmse"] / linear
     source = (
@@ -88,7 +84,7 @@ def judge(
         if learned
         else "flights that are not part of this report"
     )
-    tested = _amount([flight.table for flight in evaluations if flight.table is not None])
+    tested = _amount([flight.table for flight in evaluations])
     uses = (
         _prediction(table),
         _simulation(mechanics, fit["regressors"]),
@@ -111,8 +107,7 @@ def judge(
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
         uses=uses,
-        warnings=(*faults.values(), *_warnings(table, flights, fit, rest)),
-        flights=flights,
+        warnings=(*faults.values(), *_warnings(table, errors, fit, rest)),
     )
 
 
@@ -234,18 +229,18 @@ def _control(mechanics: FlightMechanics, faults: Iterable[str] = ()) -> Use:
 
 
 def _warnings(
-    table: pd.DataFrame, flights: pd.DataFrame, fit: dict, messages: Sequence[str]
+    table: pd.DataFrame, errors: Mapping[str, float], fit: dict, messages: Sequence[str]
 ) -> tuple[str, ...]:
     """Return warnings, the costliest first: findings of the scores, then messages of the log and the fit."""
-    bad = flights.index[flights["normalized_rmse"] > 1]
+    bad = [name for name, error in errors.items() if error > 1]
     error, held = table["normalized_rmse"], table["interval_coverage"]
     linear = table.get("least_squares_normalized_rmse", np.inf * error)
     worse = table.index[error > (1 + THRESHOLDS.tie) * linear]
     mostly = len(worse) >= len(table) / 2 or error.mean() > (1 + THRESHOLDS.tie) * linear.mean()
     narrow = [f"{k} {100 * x:.0f} %" for k, x in held.items() if x < THRESHOLDS.coverage]
     findings = {
-        f"In {len(bad)} of {len(flights)} test flights a constant predicts better (error above 1): "
-        f"{_some([*map(str, bad)])}.": len(bad),
+        f"In {len(bad)} of {len(errors)} test flights a constant predicts better (error above 1): "
+        f"{_some(bad)}.": bad,
         f"Least squares is better in {len(worse)} of {len(table)} coefficients: "
         f"{' '.join(worse)}.": mostly,
         f"95 % bands are too narrow: they hold {', '.join(narrow)} of the measured values.": narrow,
@@ -285,7 +280,7 @@ def flight_mechanics(
     the flights.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
-    thrust = _thrust(settings)
+    thrust = settings["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     results: dict[str, Any] = {}
     try:
@@ -307,10 +302,10 @@ def flight_mechanics(
         results["derivatives"] = stability_derivatives(
             pipeline, aircraft, *state_and_inputs, **conditions
         )
-        if "least_squares_std" in fit:
-            model = _least_squares(pipeline, fit)
+        if "least_squares" in fit:
+            model = _least_squares(pipeline, fit["least_squares"])
             linear = stability_derivatives(model, aircraft, *state_and_inputs, **conditions)
-            results["least_squares"] = linear[["value", "std"]]
+            results["least_squares"] = linear[["value"]]
         if "trim" in results:
             n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
             results["modes"] = linearize(
@@ -347,41 +342,21 @@ def _air(parts: Sequence[pd.DataFrame]) -> Air:
     return Air(wind, density=density)
 
 
-def _thrust(settings: dict) -> Any:
-    return None if settings["thrust"] in (None, "none") else "auto"
-
-
-def _least_squares(pipeline: Pipeline, fit: dict) -> Aerodynamics:
-    """Return the linear model of the same rows; its paths have slopes with the standard deviations of least squares."""
-    aerodynamics = as_aerodynamics(pipeline)
-    weights, std = (
-        np.array(
-            [
-                [fit[table][name][column] for column in aerodynamics.regressors]
-                for name in COEFFICIENTS
-            ]
-        )
-        for table in ("least_squares", "least_squares_std")
+def _least_squares(pipeline: Pipeline, fitted: Mapping[str, Mapping[str, float]]) -> Aerodynamics:
+    """Return the linear model of the same rows."""
+    model = as_aerodynamics(pipeline)
+    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
+    intercept, slopes = (
+        table.loc["intercept"].to_numpy(),
+        table.loc[list(model.regressors)].to_numpy(),
     )
-    intercept = np.array([fit["least_squares"][name]["intercept"] for name in COEFFICIENTS])
-
-    def values(X):
-        return intercept + X @ weights.T
-
-    def sampler(n_paths, random_state):
-        drawn = weights + std * np.random.default_rng(random_state).standard_normal(
-            (n_paths, *weights.shape)
-        )
-        return values, lambda X: np.broadcast_to(drawn[:, None], (*X.shape[:-1], *weights.shape))
-
     return Aerodynamics(
-        values,
-        aerodynamics.regressors,
-        slopes=lambda X: np.broadcast_to(weights, (*X.shape[:-1], *weights.shape)),
-        sampler=sampler,
-        span=aerodynamics.span,
-        chord=aerodynamics.chord,
-        mixing=aerodynamics.mixing,
+        lambda X: intercept + X @ slopes,
+        model.regressors,
+        slopes=lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
+        span=model.span,
+        chord=model.chord,
+        mixing=model.mixing,
     )
 
 
@@ -407,30 +382,21 @@ def simulation_errors(
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     starts, parts = _windows(tables, max(settings["horizons"]))
     flown = _flown(pipeline, aircraft, starts, parts, settings)
-    flights = (
-        [flight for _, flight in flown.groupby("start", sort=True)] if len(parts) > 1 else [flown]
-    )
-    elapsed = flights[0]["time"].to_numpy()
+    elapsed = flown["time"].to_numpy()[: len(flown) // len(parts)]
     measured = np.array(
         [[np.interp(elapsed, part["time"], part[name]) for name in STATES] for part in parts]
     )
-    simulated = np.array([flight[list(STATES)].to_numpy().T for flight in flights])
+    shape = len(parts), len(elapsed), len(STATES)
+    simulated = flown[list(STATES)].to_numpy().reshape(shape).swapaxes(1, 2)
     squares = np.nan_to_num(simulated - measured, nan=np.inf) ** 2  # inf where it ended
     met = _unknown_gusts(pipeline, aircraft, tables, parts)
     gusts = np.zeros(simulated.shape[1:])
     if met is not None:
         several = max(1, MOST_STARTS // len(parts))
-        drawn = _flown(
-            _without_uncertainty(pipeline),
-            aircraft,
-            starts,
-            parts,
-            settings,
-            gusts=met,
-            n_paths=several,
-        )
-        paths = drawn[list(STATES)].to_numpy().reshape(several, *simulated.swapaxes(1, 2).shape)
-        gusts = np.nan_to_num((paths.swapaxes(2, 3) - simulated) ** 2).mean(axis=(0, 1))
+        model = _without_uncertainty(pipeline)
+        drawn = _flown(model, aircraft, starts, parts, settings, gusts=met, n_paths=several)
+        paths = drawn[list(STATES)].to_numpy().reshape(several, *shape).swapaxes(2, 3)
+        gusts = np.nan_to_num((paths - simulated) ** 2).mean(axis=(0, 1))
     edges = np.unique(np.arange(PARTS) * len(elapsed) // PARTS)
     counts = np.diff([*edges, len(elapsed)])
     total, explained = (
@@ -438,7 +404,7 @@ def simulation_errors(
     )
     error = np.sqrt(total)
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    noise = np.median([list(sensor_noise(table, STATES).values()) for table in tables], axis=0)
+    noise = np.median([sensor_noise(table, STATES) for table in tables], axis=0)
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     ends = np.append(elapsed[edges], elapsed[-1])
 
@@ -492,21 +458,19 @@ def simulated_flight(
 ) -> TimeHistoryDisplay:
     """Return the simulation of the middle one of the parts of `simulation_errors`, with its band, and as flown."""
     starts, parts = _windows(tables, max(settings["horizons"]))
-    middle = len(starts) // 2
-    flight = (pipeline, aircraft, starts[middle : middle + 1], parts[middle : middle + 1], settings)
-    mean = _flown(*flight)
-    columns = [name for name in SHOWN_STATES if name in parts[middle]]
-    options: dict[str, Any] = {"columns": columns}
-    if not as_aerodynamics(pipeline).is_uncertain:
-        return TimeHistoryDisplay.from_trajectories(mean, parts[middle], ax=False, **options)
-    paths = _flown(*flight, n_paths=SHOWN_PATHS)
+    k = len(starts) // 2
+    flight = (pipeline, aircraft, starts[k : k + 1], parts[k : k + 1], settings)
+    mean = paths = _flown(*flight)
+    if as_aerodynamics(pipeline).is_uncertain:
+        paths = _flown(*flight, n_paths=SHOWN_PATHS)
+    columns = [name for name in SHOWN_STATES if name in parts[k]]
     return TimeHistoryDisplay.from_trajectories(
-        paths, parts[middle], mean=mean, ax=False, **options
+        paths, parts[k], mean=mean, columns=columns, ax=False
     )
 
 
 def _flown(
-    pipeline: Pipeline,
+    model: Pipeline | Aerodynamics,
     aircraft: Aircraft,
     starts: pd.DataFrame,
     parts: list[pd.DataFrame],
@@ -515,25 +479,20 @@ def _flown(
     **options: Any,
 ) -> pd.DataFrame:
     """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
-    controls: Any = [
-        part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore") for part in parts
-    ]
     air = _air(parts)
-    air = air if gusts is None else replace(air, gusts=gusts)
-    start: Any = starts
-    if len(parts) == 1:
-        start, controls = starts.iloc[0], controls[0]
-        air = air if air.wind is None else replace(air, wind=air.wind[0])
     with without_warnings(SimulationWarning):  # an end is an error without bound
         return simulate(
-            pipeline,
+            model,
             aircraft,
-            start,
-            controls,
+            starts,
+            [
+                part.drop(columns=[*STATES, *WIND, "flight", "psi"], errors="ignore")
+                for part in parts
+            ],
             dt=FLIGHT_STEP,
             duration=min(float(part["time"].iloc[-1]) for part in parts),
-            thrust=_thrust(settings),
-            air=air,
+            thrust=settings["thrust"],
+            air=air if gusts is None else replace(air, gusts=gusts),
             **options,
         )
 

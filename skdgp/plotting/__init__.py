@@ -1,27 +1,27 @@
 """Figures in scikit-learn's manner: a Display holds the data and draws them, one panel for each key.
 
-A method ``from_...`` computes and draws (not with ``ax=False``); ``plot(ax, keys=...)`` draws again,
-all panels or some;
-``draw(ax, key)`` draws one into an Axes. They raise ValueError if shapes, names, columns or values
-are wrong. The parameters of the constructor, the panels ``axes_`` and ``figure_`` are attributes.
+A method ``from_...`` computes and draws (not with ``ax=False``); ``plot(ax)`` draws again;
+``draw(ax, key)`` draws one panel, of ``keys``, into an Axes. They raise ValueError if shapes, names,
+columns or values are wrong. The parameters of the constructor, the panels ``axes_`` and ``figure_`` are attributes.
 Bands hold 95 %. Colours are safe for colour-blind readers. Needs matplotlib: ``pip install
 "skdgp[plot]"``.
 
-Options that the displays share:
+An option that the displays share:
 
 ax : Axes, Figure, SubFigure, array of Axes or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
-keys : list, optional
-    Panels to draw, of ``display.keys``; default all.
 """
 
 from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
-from skdgp.plotting._model import DerivativeDisplay, EffectsDisplay
+from skdgp.plotting._model import EffectsDisplay
 from skdgp.plotting._paths import PathDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [
-    "CalibrationDisplay", "DerivativeDisplay", "EffectsDisplay", "EnvelopeDisplay", "PathDisplay",
+    "CalibrationDisplay",
+    "EffectsDisplay",
+    "EnvelopeDisplay",
+    "PathDisplay",
     "TimeHistoryDisplay",
-]  # fmt: skip
+]

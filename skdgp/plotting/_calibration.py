@@ -7,11 +7,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from skdgp._compute.statistics import LEVELS, check_level, shares_inside, standardized
+from skdgp._compute.statistics import LEVELS, shares_inside, standardized
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import CYCLE, MARKERS, PALETTE, QUIET, dashes, symbol
-from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting._display import Display, as_columns, check_std, names_of, predicted
+from skdgp.plotting._display import Display, as_columns, check_std, names_of
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -79,35 +78,21 @@ class CalibrationDisplay(Display):
         mean: ArrayLike,
         std: ArrayLike,
         *,
-        levels: ArrayLike = LEVELS,
-        output_names: Any = None,
         ax: Any = None,
     ) -> Self:
         """Draw the coverage of predictions.
 
         ``measured``, ``mean`` and ``std`` are (n, P), NaN = not observed. For measured values
         standard deviations must include the measurement noise; for truth they must not. The levels
-        (L,) are by default 5 % to 95 % in steps of 5 %, and 99 %. Names of outputs are as for
-        :class:`TimeHistoryDisplay`.
+        are 5 % to 95 % in steps of 5 %, and 99 %. Outputs are named by the columns of a DataFrame
+        ``measured``; six unnamed ones are CX CY CZ Cl Cm Cn.
         """
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)
-        nominal = np.sort([check_level(level) for level in np.ravel(np.asarray(levels, float))])
+        nominal = np.array(LEVELS)
         z = standardized(values, mean, check_std(std, values.shape))
         return cls(
             nominal=nominal,
             observed=shares_inside(z, nominal),
-            output_names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
+            output_names=names_of(measured, values.shape[1]),
         ).plot(ax)
-
-    @classmethod
-    def from_estimator(
-        cls, estimator: Any, X: Any, Y: Any, *, include_noise: bool = True, **options: Any
-    ) -> Self:
-        """Predict with a fitted estimator, and draw with the options of :meth:`from_predictions`.
-
-        As :meth:`TimeHistoryDisplay.from_estimator`. Set ``include_noise`` to False for truth, and
-        for estimators whose ``predict`` does not take it.
-        """
-        mean, std, names = predicted(estimator, X, Y, include_noise)
-        return cls.from_predictions(Y, mean, std, **{"output_names": names, **options})

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.predicting import predict_with_noise
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
 from skdgp._display.style import check_matplotlib, legend_above, tidy
+from skdgp._flight.channels import COEFFICIENTS
 
-Names: TypeAlias = "str | Sequence[str] | None"
 GAP = 5.0  # usual steps; no line is drawn across a longer one
 N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample
 BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
@@ -44,13 +43,11 @@ class Display:
         """Return what a panel shows, for who cannot see it."""
         return str(key)
 
-    def plot(self, ax: Any = None, *, keys: Any = None) -> Self:
-        """Draw the panels of some ``keys``, default all; for ``ax`` see :mod:`skdgp.plotting`."""
+    def plot(self, ax: Any = None) -> Self:
+        """Draw all panels; for ``ax`` see :mod:`skdgp.plotting`."""
         if ax is False:
             return self
-        keys = list(self.keys) if keys is None else [keys] if isinstance(keys, str) else list(keys)
-        if unknown := [key for key in keys if key not in self.keys]:
-            raise ValueError(f"Got the panels {unknown}, but expected some of {self.keys}.")
+        keys = list(self.keys)
         n_columns = min(self.n_columns, len(keys))
         n_rows = -(-len(keys) // n_columns)
         figsize = (n_columns * self.size[0], 1 + n_rows * self.size[1])
@@ -101,6 +98,20 @@ def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = Non
     return values
 
 
+def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
+    """Return ``time`` as finite floats, ``(n,)`` with n at least one."""
+    time = np.asarray(time, dtype=float)
+    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
+        raise ValueError(
+            f"Got time of shape {time.shape} with {np.count_nonzero(~np.isfinite(time))} values "
+            f"that are not "
+            "finite, but expected (n,) seconds, n at least 1: drop the rows without a time."
+        )
+    if n_samples is not None and len(time) != n_samples:
+        raise ValueError(f"Got {len(time)} times for {n_samples} samples: give one per sample.")
+    return time
+
+
 def check_std(std: Any, shape: tuple[int, ...]) -> Matrix:
     """Return standard deviations ``(n, P)``, none negative."""
     std = as_columns(std, "std", shape)
@@ -111,29 +122,14 @@ def check_std(std: Any, shape: tuple[int, ...]) -> Matrix:
     return std
 
 
-def names_of(
-    values: object, n_outputs: int, given: Any = None, default: Sequence[str] = ()
-) -> tuple[str, ...]:
-    """Return the outputs' names: given, else the DataFrame's columns, else ``default``, else y0, y1, ..."""
-    if given is None:
-        columns = getattr(values, "columns", None)
-        given = default if columns is None and len(default) == n_outputs else columns
-    names = [f"y{i}" for i in range(n_outputs)] if given is None else [str(name) for name in given]
-    if len(names) != n_outputs or len(set(names)) != n_outputs:
-        raise ValueError(
-            f"Got the names {names} for {n_outputs} outputs: give each output one name of its own."
-        )
-    return tuple(names)
-
-
-def predicted(estimator: Any, X: Any, Y: Any, include_noise: bool) -> tuple[Any, Any, Any]:
-    """Return mean and std of a fitted estimator, and its names of outputs where Y has none."""
-    check_matplotlib("skdgp.plotting")
-    names = None if hasattr(Y, "columns") else getattr(estimator, "output_names_", None)
-    moments = (
-        predict_with_noise(estimator, X) if include_noise else estimator.predict(X, return_std=True)
-    )
-    return *moments, names
+def names_of(values: object, n_outputs: int) -> tuple[str, ...]:
+    """Return the outputs' names: a DataFrame's columns, else CX CY CZ Cl Cm Cn of six, else y0, y1, ..."""
+    columns = getattr(values, "columns", None)
+    if columns is not None:
+        return tuple(map(str, columns))
+    if n_outputs == len(COEFFICIENTS):
+        return COEFFICIENTS
+    return tuple(f"y{k}" for k in range(n_outputs))
 
 
 def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:

@@ -11,12 +11,7 @@ import pandas as pd
 
 from skdgp._compute.predicting import accepts
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._display.style import (
-    PALETTE,
-    axis_label,
-    display_unit,
-    units_shown,
-)
+from skdgp._display.style import PALETTE, axis_label, display_unit
 from skdgp.plotting._display import Display
 
 PAIRS = (
@@ -26,10 +21,8 @@ PAIRS = (
     ("beta", "r"),
     ("beta", "rudder"),
     ("p", "aileron"),
-)
-"""Default panels; a rate may be the non-dimensional one."""
-LEVELS = (0.25, 0.5, 0.75)
-"""Relative standard deviations at which contours are drawn."""
+)  # default panels; a rate may be the non-dimensional one
+LEVELS = (0.25, 0.5, 0.75)  # relative standard deviations at which contours are drawn
 MARGIN = 0.2  # margin of the panels around the flown range, relative to it
 MAX_ROWS = 500  # samples for the variance of the function as flown
 N_CELLS = 64  # cells along an axis, each with at most one dot of a flight
@@ -118,34 +111,24 @@ class EnvelopeDisplay(Display):
     ) -> Self:
         """Draw the uncertainty of a fitted estimator around its training data X.
 
-        The estimator is a pipeline with a ``RegressorSelector``, or was fitted on a DataFrame of
-        regressors; it ends in a ``DependentGPRegressor``, or in another whose ``predict`` takes
-        ``return_std``. X and ``flight``, another one to draw, are tables like its training data.
-        The panels are alpha with beta, elevator and q, beta with r and rudder, p with aileron,
-        where present, or else neighbouring columns. Grids have ``n_grid`` points along each axis.
-        Raises ValueError if regressors have no names.
+        The estimator, or the pipeline that ends in it, takes a DataFrame of regressors; its
+        ``predict`` takes ``return_std``. X and ``flight``, another one to draw, are such tables: of
+        an identification pipeline give ``model[-2:]`` and ``model[:-2].transform(table)``. The
+        panels are alpha with beta, elevator and q, beta with r and rudder, p with aileron, where
+        present, or else neighbouring columns. Grids have ``n_grid`` points along each axis. Raises
+        ValueError if regressors have no names.
         """
-        selection, predictor = _split_steps(estimator)
-        flown, path = (
-            table if table is None or selection is None else selection.transform(table)
-            for table in (X, flight)
-        )
-        if not hasattr(flown, "columns"):
-            raise ValueError(
-                "Got regressors without names, but expected a DataFrame: put "
-                "RegressorSelector([...]) into the pipeline, or give X as a DataFrame."
-            )
-        pairs = _pairs(list(flown))
-        both = pd.concat([flown, path])
+        if not hasattr(X, "columns"):
+            raise ValueError("Got regressors without names, but expected X as a DataFrame.")
+        pairs = _pairs(list(X))
+        both = pd.concat([X, flight])
         points = [(_grid(both[x], n_grid), _grid(both[y], n_grid)) for x, y in pairs]
-        means, variances = _moments(predictor, flown.iloc[:: -(-len(flown) // MAX_ROWS)])
+        means, variances = _moments(estimator, X.iloc[:: -(-len(X) // MAX_ROWS)])
         as_flown = means.var(axis=0) + variances.mean(axis=0)
-        rows = pd.concat([_slice(flown, *panel) for panel in zip(pairs, points, strict=True)])
-        ratio = (_moments(predictor, rows)[1] / as_flown).mean(axis=1)
+        rows = pd.concat([_slice(X, *panel) for panel in zip(pairs, points, strict=True)])
+        ratio = (_moments(estimator, rows)[1] / as_flown).mean(axis=1)
         rho = np.sqrt(ratio).reshape(len(pairs), n_grid, n_grid)
-        display = cls(flown=flown, path=path, pairs=pairs, points=points, relative_std=rho)
-        with units_shown(getattr(estimator, "control_units_", {})):
-            return display.plot(ax)
+        return cls(flown=X, path=flight, pairs=pairs, points=points, relative_std=rho).plot(ax)
 
 
 def _occupied(values: Matrix, axes: Any) -> Matrix:
@@ -154,15 +137,6 @@ def _occupied(values: Matrix, axes: Any) -> Matrix:
     values = values[np.isfinite(values).all(axis=1)]
     cells = np.floor(N_CELLS * (values - low) / (high - low))
     return values[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
-
-
-def _split_steps(estimator: Any) -> tuple[Any, Any]:
-    """Return the steps up to the selection of regressors, None if there is none, and the estimator behind it."""
-    steps = getattr(estimator, "steps", [])
-    places = [k for k, (_, step) in enumerate(steps) if hasattr(step, "regressors_")]
-    if not places:
-        return None, estimator
-    return estimator[: places[-1] + 1], estimator[places[-1] + 1 :]
 
 
 def _pairs(names: list[str]) -> list[tuple[str, str]]:

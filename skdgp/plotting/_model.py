@@ -1,8 +1,7 @@
-"""Displays of a model: EffectsDisplay and DerivativeDisplay."""
+"""EffectsDisplay: how each regressor changes each output."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -10,7 +9,6 @@ import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.style import (
     PALETTE,
     axis_label,
@@ -18,20 +16,13 @@ from skdgp._display.style import (
     display_unit,
     draw_curve,
     mark_samples,
-    plain,
     symbol,
     units_shown,
 )
 from skdgp._effects import Curve, Interaction, effects, interactions
-from skdgp._flight.checks import check_choice, check_names
 from skdgp.plotting._display import BAND, Display
 
-N_EFFECTS = 4
-"""Regressors shown for each output: those whose effects vary most over the samples."""
-DEFAULT_DERIVATIVES = (
-    "CL_alpha", "CD_alpha", "Cm_alpha", "Cm_q", "CY_beta", "Cl_beta", "Cn_beta", "Cl_p", "Cn_r", "Cm_elevator",
-    "Cl_aileron", "Cn_rudder",
-)  # fmt: skip
+N_EFFECTS = 4  # regressors shown for each output: those whose effects vary most over the samples
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -137,123 +128,16 @@ class EffectsDisplay(Display):
         ax.legend(handles=lines, frameon=False, fontsize="small")
 
     @classmethod
-    def from_model(
-        cls,
-        model: BaseEstimator,
-        X: Any = None,
-        *,
-        n_grid: int = 30,
-        ax: Any = None,
-        keys: Any = None,
-    ) -> Self:
+    def from_model(cls, model: BaseEstimator, *, ax: Any = None) -> Self:
         """Draw the :func:`skdgp.effects` and the interactions of a model."""
         if ax is not False:
             check_matplotlib(cls.__name__)
-        terms = effects(model, X, n_grid=n_grid)
+        terms = effects(model)
         display = cls(
             curves=terms.curves,
             importance=terms.importance,
             samples=terms.samples,
-            interactions=interactions(model, X),
+            interactions=interactions(model),
         )
         with units_shown(getattr(model, "control_units_", {})):
-            return display.plot(ax, keys=keys)
-
-
-@dataclass(kw_only=True, eq=False, repr=False)
-class DerivativeDisplay(Display):
-    """Derivatives with their 95 % bands over airspeed, alpha or beta, one panel each.
-
-    Parameters
-    ----------
-    at, over : (n,), {"airspeed", "alpha", "beta"}
-        The points, rising, [m/s] or [rad], and their quantity.
-    values, names : (n, k), k names
-        The derivatives ``CL_alpha``, ``Cm_q``, ...
-    std : (n, k), optional
-        Their standard deviations.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from matplotlib.figure import Figure
-    >>> from skdgp.dynamics import Aerodynamics, Aircraft, air_velocity, stability_derivatives
-    >>> from skdgp.plotting import DerivativeDisplay
-    >>> glider = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.5)
-    >>> model = Aerodynamics(lambda X: np.sin(X) * [[0.4, 0, -4.5, 0, -0.6, 0]], ["alpha"])
-    >>> states = np.zeros((5, 13))
-    >>> states[:, 3:6], states[:, 6] = air_velocity(20.0, np.linspace(0, 0.2, 5), 0.0), 1.0
-    >>> sweep = stability_derivatives(model, glider, states, {"thrust": 0.0})
-    >>> display = DerivativeDisplay.from_sweep(sweep, over="alpha", ax=Figure())
-    >>> display.names
-    ('CL_alpha', 'CD_alpha', 'Cm_alpha')
-    """
-
-    at: Vector
-    over: str = "airspeed"
-    values: Matrix
-    names: tuple[str, ...]
-    std: Matrix | None = None
-
-    size = (3.2, 1.9)
-    n_columns = 3
-
-    @property
-    def keys(self) -> list[str]:
-        """The derivatives."""
-        return list(self.names)
-
-    def draw(self, ax: Any, key: str) -> None:
-        """Draw a derivative."""
-        k = self.names.index(key)
-        x = self.at * display_unit(self.over)[0]
-        std = None if self.std is None else self.std[:, k]
-        draw_curve(ax, x, self.values[:, k], std, "model")
-        ax.set(xlabel=axis_label(self.over), ylabel=_label(key))
-
-    @classmethod
-    def from_sweep(
-        cls,
-        sweep: pd.DataFrame,
-        *,
-        over: str = "airspeed",
-        derivatives: Sequence[str] | None = None,
-        ax: Any = None,
-    ) -> Self:
-        """Draw the result of :func:`skdgp.dynamics.stability_derivatives` for several points.
-
-        ``over`` is "airspeed", "alpha" or "beta", the quantity of the horizontal axis. The
-        derivatives are by default the most common ones of the table.
-        """
-        if not isinstance(sweep.index, pd.MultiIndex):
-            raise ValueError(
-                "Got derivatives of a single point, but expected those of several: "
-                "stability_derivatives(model, aircraft, [trim, ...])."
-            )
-        check_choice("over", over, ("airspeed", "alpha", "beta"))
-        rows = list(sweep.index.unique(level=1))
-        names = list(derivatives or [name for name in DEFAULT_DERIVATIVES if name in rows])
-        check_names(names, rows, "derivatives")
-        points = sweep[over].groupby(level=0).first().sort_values()
-        columns = {
-            column: sweep[column]
-            .unstack(1)
-            .reindex(index=points.index, columns=names)
-            .to_numpy(float)
-            for column in ("value", "std")
-            if column in sweep
-        }
-        return cls(
-            at=points.to_numpy(float), values=columns["value"], std=columns.get("std"), over=over,
-            names=tuple(names),
-        ).plot(ax)  # fmt: skip
-
-
-def _label(name: str) -> str:
-    """Return the symbol, such as C_{m_q}, of a derivative."""
-    coefficient, _, regressor = name.partition("_")
-    index = symbol(regressor)
-    if not index.startswith("$"):
-        index = rf"\mathrm{{{plain(regressor)}}}".replace("_", r"\_")
-    below = coefficient.removeprefix("C") + (f"_{{{index.strip('$')}}}" if regressor else "")
-    return f"$C_{{{below}}}$"
+            return display.plot(ax)

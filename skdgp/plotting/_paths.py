@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
 import pandas as pd
+from scipy.integrate import cumulative_trapezoid
 
-from skdgp._display.flights import ground_path
 from skdgp._display.style import CYCLE, MARKERS, axis_label, plain
+from skdgp._flight.checks import check_columns
 from skdgp.plotting._display import Display
+
+PATH_POINTS = 600  # of one flight; a picture resolves no more
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -67,5 +71,23 @@ class PathDisplay(Display):
     @classmethod
     def from_flights(cls, flights: Mapping[str, pd.DataFrame], *, ax: Any = None) -> Self:
         """Draw flight tables by name."""
-        paths = {str(name): ground_path(table, name) for name, table in flights.items()}
+        paths = {str(name): _ground_path(table, name) for name, table in flights.items()}
         return cls(paths=paths).plot(ax)
+
+
+def _ground_path(flight: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return north and east [m] at no more than 600 points, equally far apart.
+
+    Without positions, velocities are integrated: north = int v_north dt, by trapezoids, linear
+    across holes of the log.
+    """
+    if {"north", "east"} <= set(flight.columns):
+        points = flight[["north", "east"]].astype(float)
+    else:
+        check_columns(flight, ["v_north", "v_east"], what=f"flight {name!r} (for its path)")
+        velocity = flight[["v_north", "v_east"]].astype(float).interpolate(limit_direction="both")
+        integral = cumulative_trapezoid(velocity, flight["time"], axis=0, initial=0)
+        points = pd.DataFrame(integral, columns=["north", "east"])
+    distance = np.nan_to_num(np.hypot(*points.diff().to_numpy().T)).cumsum()
+    rows = np.searchsorted(distance, np.linspace(0, distance[-1], PATH_POINTS))
+    return points.iloc[np.unique(rows.clip(0, len(distance) - 1))]

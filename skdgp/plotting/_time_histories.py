@@ -10,9 +10,8 @@ import pandas as pd
 
 from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
-from skdgp._display.flights import LATERAL_STATES, check_time, replay_rows
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
-from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
+from skdgp._flight.channels import ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.plotting._display import (
@@ -21,15 +20,15 @@ from skdgp.plotting._display import (
     as_columns,
     band_points,
     check_std,
+    check_time,
     line_points,
     names_of,
-    predicted,
     segment_starts,
 )
 
+LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 LEVEL = 0.95
-MAX_BAND = 0.6
-"""Largest part of the lines' range by which a band widens the vertical axis."""
+MAX_BAND = 0.6  # largest part of the lines' range by which a band widens the vertical axis
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
 VALUES = ("measured", "mean", "truth", "lower", "upper")
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
@@ -152,15 +151,12 @@ class TimeHistoryDisplay(Display):
         std: ArrayLike | None = None,
         *,
         truth: ArrayLike | None = None,
-        output_names: Any = None,
         ax: Any = None,
-        keys: Any = None,
     ) -> Self:
         """Draw predictions (n, P) and measurements.
 
-        ``output_names`` are by default the columns of a DataFrame ``measured``, or of six unnamed
-        columns
-        CX CY CZ Cl Cm Cn.
+        Outputs are named by the columns of a DataFrame ``measured``; six unnamed ones are CX CY CZ
+        Cl Cm Cn.
         """
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)
@@ -172,53 +168,20 @@ class TimeHistoryDisplay(Display):
             lower=None if half is None else mean - half,
             upper=None if half is None else mean + half,
             truth=None if truth is None else as_columns(truth, "truth", values.shape),
-            names=names_of(measured, values.shape[1], output_names, COEFFICIENTS),
-        ).plot(ax, keys=keys)
+            names=names_of(measured, values.shape[1]),
+        ).plot(ax)
 
     @classmethod
-    def from_estimator(
-        cls,
-        estimator: Any,
-        X: Any,
-        Y: Any,
-        *,
-        time: ArrayLike | None = None,
-        include_noise: bool = False,
-        **options: Any,
-    ) -> Self:
-        """Predict with a fitted estimator, and draw with the options of :meth:`from_predictions`.
-
-        Its ``predict`` takes ``return_std``. X (n, d) are regressors, or the flights of an
-        identification pipeline; Y (n, P) measured outputs, NaN = not observed. ``time`` (n,) is by
-        default the column ``time`` of X. With ``include_noise`` the band is for a measurement.
-        """
-        if time is None and "time" not in getattr(X, "columns", ()):
-            raise ValueError(
-                "Got an X without a column 'time': give the samples' times as time=... [s]."
-            )
-        mean, std, names = predicted(estimator, X, Y, include_noise)
-        time = X["time"].to_numpy() if time is None else time
-        return cls.from_predictions(time, Y, mean, std, **{"output_names": names, **options})
-
-    @classmethod
-    def from_replay(
-        cls,
-        trajectory: pd.DataFrame,
-        flight: pd.DataFrame,
-        *,
-        states: Any = LATERAL_STATES,
-        horizon: float | None = None,
-        ax: Any = None,
-    ) -> Self:
+    def from_replay(cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, ax: Any = None) -> Self:
         """Draw a :func:`skdgp.dynamics.replay` and the flight that it replays (the paper's figure 7).
 
-        ``trajectory`` has ``time``, ``horizon``, ``window`` and the states, and a row for each row
-        of the flight and horizon. The horizon [s] is by default the longest.
+        ``trajectory`` has ``time``, ``horizon``, ``window`` and states, and a row for each row of
+        the flight and horizon. Drawn are v_east, p and r, where the flight has them, over the
+        shortest horizon.
         """
-        states = list(states)
-        rows = replay_rows(trajectory, horizon)
-        check_columns(rows, ["time", "window", *states], what="trajectory")
-        check_columns(flight, states)
+        check_columns(trajectory, ["time", "horizon", "window", *LATERAL_STATES], what="trajectory")
+        rows = trajectory[trajectory["horizon"] == trajectory["horizon"].min()]
+        states = [name for name in LATERAL_STATES if name in flight]
         if len(rows) != len(flight):
             raise ValueError(
                 f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
@@ -291,14 +254,12 @@ class TimeHistoryDisplay(Display):
         ).plot(ax)
 
     @classmethod
-    def from_inputs(cls, flight: pd.DataFrame, *, channels: Any = None, ax: Any = None) -> Self:
-        """Draw the inputs of a flight (the paper's figure 4), by default throttle and surfaces."""
-        names = [name for name in INPUTS if name in flight] if channels is None else list(channels)
+    def from_inputs(cls, flight: pd.DataFrame, *, ax: Any = None) -> Self:
+        """Draw the inputs of a flight (the paper's figure 4): throttle and surfaces."""
+        check_columns(flight, ["time"])
+        names = [name for name in INPUTS if name in flight]
         if not names:
-            raise ValueError(
-                f"Got a flight without any of {list(INPUTS)}: name the columns as channels=..."
-            )
-        check_columns(flight, ["time", *names])
+            raise ValueError(f"Got a flight without inputs, but expected some of {list(INPUTS)}.")
         return cls(
             time=check_time(flight["time"]),
             names=tuple(names),

@@ -1,25 +1,27 @@
 """The report of an identification: one HTML file to read, print and sign.
 
-Fill a `ReportContent` with arrays and pass it to `write_report`, which neither fits nor predicts.
+`skdgp.identification.Identification` fills a `ReportContent`; nothing here fits or predicts.
 """
 
 from skdgp.report._content import (
     THRESHOLDS,
+    Evaluation,
     FlightMechanics,
-    FlightResult,
     ReportContent,
     Use,
     Verdict,
+    scores,
 )
 from skdgp.report._page import render_report, write_report
 
 __all__ = [
     "THRESHOLDS",
+    "Evaluation",
     "FlightMechanics",
-    "FlightResult",
     "ReportContent",
     "Use",
     "Verdict",
     "render_report",
+    "scores",
     "write_report",
 ]

@@ -11,30 +11,31 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.flights import LATERAL_STATES, check_time
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
+from skdgp.metrics import (
+    interval_coverage,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+)
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
-from skdgp.report._tables import HONEST, SCORES
+from skdgp.report._tables import HONEST
 
 
 class Thresholds(NamedTuple):
     """What counts as good enough (docs/judging.md, with the sources)."""
 
+    # Largest error over the spread of the coefficients: Theil's coefficient is then 0.27, and 0.25
+    # to 0.3 count as good agreement (Jategaonkar 2006, chapter 11).
     error: float = 0.5
-    """Largest error over the spread of the coefficients: Theil's coefficient is then 0.27, and 0.25 to
-    0.3 count as good agreement (Jategaonkar 2006, chapter 11)."""
-    coverage: float = HONEST[0]
-    """Smallest share of measured values in a 95 % band (guess)."""
+    coverage: float = HONEST[0]  # smallest share of measured values in a 95 % band (guess)
+    # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
+    # half the gain.
     band: float = 0.5
-    """Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
-    half the gain.
-    """
-    seconds: float = 1.0
-    """Shortest simulation that is of use [s] (guess)."""
-    tie: float = 0.02
-    """Errors that differ by less than this share are equal (guess)."""
+    seconds: float = 1.0  # shortest simulation that is of use [s] (guess)
+    tie: float = 0.02  # errors that differ by less than this share are equal (guess)
 
 
 THRESHOLDS = Thresholds()
@@ -61,8 +62,6 @@ class Verdict:
         together.
     uses, warnings : tuples of Use and of str
         The warning that costs most comes first.
-    flights : DataFrame
-        Per test flight ``duration`` [s] and the means of its scores.
     least_squares_error : float, optional
         Error of a linear model fitted to the same rows.
     better, worse : tuples of str
@@ -74,18 +73,14 @@ class Verdict:
     coverage: float
     uses: tuple[Use, ...]
     warnings: tuple[str, ...]
-    flights: pd.DataFrame
     least_squares_error: float | None = None
     better: tuple[str, ...] = ()
     worse: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values; the flights are in the scores."""
-        values = {name: value for name, value in asdict(self).items() if name != "flights"}
-        return values | {
-            "uses": [use._asdict() for use in self.uses],
-            "thresholds": THRESHOLDS._asdict(),
-        }
+        """Return it as plain values."""
+        uses = [use._asdict() for use in self.uses]
+        return asdict(self) | {"uses": uses, "thresholds": THRESHOLDS._asdict()}
 
     def compared(self) -> str:
         """Return a sentence on least squares, empty where it is not known."""
@@ -155,93 +150,85 @@ class FlightMechanics:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightResult:
-    """A test flight and its predictions; raises ValueError if the shapes do not belong together.
+class Evaluation:
+    """Predictions for one flight and their replay.
 
     Parameters
     ----------
     name, time : str, (n,)
         What to call it, and the time of the samples [s].
+    table : DataFrame
+        The flight table, for the inputs and the path.
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
         noise.
-    measured_std : (n, 6), optional
-        Standard deviations of new measurements (``include_noise=True``); default ``std``.
+    measured_std : (n, 6)
+        Standard deviations of new measurements.
+    rows : ndarray of int
+        Where standard deviations were computed; between them they are interpolated.
+    regressors : (n, d)
+        Inputs of the last step of the pipeline.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
-    table : DataFrame, optional
-        The flight table, for the inputs and the path.
-    replay : DataFrame, optional
-        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons.
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
-    metrics : mapping, optional
-        ``{"measured": {metric: six numbers}, "truth": {...}}`` with the names of skdgp.metrics, by
-        which they are computed by default.
+    replay : DataFrame, optional
+        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons.
+    states : dict of str to DataFrame
+        Errors of the replay, as of `skdgp.dynamics.replay_errors`, against "measured" and, where it
+        is known, "truth".
     """
 
     name: str
     time: Vector
+    table: pd.DataFrame
     measured: Matrix
     mean: Matrix
     std: Matrix
-    measured_std: Matrix | None = None
+    measured_std: Matrix
+    rows: Indices
+    regressors: Matrix
     truth: Matrix | None = None
-    table: pd.DataFrame | None = None
-    replay: pd.DataFrame | None = None
     baseline: Matrix | None = None
-    metrics: Mapping[str, Mapping[str, object]] | None = None
-
-    def __post_init__(self):
-        object.__setattr__(self, "time", check_time(self.time))
-        expected = len(self.time), len(COEFFICIENTS)
-        for name in ("measured", "mean", "std", "measured_std", "truth", "baseline"):
-            if getattr(self, name) is None:
-                continue
-            values = np.asarray(getattr(self, name), dtype=float)
-            if values.shape != expected:
-                raise ValueError(
-                    f"Got {name} of shape {values.shape} for flight {self.name!r}, but expected "
-                    f"{expected}: one row "
-                    f"per time, columns {' '.join(COEFFICIENTS)}."
-                )
-            object.__setattr__(self, name, values)
-        if self.replay is not None and self.table is None:
-            raise ValueError(f"Got a replay of flight {self.name!r} without its table: give both.")
-
-    @property
-    def replayed_states(self) -> list[str]:
-        """Lateral states that were measured and replayed."""
-        if self.replay is None or self.table is None:
-            return []
-        return [name for name in LATERAL_STATES if name in self.replay and name in self.table]
-
-    @property
-    def noisy_std(self) -> Matrix:
-        """Standard deviations to compare measured values with."""
-        return self.std if self.measured_std is None else self.measured_std
+    replay: pd.DataFrame | None = None
+    states: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
     @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:
-        """Scores against "measured" and, where it is known, "truth": coefficients by metrics."""
-        metrics = self.metrics
-        if metrics is None:
-            metrics = {"measured": self._scores(self.measured, self.noisy_std)}
-            if self.truth is not None:
-                metrics["truth"] = self._scores(self.truth, self.std)
-        return {
-            against: pd.DataFrame(dict(scores), list(COEFFICIENTS)).reindex(columns=list(SCORES))
-            for against, scores in metrics.items()
-        }
+        """The :func:`scores` of this flight."""
+        return scores([self])
 
-    def _scores(self, values: Matrix, std: Matrix) -> dict[str, Vector]:
-        scores = {}
-        for name, score in SCORES.items():
-            mean = self.baseline if score.of_baseline else self.mean
-            if mean is not None:
-                moments = (mean, std) if score.of_band else (mean,)
-                scores[name] = score.function(values, *moments, multioutput="raw_values")
-        return scores
+
+def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
+
+    Metrics of bands are of the rows where standard deviations were computed.
+    """
+    pairs = {"measured": ("measured", "measured_std"), "truth": ("truth", "std")}
+    if any(flight.truth is None for flight in flights):
+        del pairs["truth"]
+    return {against: _scores(flights, *names) for against, names in pairs.items()}
+
+
+def _scores(flights: Sequence[Evaluation], reference: str, std: str) -> pd.DataFrame:
+    def all_rows(name: str) -> Matrix:
+        return np.concatenate([getattr(flight, name) for flight in flights])
+
+    means = all_rows(reference), all_rows("mean")
+    bands = [
+        np.concatenate([getattr(flight, name)[flight.rows] for flight in flights])
+        for name in (reference, "mean", std)
+    ]
+    columns: dict[str, Any] = {
+        metric.__name__: metric(*means, multioutput="raw_values")
+        for metric in (median_relative_error, normalized_rmse)
+    }
+    if all(flight.baseline is not None for flight in flights):
+        linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
+        columns["least_squares_normalized_rmse"] = linear
+    for metric in (negative_log_predictive_density, interval_coverage):
+        columns[metric.__name__] = metric(*bands, multioutput="raw_values")
+    return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,45 +239,45 @@ class ReportContent:
     ----------
     title : str
         Heading of the report.
+    verdict, mechanics : Verdict, FlightMechanics
+        Verdict on the uses of the model; trim, derivatives and modes.
     train : mapping of str to DataFrame
-        Tables of the flights learned from, SI units: at least ``time``.
-    test : sequence of FlightResult
-        Flights tested on.
+        Tables of the flights learned from, SI units: at least ``time``; empty for a model that
+        existed before.
+    test : sequence of Evaluation
+        Flights tested on, at least one.
+    effects, envelope : EffectsDisplay, EnvelopeDisplay, optional
+        Not drawn yet (``ax=False``).
     subtitle : str
         Beneath the heading, such as the name of the aircraft.
     facts : mapping of str to str
-        Facts of the fit: aircraft, samples, regressors, kernel, likelihood, versions, ready to
-        read.
-        Empty ones are not shown.
-    verdict, mechanics : Verdict, FlightMechanics, optional
-        Verdict on the uses of the model; trim, derivatives and modes.
-    envelope, effects : EnvelopeDisplay, EffectsDisplay, optional
-        Not drawn yet (``ax=False``).
+        Facts of the fit, ready to read. Empty ones are not shown.
     air : str
         The air that was flown: steady wind and gusts.
     sections : sequence of str
         Further sections, HTML, such as the next flight.
-    assumed, messages : sequences of str
-        Assumptions where nothing was given; warnings.
+    assumed : sequence of str
+        Assumptions where nothing was given.
     units : mapping of str to str
         Units of controls that differ from docs/notation.md.
-    command, created : str, datetime, optional
-        How the report was made, and when; default: now.
+    command : str, optional
+        How the report was made.
+    created : datetime
+        By default now.
     """
 
     title: str
-    train: Mapping[str, pd.DataFrame] = field(default_factory=dict)
-    test: Sequence[FlightResult] = ()
+    verdict: Verdict
+    mechanics: FlightMechanics
+    train: Mapping[str, pd.DataFrame]
+    test: Sequence[Evaluation]
+    effects: EffectsDisplay | None = None
+    envelope: EnvelopeDisplay | None = None
     subtitle: str = ""
     facts: Mapping[str, str] = field(default_factory=dict)
-    verdict: Verdict | None = None
-    mechanics: FlightMechanics | None = None
-    envelope: EnvelopeDisplay | None = None
-    effects: EffectsDisplay | None = None
     air: str = ""
     sections: Sequence[str] = ()
     assumed: Sequence[str] = ()
-    messages: Sequence[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     command: str | None = None
-    created: datetime | None = None
+    created: datetime = field(default_factory=lambda: datetime.now().astimezone())

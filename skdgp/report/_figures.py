@@ -12,16 +12,10 @@ from skdgp._display.page import MARGINS, THIN, WIDTH, figure, number, picture, t
 from skdgp._display.style import tidy
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import TimeHistoryDisplay
-from skdgp.report._content import FlightResult
+from skdgp.report._content import Evaluation
 
-LABEL_PLACE = 0.17
-"""Distance of the label of the vertical axis from the left edge of a panel [in]."""
-EXCERPT = 15.0
-"""Length of the close look at a flight [s]."""
-CHAPTER = 60.0
-"""Shortest length of the parts in which a long flight is shown whole [s]."""
-MOST_CHAPTERS = 6
-"""Parts that the figures of one page are divided into at most, which keeps it small."""
+LABEL_PLACE = 0.17  # distance of the vertical axis' label from the left edge of a panel [in]
+EXCERPT = 15.0  # length of the close look at a flight [s]
 
 
 def display_figure(*displays: Any, caption: str) -> str:
@@ -87,10 +81,10 @@ def busiest_span(
     return first, first + length
 
 
-def coefficient_display(result: FlightResult) -> TimeHistoryDisplay:
-    """Return measured and estimated coefficients of a flight."""
-    half = 1.96 * result.noisy_std
-    return TimeHistoryDisplay(
+def coefficient_figure(result: Evaluation) -> str:
+    """Return the coefficients of a flight, of a long one where the estimates move most, with residuals beneath."""
+    half = 1.96 * result.measured_std
+    display = TimeHistoryDisplay(
         time=result.time,
         names=COEFFICIENTS,
         measured=result.measured,
@@ -99,37 +93,23 @@ def coefficient_display(result: FlightResult) -> TimeHistoryDisplay:
         lower=result.mean - half,
         upper=result.mean + half,
     )
-
-
-def coefficient_figure(display: TimeHistoryDisplay, caption: str) -> str:
-    """Return coefficients, each with its residuals beneath."""
+    caption = f"Coefficients of {text(result.name)}"
+    span = busiest_span(result.time, result.mean)
+    if span is not None:
+        display = display.between(*span)
+        caption += f", the {EXCERPT:g}{THIN}s in which the estimates move most"
+    caption += ", and beneath each measured less estimated, in the 95 % band."
     return display_figure(display, display.residuals(), caption=caption)
 
 
-def chapters(result: FlightResult, length: float) -> str:
-    """Return the coefficients of a long flight in parts of ``length`` [s], to be opened by hand."""
-    begin, end = result.time[[0, -1]]
-    display = coefficient_display(result)
-    parts = ""
-    for first in np.arange(begin, end, length) if end - begin > 1.5 * CHAPTER else ():
-        last = min(first + length, end)
-        if np.any((result.time >= first) & (result.time <= last)):
-            span = f"{number(first, '.0f')} to {number(last, '.0f')}{THIN}s"
-            caption = f"Coefficients of {text(result.name)}, {span}."
-            body = coefficient_figure(display.between(first, last), caption)
-            parts += f"<details><summary>{span}</summary>{body}</details>"
-    return parts
-
-
-def state_figure(result: FlightResult, span: Any) -> str:
-    """Return the lateral states that were replayed over the shortest horizon; empty where there is none."""
-    if result.replay is None or result.table is None or not result.replayed_states:
+def state_figure(result: Evaluation) -> str:
+    """Return the lateral states that were replayed over the shortest horizon; empty where there are none."""
+    if result.replay is None:
         return ""
     horizon = float(result.replay["horizon"].min())
-    display = TimeHistoryDisplay.from_replay(
-        result.replay, result.table, states=result.replayed_states, horizon=horizon, ax=False
-    )
-    if span is not None and np.any((display.time >= span[0]) & (display.time <= span[1])):
+    display = TimeHistoryDisplay.from_replay(result.replay, result.table, ax=False)
+    span = busiest_span(result.time, result.mean)
+    if span is not None:
         display = display.between(*span)
     caption = (
         f"Coefficients of {text(result.name)} in motion (the paper's figure 7): states integrated "

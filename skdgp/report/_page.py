@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,10 +22,10 @@ from skdgp._display.page import (
     text,
 )
 from skdgp._display.style import display_unit, units_shown
-from skdgp._flight.channels import COEFFICIENTS, MIRRORED
+from skdgp._flight.channels import MIRRORED
 from skdgp.plotting import CalibrationDisplay, PathDisplay, TimeHistoryDisplay
 from skdgp.report import _figures as figures
-from skdgp.report._content import THRESHOLDS, FlightMechanics, FlightResult, ReportContent, Verdict
+from skdgp.report._content import THRESHOLDS, Evaluation, FlightMechanics, ReportContent, Verdict
 from skdgp.report._tables import (
     SCORES,
     derivative,
@@ -50,15 +48,11 @@ _THRESHOLDS = (
     f"a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for the "
     f"derivatives by the controls and the frequencies of the fast modes."
 )
-LINEAR = "least squares<br><em>± too small</em>"
-OF_AIRCRAFT = "± of<br>aircraft"
-EXPLAINED = {
-    OF_AIRCRAFT: "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment "
-    "or force share; it does not matter for simulations with this aircraft.",
-    LINEAR: "Least squares' standard deviations hold for a straight line through exact regressors: "
-    "noise of the regressors and curvature are not in them.",
-}
-"""Explanations of columns of the table of derivatives."""
+OF_AIRCRAFT = (
+    "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment or force "
+    "share; it does not matter for simulations with this aircraft."
+)
+# Captions of the displays of the model
 DISPLAYS = {
     "Calibration": "How often intervals, with the noise, hold the measured values of all test "
     "flights. On the dotted line they hold as often as they say.",
@@ -73,8 +67,6 @@ DISPLAYS = {
     "samples were flown: 0 where they are known, 1 where any value flown is as likely. Where a "
     "test flight, or a simulation, leaves the dots for darker blue, coefficients are extrapolated.",
 }
-"""Captions of the displays of the model."""
-NO_WARNING = "No warning arose."
 HOW_TO_READ = (
     '<div class="note"><p><b>NRMSE</b>: root mean squared error over the standard deviation of the '
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
@@ -85,26 +77,24 @@ HOW_TO_READ = (
     "click, or a long press, saves a figure as an SVG file.</p></div>"
 )
 N_WARNINGS = 3
-MOST_NAMED = 4
-"""Weak derivatives that are named for each input."""
+MOST_NAMED = 4  # weak derivatives that are named for each input
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
-KNOWN = 2.0
-"""Standard deviation over the size of a derivative above which it has no row."""
+KNOWN = 2.0  # standard deviation over the size of a derivative above which it has no row
+# Regressors that move with an input: what to excite where a derivative is weak
 EXCITED = {
     "elevator": ("alpha", "alpha_dot", "q", "q_hat", "elevator"),
     "aileron": ("p", "p_hat", "aileron"),
     "rudder": ("beta", "beta_dot", "r", "r_hat", "rudder"),
     "throttle": ("throttle",),
 }
-"""Regressors that move with an input: what to excite where a derivative is weak."""
+# How the names of the modes begin that a 3-2-1-1 of an input excites
 MODES = {
     "elevator": ("short period",),
     "aileron": ("Dutch roll", "roll"),
     "rudder": ("Dutch roll", "roll"),
 }
-"""How the names of the modes begin that a 3-2-1-1 of an input excites."""
+# Flights that a page shows in full; of more only the one that is predicted worst has figures
 MOST_OPEN = 3
-"""Flights that a page shows in full; of more only the one that is predicted worst has figures."""
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
@@ -112,25 +102,17 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
 
     The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
     has no figures and says so. Raises FileNotFoundError if the folder does not exist.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from skdgp.report import ReportContent, write_report
-    >>> path = write_report(Path(tempfile.mkdtemp()) / "report.html", ReportContent(title="Brumby, first flights"))
-    >>> path.read_text(encoding="utf-8").splitlines()[0]
-    '<!DOCTYPE html>'
     """
     return write_atomically(path, text_writer(render_report(content)))
 
 
 def render_report(content: ReportContent) -> str:
     """Return the report as one HTML document."""
-    created = datetime.now().astimezone() if content.created is None else content.created
     count = f"flights: {len(content.train)} training, {len(content.test)} test"
     meta = " · ".join(
-        text(part) for part in (content.subtitle, count, f"{created:%d %B %Y, %H:%M}") if part
+        text(part)
+        for part in (content.subtitle, count, f"{content.created:%d %B %Y, %H:%M}")
+        if part
     )
     colophon = "Made by skdgp. SI units; degrees in figures and in the table of states."
     with units_shown(content.units):
@@ -141,11 +123,12 @@ def render_report(content: ReportContent) -> str:
 def _sections(content: ReportContent) -> list[str]:
     draw = can_draw()
     parts = [_verdict(content), _next_flight(content), *content.sections]
-    parts += [_messages(content), _section("What was assumed", _list(content.assumed))]
+    further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
+    parts += [_section("Further warnings", further)]
+    parts += [_section("What was assumed", _list(content.assumed))]
     if not draw:
         parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
-    if content.mechanics is not None:
-        parts += [_mechanics(content.mechanics), _simulation(content.mechanics, draw)]
+    parts += [_mechanics(content.mechanics), _simulation(content.mechanics, draw)]
     parts += _flights(content, draw)
     if draw:
         parts += [*_of_model(content), _flown(content)]
@@ -181,32 +164,24 @@ def _note(sentence: str) -> str:
 
 def _verdict(content: ReportContent) -> str:
     """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
-    if not content.test:
-        sentence = (
-            "No test flight was given: nothing here shows how the model does away from the flights "
-            "it learned from."
-        )
-        return _section("Verdict", _note(sentence))
     verdict = content.verdict
     air = f" Air: {text(content.air)}." if content.air else " The air was not estimated."
-    parts = []
-    if verdict is not None:
-        uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
-        head = ["good enough to", "", "because"]
-        parts += [
-            f'<p class="lead">{text(verdict.learned)}{air}</p>',
-            _tiles(verdict),
-            table(head, uses, caption="What the model is good for.", classes="words"),
-            f"<p>{text(verdict.compared())}</p>",
-            _list(verdict.warnings[:N_WARNINGS], "ol", "alerts") or _note(NO_WARNING),
-        ]
-    if verdict is None or len(content.test) > 1:
+    uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
+    head = ["good enough to", "", "because"]
+    parts = [
+        f'<p class="lead">{text(verdict.learned)}{air}</p>',
+        _tiles(verdict),
+        table(head, uses, caption="What the model is good for.", classes="words"),
+        f"<p>{text(verdict.compared())}</p>",
+        _list(verdict.warnings[:N_WARNINGS], "ol", "alerts") or _note("No warning arose."),
+    ]
+    if len(content.test) > 1:
         rows = []
         for result in content.test:
             means = result.scores["measured"].mean()
-            cells = [score.show(means[name]) for name, score in SCORES.items()]
+            cells = [show(means.get(name)) for name, (_, show) in SCORES.items()]
             rows.append([text(result.name), number(np.ptp(result.time), ".3g"), *cells])
-        head = ["", "length<br>[s]", *(score.head for score in SCORES.values())]
+        head = ["", "length<br>[s]", *(title for title, _ in SCORES.values())]
         caption = "Test flights, against measured values: means of the six coefficients."
         parts.append(table(head, rows, caption=caption, classes="numbers"))
     return _section("Verdict", *parts)
@@ -225,7 +200,7 @@ def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
 def _next_flight(content: ReportContent) -> str:
     """Return the weak derivatives by the manoeuvre that excites them, weakest first."""
     mechanics = content.mechanics
-    if mechanics is None or "std" not in mechanics.derivatives:
+    if "std" not in mechanics.derivatives:
         return ""
     derivatives = pd.concat([_of_plane(mechanics.derivatives, plane) for plane in GROUPED])
     half = 1.96 * derivatives["std"] / derivatives["value"].abs()
@@ -293,16 +268,6 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
     return f'<{kind} class="{classes}">{items}</{kind}>' if items else ""
 
 
-def _messages(content: ReportContent) -> str:
-    """Return the warnings that the verdict does not show, or that none arose."""
-    if content.verdict is None:
-        warnings = _list(dict.fromkeys(content.messages), classes="alerts")
-        return _section("Warnings", warnings or _note(NO_WARNING))
-    return _section(
-        "Further warnings", _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
-    )
-
-
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
     parts = [_note(text(mechanics.note))]
@@ -316,7 +281,7 @@ def _mechanics(mechanics: FlightMechanics) -> str:
     if len(mechanics.derivatives):
         tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
-        parts += [_note(why) for column, why in EXPLAINED.items() if f">{column}<" in tables]
+        parts.append(_note(OF_AIRCRAFT if "std_aircraft" in mechanics.derivatives else ""))
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return _section("Trim, derivatives and modes", *parts)
@@ -338,10 +303,10 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
     )
     columns = {"": names, "model": [_value(row) for _, row in derivatives.iterrows()]}
     if mechanics.least_squares is not None:
-        linear = mechanics.least_squares.loc[derivatives.index, ["value", "std"]].to_numpy()
-        columns[LINEAR] = [_with_std(*row) for row in linear]
+        linear = mechanics.least_squares.loc[derivatives.index, "value"]
+        columns["least squares"] = [number(x, ".3g") for x in linear]
     if "std_aircraft" in derivatives:
-        columns[OF_AIRCRAFT] = [number(x, ".2g") for x in derivatives["std_aircraft"]]
+        columns["± of<br>aircraft"] = [number(x, ".2g") for x in derivatives["std_aircraft"]]
     rows = pd.DataFrame(columns)[is_known.to_numpy()].to_numpy().tolist()
     caption = (
         f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
@@ -439,54 +404,36 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
 def _flights(content: ReportContent, draw: bool) -> list[str]:
     """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
     errors = [float(result.scores["measured"]["normalized_rmse"].mean()) for result in content.test]
-    seconds = sum(float(np.ptp(result.time)) for result in content.test)
-    length = max(figures.CHAPTER, seconds / figures.MOST_CHAPTERS)
     parts = []
     for result, error in zip(content.test, errors, strict=True):
-        shown = draw and (len(errors) <= MOST_OPEN or not error < max(errors))
-        body = _flight(result, length if shown else None)
+        body = _errors(result)
+        if draw and (len(errors) <= MOST_OPEN or not error < max(errors)):
+            body += figures.coefficient_figure(result) + figures.state_figure(result)
         parts.append(_section(f"Test flight {text(result.name)}", body, classes="flight"))
     return parts
 
 
-def _flight(result: FlightResult, length: float | None) -> str:
-    """Return errors and, where parts of a ``length`` are to be drawn, figures of a test flight."""
+def _errors(result: Evaluation) -> str:
+    """Return the errors of a test flight."""
     scores = result.scores
     tables = error_table(scores["measured"], against="measured coefficients")
     legend = "▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too wide."
     if "truth" in scores:
-        tables += error_table(scores["truth"], against="truth", with_bands=False)
+        tables += error_table(scores["truth"].drop(columns="interval_coverage"), against="truth")
         legend += (
             " Bands are judged against measured values alone: the true coefficients contain effects "
             "that no sensor saw, such as gusts, which no band promises to hold."
         )
-    parts = [f'<div class="pair">{tables}</div>', _note(legend)]
-    if length is None:
-        return "".join(parts)
-    name = text(result.name)
-    span = figures.busiest_span(result.time, result.mean)
-    caption = f"Coefficients of {name}, and beneath each measured less estimated, in the 95 % band."
-    display = figures.coefficient_display(result)
-    parts.append(figures.coefficient_figure(display, caption))
-    if span is not None:
-        seconds = number(span[1] - span[0], "g")
-        caption = f"The {seconds}{THIN}s of {name} in which the estimates move most."
-        parts.append(figures.coefficient_figure(display.between(*span), caption))
-    parts += [figures.chapters(result, length), figures.state_figure(result, span)]
-    return "".join(parts)
+    return f'<div class="pair">{tables}</div>{_note(legend)}'
 
 
 def _of_model(content: ReportContent) -> list[str]:
     """Return the sections of calibration, effects, and where the model knows."""
-    calibration = None
-    if content.test:
-        columns = [
-            np.concatenate([getattr(result, name) for result in content.test])
-            for name in ("measured", "mean", "noisy_std")
-        ]
-        calibration = CalibrationDisplay.from_predictions(
-            *columns, output_names=COEFFICIENTS, ax=False
-        )
+    columns = [
+        np.concatenate([getattr(result, name) for result in content.test])
+        for name in ("measured", "mean", "measured_std")
+    ]
+    calibration = CalibrationDisplay.from_predictions(*columns, ax=False)
     displays = (calibration, content.effects, content.envelope)
     return [
         _section(title, figures.display_figure(display, caption=caption))
@@ -496,8 +443,9 @@ def _of_model(content: ReportContent) -> list[str]:
 
 
 def _flown(content: ReportContent) -> str:
-    """Return the inputs and the path of every flight that came with its table."""
-    flights = _flown_tables(content)
+    """Return the paths and the inputs of the flights."""
+    flights = {f"{name} (train)": table for name, table in content.train.items()}
+    flights |= {f"{result.name} (test)": result.table for result in content.test}
     positions = {"north", "east"}, {"v_north", "v_east"}
     tracked = {
         name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)
@@ -518,20 +466,6 @@ def _flown(content: ReportContent) -> str:
     if len(shown) < len(flights):
         parts.append(_note(f"Inputs of the first {len(shown)} of {len(flights)} flights."))
     return _section("What was flown", *parts)
-
-
-def _flown_tables(content: ReportContent) -> dict[str, pd.DataFrame]:
-    """Return the flight tables by name: those learned from, then those tested on."""
-    tables: dict[str, pd.DataFrame] = {}
-    pairs: list[tuple[str, Any]] = [
-        (f"{name} (train)", table) for name, table in content.train.items()
-    ]
-    pairs += [(f"{result.name} (test)", result.table) for result in content.test]
-    for name, flight in pairs:
-        twins = sum(earlier.partition(" no. ")[0] == name for earlier in tables)
-        if flight is not None:
-            tables[f"{name} no. {twins + 1}" if twins else name] = flight
-    return tables
 
 
 def _what_was_done(content: ReportContent) -> str:

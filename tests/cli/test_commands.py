@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _fly, _output, _write, main
+from skdgp._cli import _fly, _write, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import _card
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
@@ -372,7 +372,6 @@ class TestDerivatives:
         said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")
         assert [point["airspeed"] for point in said["points"]] == [33.0, 36.0]
         assert "std" not in said["points"][0]["derivatives"]["CL"]
-        assert (tmp_path / "out" / "derivatives.png").read_bytes().startswith(b"\x89PNG")
         table = pd.read_csv(tmp_path / "out" / "derivatives.csv")
         alphas = [point["alpha"] for point in said["points"]]
         assert table.groupby("point")["alpha"].first().tolist() == pytest.approx(alphas)
@@ -381,25 +380,6 @@ class TestDerivatives:
         printed = capsys.readouterr().out
         assert printed.count("at trim") == 2
         assert printed.count("+-") > 100
-        run("derivatives", "--airspeed", "36", "--paths", "0")
-        assert "derivatives.png" not in files(tmp_path / "out")
-
-    def test_without_matplotlib(self, path, monkeypatch, capsys, tmp_path):
-        monkeypatch.setattr(_output, "find_spec", lambda name: None)
-        words = ["--airspeed", "34", "35", "--paths", "0", "-o", str(tmp_path / "out")]
-        assert main(["derivatives", path, *words]) == 0
-        said = capsys.readouterr()
-        assert "No picture: it needs pip install" in said.err
-        assert said.out.splitlines()[-1] == "wrote " + ", ".join(
-            str(tmp_path / "out" / name)
-            for name in (
-                "derivatives.csv",
-                "modes.csv",
-                "trims.csv",
-                "derivatives.json",
-            )
-        )
-        assert "derivatives.png" not in files(tmp_path / "out")
 
 
 @pytest.mark.usefixtures("few_manoeuvres")

@@ -82,7 +82,6 @@ def test_an_identification_changes_no_filter(monkeypatch):
         regressor=DependentGPRegressor(structure="trend", max_iter=5, random_state=0),
         horizons=[2.0],
     )
-    result.evaluate(example.test[example.test["time"] < 5])
     assert result.verdict.uses
     assert callers  # scikit-learn's own
     assert not {name for name in callers if name.startswith("skdgp")} - {KMEANS}

@@ -44,8 +44,8 @@ def test_a_row_for_each_output_holds_effects_and_interactions(model):
 def test_controls_in_parts_of_their_full_throw_are_shown_so(model):
     parts = copy(model)
     parts.control_units_ = {"alpha": "full throw"}  # as of a pipeline of `identify`
-    display = EffectsDisplay.from_model(parts, ax=Figure(), keys=[("CZ", "alpha")])
-    (ax,) = display.axes_.flat
+    display = EffectsDisplay.from_model(parts, ax=Figure())
+    ax = display.axes_[0, 0]
     assert ax.get_xlabel() == r"$\alpha$ [full throw]"
     np.testing.assert_allclose(ax.lines[1].get_xdata(), display.curves["alpha"].at)
 

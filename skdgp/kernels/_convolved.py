@@ -201,12 +201,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             )
         else:
             feeds = np.asarray(self.feeds, dtype=float)
-        if len(feeds) == 0:
-            raise ValueError(
-                "Got n_latent=0 without private latents, but expected at least one latent for "
-                "every output: raise "
-                "n_latent, or set private_latents=True."
-            )
         if (
             feeds.ndim != 2
             or feeds.shape[1] != P
@@ -440,33 +434,29 @@ class ConvolvedGaussian(MultiOutputKernel):
     def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
         if self.covariance_type == "full":
             return super().at_pairs(i, pairs)
-        values, moments = self.pair(i, i).at_pairs(pairs, self._columns())
+        columns: Any = slice(None)  # needs no copy
+        if self.regressors is not None:
+            columns = np.flatnonzero(~self.without_effect(self.n_features))
+        values, moments = self.pair(i, i).at_pairs(pairs, columns)
         return values, lambda w: self._theta_gradient(i, i, moments(w))
-
-    def _columns(self):
-        """Return the columns of X that the outputs depend on; of one or all a slice, which needs no copy."""
-        if self.regressors is None:
-            return slice(None)
-        columns = np.flatnonzero(~self.without_effect(self.n_features))
-        return slice(columns[0], columns[0] + 1) if len(columns) == 1 else columns
 
     def _theta_gradient(self, i, j, moments):
         """Return d/dtheta of sum(W * cov_ij), from the moments of W."""
         latents = self._common(i, j)
-        found = self.pair(i, j).gradient(moments)
+        by_w, by_widths, by_mu = self.pair(i, j).gradient(moments)
         gradients = {name: np.zeros_like(self.value(name)) for name in PARAMETERS}
-        for output, by_w, by_widths in zip((i, j), found.w, found.widths, strict=True):
-            gradients["amplitude"][latents, output] += by_w
+        for k, output in enumerate((i, j)):
+            gradients["amplitude"][latents, output] += by_w[k]
             if self.covariance_type != "full":
-                gradients["length_scale"][latents, output] += by_widths
+                gradients["length_scale"][latents, output] += by_widths[k]
                 continue
             R = self.roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
-            gradients["length_scale"][latents, output] -= (by_widths * R).sum(axis=-1)
-            by_C = by_widths / self.value("length_scale")[latents, output, :, None]
+            gradients["length_scale"][latents, output] -= (by_widths[k] * R).sum(axis=-1)
+            by_C = by_widths[k] / self.value("length_scale")[latents, output, :, None]
             below = np.tril_indices(R.shape[-1], -1)
             gradients["shear"][latents, output] += by_C[:, *below]
-        gradients["shift"][latents, i] += found.mu
-        gradients["shift"][latents, j] -= found.mu
+        gradients["shift"][latents, i] += by_mu
+        gradients["shift"][latents, j] -= by_mu
         return self.theta_gradient(gradients)
 
     def is_stationary(self) -> bool:

@@ -6,7 +6,7 @@ They are called features. Columns of X, which scikit-learn calls features, are c
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce, singledispatch
 from itertools import pairwise
 from operator import add
@@ -176,26 +176,23 @@ class LatentFeatures(ValueFeatures):
     Such a variable is a further output of the same family (Alvarez et al. 2010). A
     ConvolvedGaussian gives all covariances, with one further output for every block f of
     variables, whose
-    filter g_f is a window with length scales ``width`` (F, d). Block f is of latent
-    ``latents[f]``, at the inducing inputs ``Z[f]``.
+    filter g_f is a window with length scales ``width`` (M, d). Block m is of latent m, at the
+    inducing inputs ``Z[m]``.
     """
 
-    def __init__(
-        self, kernel: ConvolvedGaussian, latents: Iterable[int], Z: Sequence[Matrix], width: Matrix
-    ) -> None:
-        latents = [int(m) for m in latents]
-        unit = np.eye(len(kernel.value("feeds")))[:, latents]
+    def __init__(self, kernel: ConvolvedGaussian, Z: Sequence[Matrix], width: Matrix) -> None:
+        unit = np.eye(len(width))
         further = {"amplitude": unit, "feeds": unit, "length_scale": width}
         arrays: dict[str, Any] = {}
         for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
             value = kernel.value(name)
-            shape = len(value), len(latents), *value.shape[2:]
+            shape = len(value), len(value), *value.shape[2:]
             added = np.broadcast_to(further.get(name, 0.0), shape)
             arrays[name] = np.concatenate([value, added], axis=1)
         kind = "full" if kernel.covariance_type == "full" else "diag"
         joint = ConvolvedGaussian(covariance_type=kind, **arrays)
         super().__init__(kernel, Z, joint)
-        self.arguments = latents, Z, width
+        self.arguments = Z, width
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
@@ -224,17 +221,10 @@ class TrendFeatures(Features):
         return self.kernel.basis(i, X)
 
     def rows(self):
-        slope = self.kernel.value(
-            "slope_scale"
-        )  # (P, d); the columns of an output are [tau_0, tau_k (s_k - c_k)]
-        constant = np.column_stack(
-            [self.kernel.value("intercept_scale"), -slope * self.kernel.value("center")]
-        )
-        slopes = np.zeros((slope.shape[1], *constant.shape))
-        np.einsum("kik->ik", slopes[:, :, 1:])[:] = slope
-        slopes, constant = slopes.reshape(len(slopes), -1), constant.ravel()
-        variables = [self.columns(i) for i in range(self.kernel.n_outputs)]
-        return lambda X: X @ slopes + constant, variables
+        outputs = range(self.kernel.n_outputs)
+        slopes = np.hstack([self.kernel.basis_slopes(i)[:, 0] for i in outputs])
+        constant = np.hstack([self.Kfu(i, np.zeros((1, len(slopes)))) for i in outputs])
+        return lambda X: X @ slopes + constant, [self.columns(i) for i in outputs]
 
     def Kfu_derivative(self, i, X):
         slopes = self.kernel.basis_slopes(i)
@@ -308,7 +298,7 @@ def _(kernel: ConvolvedGaussian, Z):
     weight /= weight.sum(axis=1, keepdims=True)
     width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
     Z = _thinned(Z, kernel.without_effect(Z.shape[1]))
-    return LatentFeatures(kernel, range(len(w)), [Z] * len(w), width)
+    return LatentFeatures(kernel, [Z] * len(w), width)
 
 
 @inducing_features.register

@@ -44,18 +44,6 @@ class Moments(NamedTuple):
     second: Array
 
 
-class PairGradient(NamedTuple):
-    """Derivatives of sum(W * cov_ij) by the parameters of both outputs.
-
-    ``w`` (2, m) by the amplitudes; ``widths`` (2, m, d) by the logarithms of the length scales, or
-    (2, m, d, d) by the roots R; ``mu`` (m, d) by mu_i - mu_j.
-    """
-
-    w: Array
-    widths: Array
-    mu: Matrix
-
-
 class FilterPair:
     """Equation 16 of outputs i and j, for the m latent processes that feed both.
 
@@ -179,17 +167,21 @@ class FilterPair:
             parts.append((rows.sum(), first, second))
         return Moments(*(np.array(part) for part in zip(*parts, strict=True)))
 
-    def gradient(self, moments: Moments) -> PairGradient:
-        """Return the derivatives of sum(W * cov_ij), from the moments of W."""
+    def gradient(self, moments: Moments) -> tuple[Array, Array, Matrix]:
+        """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W.
+
+        By the amplitudes (2, m); by the logarithms of the length scales (2, m, d), or by the roots
+        R (2, m, d, d); and by mu_i - mu_j (m, d).
+        """
         by_w = self.c * moments.zeroth * self.w[::-1]
         zeroth = self.gain * moments.zeroth
         first = self.gain[:, None] * moments.first
         if self.full:
             second = self.gain[:, None, None] * moments.second
             by_widths = _full_slopes(zeroth, second, self.F, self.widths)
-            return PairGradient(by_w, by_widths, np.einsum("mkl,mpl,mp->mk", self.F, self.F, first))
+            return by_w, by_widths, np.einsum("mkl,mpl,mp->mk", self.F, self.F, first)
         by_widths = _diagonal_slopes(zeroth, self.gain[:, None] * moments.second, *self.widths)
-        return PairGradient(by_w, by_widths, self.F**2 * first)
+        return by_w, by_widths, self.F**2 * first
 
 
 def _diagonal_factors(li, lj):

@@ -195,11 +195,6 @@ class LinearTrend(MultiOutputKernel):
             return np.zeros(shape)
         return np.broadcast_to(self.basis_slopes(i) @ self.basis(i, Xj).T, shape)
 
-    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        if i != j:
-            return np.zeros(np.shape(Xi))
-        return np.broadcast_to((self.basis_slopes(i) @ (w @ self.basis(i, Xj))).T, np.shape(Xi))
-
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         return np.broadcast_to((self.basis_slopes(i) ** 2).sum(axis=2).T, np.shape(Xi))
 

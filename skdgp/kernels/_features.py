@@ -14,7 +14,6 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.sparse.csgraph import connected_components
 
 from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp.kernels._base import MultiOutputKernel, Sum
@@ -100,9 +99,9 @@ class Features(ABC):
 class ValueFeatures(Features):
     """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
 
-    The outputs of the kernel come first in ``joint``. An output covaries with the blocks to
-    which ``joint`` couples it, directly or through other blocks. By default ``joint`` is the kernel,
-    and the variables are values of all outputs.
+    The outputs of the kernel come first in ``joint``. Output i covaries with the blocks to
+    which ``joint`` couples it, ``blocks[i]``. By default ``joint`` is the kernel, whose outputs may
+    all be coupled.
     """
 
     def __init__(
@@ -119,10 +118,7 @@ class ValueFeatures(Features):
         edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(edges[-1])
         self._variables = [np.arange(*ends) for ends in pairwise(edges)]
-        couples = np.array([[joint.couples(a, b) for b in outputs] for a in outputs])
-        group = connected_components(couples, directed=False)[1]
-        fed = [[joint.couples(i, j) for j in outputs] for i in range(kernel.n_outputs)]
-        self.blocks = [np.flatnonzero(np.isin(group, group[mask])).tolist() for mask in fed]
+        self.blocks = [range(len(self.Z))] * kernel.n_outputs
 
     def columns(self, i: int) -> Indices:
         return np.concatenate([np.arange(0), *(self._variables[f] for f in self.blocks[i])])
@@ -150,7 +146,8 @@ class ValueFeatures(Features):
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
-        values = {id(z): paths.values(z[None]) for z in self.Z}
+        distinct = {id(z): z for z in self.Z}
+        values = {key: paths.values(z[None]) for key, z in distinct.items()}
         u = np.hstack([values[id(z)][..., f] for f, z in zip(self.outputs, self.Z, strict=True)])
         variance = [self.joint.block_diag(f, z) for f, z in zip(self.outputs, self.Z, strict=True)]
         u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)
@@ -193,6 +190,7 @@ class LatentFeatures(ValueFeatures):
         joint = ConvolvedGaussian(covariance_type=kind, **arrays)
         super().__init__(kernel, Z, joint)
         self.arguments = Z, width
+        self.blocks = [np.flatnonzero(fed).tolist() for fed in kernel.value("feeds").T]
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.datasets import _example_flights, load_example_flights
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import aerodynamic_coefficients
@@ -90,18 +90,17 @@ def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
     np.testing.assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
 
 
-def test_given_noise_may_be_a_number_deviations_or_a_covariance():
-    number, array, matrix = (fitted(given, max_iter=5) for given in (0.1, [0.1], [[0.01]]))
+def test_given_noise_may_be_a_number_or_deviations():
+    number, array = (fitted(given, max_iter=5) for given in (0.1, [0.1]))
     X = waves(seed=1)[0][:10]
-    for other in (array, matrix):
-        np.testing.assert_allclose(other.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
-        np.testing.assert_allclose(other.input_covariance_, [[0.01]])
+    np.testing.assert_allclose(array.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(array.input_covariance_, [[0.01]])
 
 
-@pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[-1.0]], [[np.nan]]])
+@pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[0.01]], [np.nan]])
 def test_nonsense_is_refused(wrong):
     with pytest.raises(
-        ValueError, match=r"Got input_noise .*expected a standard deviation, 1 of them, or a"
+        ValueError, match=r"Got input_noise .*expected a standard deviation, or 1 of them"
     ):
         fitted(wrong)
     with pytest.raises(
@@ -144,22 +143,13 @@ def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
 def test_an_interrupted_fit_counts_no_noise_twice():
     """What regressors carry is no part of the outputs' own noise, also where the search was cut short."""
     X, Y, *_ = waves()
-    calls = iter(range(1000))
 
-    def interrupted(function, theta, bounds):
-        function(theta)
-        if next(calls) > 3:
+    def press(stage, n_evaluations, log_likelihood):
+        if stage == "fit" and n_evaluations == 3:
             raise KeyboardInterrupt
-        return theta, 0.0
 
-    options = {
-        "inference": "sparse",
-        "n_latent": 1,
-        "n_inducing": 20,
-        "random_state": 0,
-        "optimizer": interrupted,
-    }
-    with pytest.warns(UserWarning, match="interrupted"):
+    options = {"inference": "sparse", "n_latent": 1, "n_inducing": 20, "random_state": 0}
+    with listening(press), pytest.warns(UserWarning, match="interrupted"):
         model = DependentGPRegressor(input_noise=0.1, **options).fit(X, Y)
     carried = np.mean(model.predict_gradient(X)[..., 0] ** 2, axis=0) * 0.1**2
     seen = np.mean((Y - model.predict(X)) ** 2, axis=0)

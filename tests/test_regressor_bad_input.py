@@ -282,13 +282,6 @@ class TestMemory:
         ):
             quick(inference="sparse", n_inducing=25).fit(X, Y)
 
-    def test_more_inducing_inputs_than_samples_are_said_to_be_a_waste(self, X, Y):
-        with pytest.warns(
-            UserWarning, match=r"Got n_inducing=31 for 30 samples.*use inference='exact'"
-        ):
-            model = quick(inference="sparse", n_inducing=31).fit(X, Y)
-        assert np.isfinite(model.predict(X, return_std=True)).all()
-
     def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
         """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
         rng = np.random.default_rng(0)

@@ -75,14 +75,6 @@ class TestMasks:
             quick().fit(X, Y).predict(masked)
 
 
-def test_a_sample_weight_of_another_length_is_refused():
-    X, Y = waves()
-    model = quick(max_iter=2, structure="trend").fit(X, Y)
-    assert model.score(X, Y, sample_weight=np.ones(40)) == pytest.approx(model.score(X, Y))
-    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
-        model.score(X, Y, sample_weight=np.ones(3))
-
-
 def test_a_width_that_ends_at_a_given_bound_is_said():
     X, _ = waves()
     y = np.sin(4 * X[:, 0])

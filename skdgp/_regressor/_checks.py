@@ -12,7 +12,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
-from skdgp._compute.linalg import column_scale, constant_columns, eigen_root
+from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.messages import warn
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.kernels import MultiOutputKernel
@@ -171,16 +171,6 @@ def check_observed(Y: np.ndarray, names: list[str]) -> None:
         )
 
 
-def warn_of_inducing(n_inducing: int, n_samples: int) -> None:
-    """Warn of more inducing inputs than samples."""
-    if n_inducing > n_samples:
-        _warn(
-            f"Got n_inducing={n_inducing} for {n_samples} samples: sparse inference is then "
-            f"slower than exact "
-            "inference. Lower n_inducing, or use inference='exact'."
-        )
-
-
 def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None) -> None:
     """Warn that inducing inputs leave a variance unexplained, ``neglected`` over the noise variance.
 
@@ -204,21 +194,12 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
     if input_noise is None or isinstance(input_noise, str):
         return input_noise
     given, d = np.asarray(input_noise, dtype=float), X.shape[1]
-    expected = f"expected a standard deviation, {d} of them, or a covariance ({d}, {d}), in the units of X."
-    if given.shape not in ((), (d,), (d, d)) or not np.isfinite(given).all():
+    expected = f"expected a standard deviation, or {d} of them, in the units of X."
+    if given.shape not in ((), (d,)) or not np.isfinite(given).all():
         raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
-    if given.ndim < 2:
-        if (given < 0).any():
-            raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
-        root = np.diag(np.broadcast_to(given, d))
-    else:
-        values = np.linalg.eigvalsh(given)
-        if not np.allclose(given, given.T) or values.min() < -1e-9 * abs(values).max():
-            raise ValueError(
-                f"Got input_noise that is not a covariance (symmetric, positive), but {expected}"
-            )
-        root = eigen_root(given)
-    noise = np.sqrt(np.einsum("dr,dr->d", root, root))
+    if (given < 0).any():
+        raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+    noise = np.broadcast_to(given, d)
     excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
     if excessive.any():
         stds = {
@@ -231,7 +212,7 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
             f"regressors {stds}, but "
             "expected less noise than signal. Give it in the units of X, one value for each column."
         )
-    return root
+    return np.diag(noise)
 
 
 def default_names(n: int) -> list[str]:
@@ -306,9 +287,8 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
         _warn(
-            f"The fit was interrupted after {best.n_evaluations} evaluations of the likelihood; "
-            f"the best "
-            "hyperparameters so far are kept. Fit again to continue.",
+            "The fit was interrupted; the best hyperparameters so far are kept. Fit again to "
+            "continue.",
             ConvergenceWarning,
         )
     elif not best.converged:
@@ -334,25 +314,17 @@ def _warn(message, category=UserWarning, stacklevel=6):
 
 def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:
     """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
-    if given is None:
+    terms = [] if given is None else given.summands()
+    bounds = [getattr(term, "length_scale_bounds", None) for term in terms]
+    if all(pair is None or isinstance(pair, str) for pair in bounds):
         return
-    ended = []
-    theirs = [term for term in given.summands() if hasattr(term, "length_scale_bounds")]
-    fitted = [term for term in kernel.summands() if hasattr(term, "length_scale_bounds")]
-    for term, found in zip(theirs, fitted[-len(theirs) :] if theirs else [], strict=True):
-        if term.length_scale_bounds is None or isinstance(term.length_scale_bounds, str):
-            continue
-        for parameter in found.free_parameters():
-            if parameter.name == "length_scale" and not parameter.fixed:
-                values = parameter.elements(found.length_scale)
-                bounds = np.broadcast_to(parameter.bounds, (*found.length_scale.shape, 2))
-                low, high = parameter.elements(bounds).T
-                ended += [
-                    f"{v:.3g}" for v in values[(values <= low * 1.001) | (values >= high / 1.001)]
-                ]
-    if ended:
+    free, theta = kernel.free_parameters(), kernel.theta
+    names = np.repeat([f.name for f in free], [f.n_elements for f in free])
+    low, high = kernel.bounds.T  # of logarithms
+    ended = (names == "length_scale") & ((theta <= low + 0.001) | (theta >= high - 0.001))
+    if ended.any():
         _warn(
-            f"Got length scales that end at a bound of length_scale_bounds: {ended[:5]}. Widen the "
-            "bounds, unless they are known to hold.",
+            "Got length scales that end at a bound of length_scale_bounds: "
+            f"{np.exp(theta[ended][:5]).round(6).tolist()}. Widen the bounds, unless they are known to hold.",
             ConvergenceWarning,
         )

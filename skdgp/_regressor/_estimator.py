@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics import r2_score
-from sklearn.utils import check_array, check_consistent_length, check_random_state
+from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, eigen_root
@@ -28,6 +28,7 @@ from skdgp._regressor._structure import (
 from skdgp.inference import (
     FunctionErrors,
     KnownSlopes,
+    Paths,
     SlopeErrors,
     function_errors,
     misfit_variance,
@@ -99,14 +100,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
-    input_noise : "auto", "learned", None, float, array (d,) or (d, d)
-        Noise of the regressors, independent between samples: standard deviations or a covariance S
-        in the units of X, or "learned" for one learned standard deviation for each regressor. With
-        the slopes J of the mean it adds J S J^T to the noise covariance of the outputs (McHutchon &
-        Rasmussen 2011). None: exact regressors. "auto" is "learned" for a log, and else None.
-    optimizer : "fmin_l_bfgs_b", callable or None
-        As in scikit-learn's ``GaussianProcessRegressor``; None keeps the starting values. The posterior
-        uses all values.
+    input_noise : "auto", "learned", None, float or array (d,)
+        Noise of the regressors, independent between samples and regressors: standard deviations in
+        the units of X, or "learned" for one learned standard deviation for each regressor. With
+        their covariance S and the slopes J of the mean it adds J S J^T to the noise covariance of
+        the outputs (McHutchon & Rasmussen 2011). None: exact regressors. "auto" is "learned" for a log, and else None.
+    optimizer : "fmin_l_bfgs_b" or None
+        None keeps the starting values. The posterior uses all values.
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
@@ -143,9 +143,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     weights_ : dict of str to ndarray (P,)
         Weight of each kind of member of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
-    n_iter_, max_iter_, n_evaluations_ : int
-        Iterations of the joint search, their largest number, and total number of evaluations of the
-        likelihood.
+    n_iter_, max_iter_ : int
+        Iterations of the joint search, and their largest number.
     interrupted_ : bool
         Whether Ctrl-C ended the search.
     converged_ : bool
@@ -186,7 +185,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             "array-like",
             None,
         ],
-        "optimizer": [StrOptions({"fmin_l_bfgs_b"}), callable, None],
+        "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "n_jobs": [Integral, None],
         "random_state": ["random_state"],
@@ -281,8 +280,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Warns
         -----
         UserWarning
-            If an output or a regressor is constant, samples with equal targets are repeated, or
-            there are more inducing inputs than samples.
+            If an output or a regressor is constant, or samples with equal targets are repeated.
         FewRowsWarning
             If there are fewer than 10 independent rows for each regressor: bands are too narrow
             then.
@@ -323,8 +321,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             searches = n_searches(self, log)
             n_matrices = 1 + 2 * searches if searches > 1 else 2
             check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)
-        else:
-            _checks.warn_of_inducing(self.n_inducing, len(X))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
         self._slopes = None
         if slopes is not None:
@@ -358,7 +354,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.input_covariance_ = root @ root.T
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         self.n_iter_ = learned.n_iter
-        self.n_evaluations_ = learned.n_evaluations
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
 
@@ -597,28 +592,29 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
             raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
         names = getattr(self, "feature_names_in_", None)
-        return self.posterior_.paths(n_paths, random_state).in_units(
-            self.center_, self.scale_, self._single, names
+        return Paths(
+            self.posterior_.paths(n_paths, random_state),
+            n_paths,
+            self.n_features_in_,
+            self.center_,
+            self.scale_,
+            self._single,
+            names,
         )
 
-    def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
+    def score(self, X: Matrix, y: Any) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
 
         It is 1 for a perfect prediction, 0 for predicting the mean. Targets y (n,) or (n, P) at X
-        (n, d), with weights (n,), are NaN where an output was not observed; outputs without targets
-        are ignored.
+        (n, d) are NaN where an output was not observed; outputs without targets are ignored.
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = self._check_targets(y, mean.shape)
-        if sample_weight is not None:
-            sample_weight = check_array(sample_weight, ensure_2d=False, input_name="sample_weight")
-            check_consistent_length(Y, sample_weight)
-        scores = []
-        for y_true, y_pred in zip(Y.T, mean.T, strict=True):
-            rows = np.isfinite(y_true)
-            if rows.any():
-                weight = None if sample_weight is None else sample_weight[rows]
-                scores.append(r2_score(y_true[rows], y_pred[rows], sample_weight=weight))
+        scores = [
+            r2_score(y_true[rows], y_pred[rows])
+            for y_true, y_pred, rows in zip(Y.T, mean.T, np.isfinite(Y.T), strict=True)
+            if rows.any()
+        ]
         return float(np.mean(scores)) if scores else float("nan")
 
     # -- likelihood and hyperparameters

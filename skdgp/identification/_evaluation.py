@@ -51,7 +51,6 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter_),
         "converged": bool(regressor.converged_),
         "interrupted": bool(regressor.interrupted_),
-        "evaluations": int(regressor.n_evaluations_),
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
         "paths_reconstructed": getattr(pipeline["flightpathreconstruction"], "used_", False),

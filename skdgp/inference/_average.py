@@ -22,9 +22,8 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import constant_columns, unexplained_variance
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths
 from skdgp.inference._posterior import Posterior, SinglePosterior
-from skdgp.kernels import MultiOutputKernel
+from skdgp.kernels import MultiOutputKernel, PathBundle
 
 NATS = 2.0
 """Cost of the hyperparameters of a process [nats for each regressor].
@@ -158,7 +157,7 @@ class AveragePosterior(Posterior):
         last = np.minimum(ends[:, None, :, None], ends[None, :, None, :])
         return np.maximum(last - first, 0.0)
 
-    def paths(self, n_paths: int, random_state: Seed) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
 
         The numbers that pick members are spread evenly, so that few paths have them in proportion
@@ -171,10 +170,10 @@ class AveragePosterior(Posterior):
         )
         seeds = rng.randint(2**31 - 1, size=len(self.members))
         bundles = [
-            each.paths(n_paths, int(seed)).bundle
-            for each, seed in zip(self.members, seeds, strict=True)
+            component.paths(n_paths, int(seed))
+            for component, seed in zip(self.members, seeds, strict=True)
         ]
-        return Paths(bundles[0].mixed(bundles[1:], member), n_paths, self.kernel.n_features)
+        return bundles[0].mixed(bundles[1:], member)
 
 
 def held_out_weights(
@@ -299,21 +298,12 @@ class CentredTerm:
 
     def __init__(self, posterior: Posterior, regressors: tuple[int, ...], X: Matrix) -> None:
         self.mixture = posterior.mixture
-        self.terms = [
-            _MemberTerm(member, regressors, X)
-            if regressors in member.kernel.term_regressors()
-            else None
-            for member in posterior.members
-        ]
-        zero = np.zeros((len(X), self.mixture.shape[1]))
-        self.values = moments(
-            self.mixture, [zero if term is None else term.values for term in self.terms]
-        )
+        self.terms = [_MemberTerm(member, regressors, X) for member in posterior.members]
+        self.values = moments(self.mixture, [term.values for term in self.terms])
 
     def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
         """Return the mean and the variance at X (n, d), (n, P) each."""
-        zero = np.zeros((2, len(X), self.mixture.shape[1]))
-        predictions = [zero if term is None else term.predict(X) for term in self.terms]
+        predictions = [term.predict(X) for term in self.terms]
         return moments(self.mixture, predictions, return_variance=True)
 
 

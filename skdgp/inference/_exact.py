@@ -18,7 +18,7 @@ from skdgp._compute.parallel import few_threads, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, log_likelihood
 from skdgp.inference._noise import draw_noise
-from skdgp.inference._paths import FREQUENCIES, Paths
+from skdgp.inference._paths import FREQUENCIES
 from skdgp.inference._posterior import SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
@@ -153,7 +153,7 @@ class ExactPosterior(SinglePosterior):
         half = triangular_solve(self.L, A.T)
         return self.kernel(Xs) - half.T @ half
 
-    def paths(self, n_paths: int, random_state: Seed) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
         rng, data = check_random_state(random_state), self.data
         with threads_for(self.size):
@@ -164,4 +164,4 @@ class ExactPosterior(SinglePosterior):
             f = np.hstack([f[:, row.ravel()[place], i] for i, place in places])
             residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
             correction = covariance_paths(self.kernel, data.X, self.solve(residual.T).T)
-            return Paths(prior + correction, n_paths, self.kernel.n_features)
+            return prior + correction

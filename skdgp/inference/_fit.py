@@ -42,14 +42,12 @@ MIN_WHITE_FRACTION = 0.01  # smallest part of an output's noise that is white me
 class Fit(NamedTuple):
     """An ExactPosterior, SparsePosterior or AveragePosterior, its hyperparameters, and how well it explains its data.
 
-    ``value`` is the log likelihood, or its bound: it compares fits of the same data.
     A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples
     are correlated.
     """
 
     posterior: Posterior
     learned: Hyperparameters
-    value: float
 
     @property
     def interrupted(self) -> bool:
@@ -85,7 +83,7 @@ def fit_exact(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
-    optimizer : "fmin_l_bfgs_b", callable or None
+    optimizer : "fmin_l_bfgs_b" or None
         None keeps the starting values.
     max_iter : int
         Iterations on the joint likelihood.
@@ -103,18 +101,15 @@ def fit_exact(
     rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     learned = search(kernel, X, Y, rows, random_state=random_state, exact=True, **options)
-    posterior = ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y))
-    return Fit(posterior, learned, posterior.log_marginal_likelihood)
+    return Fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
 
 
 def as_exact(fit: Fit, X: Matrix, Y: Matrix) -> Fit:
     """Return the exact posterior of these samples at the kernel of a sparse fit, with its own noise."""
     data = fit.learned.data(X, Y)
-    noise, n_evaluations = best_noise(fit.learned.kernel, X, Y, data)
-    n_evaluations += fit.learned.n_evaluations
-    learned = fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
-    posterior = ExactPosterior(learned.kernel, noise, data)
-    return Fit(posterior, learned, posterior.log_marginal_likelihood)
+    noise = best_noise(fit.learned.kernel, X, Y, data)
+    posterior = ExactPosterior(fit.learned.kernel, noise, data)
+    return Fit(posterior, fit.learned._replace(noise=noise))
 
 
 def fit_sparse(
@@ -175,7 +170,6 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
     posterior = SparsePosterior(learned.kernel, features, learned.noise, Data.from_table(X, Y))
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
-    value = float(posterior.log_marginal_likelihood)
     if converge and ordered:
         inflation = np.array(
             [autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T]
@@ -188,7 +182,7 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
         noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
         data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
-    return Fit(posterior, learned._replace(noise=noise), value)
+    return Fit(posterior, learned._replace(noise=noise))
 
 
 def residual_drift(posterior: Posterior, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
@@ -295,10 +289,7 @@ def average(
         return fit.marked(interrupted=True)
     posterior = AveragePosterior(members, parts, weights)
     noise = np.sum(weights * noises, axis=0)
-    n_evaluations = sum(component.learned.n_evaluations for component in fits)
-    return fit._replace(
-        posterior=posterior, learned=fit.learned._replace(noise=noise, n_evaluations=n_evaluations)
-    )
+    return Fit(posterior, fit.learned._replace(noise=noise))
 
 
 def mean_of(fits: Sequence[Fit]) -> Fit:
@@ -321,28 +312,26 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
     common = learned[0]._replace(
         noise=np.mean([part.noise for part in learned], axis=0),
         root=None if noise_of_regressors is None else covariance_root(noise_of_regressors),
-        n_evaluations=sum(part.n_evaluations for part in learned),
         converged=all(part.converged for part in learned),
     )
-    return Fit(posterior, common, fits[0].value)
+    return Fit(posterior, common)
 
 
 def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
-    Noise of the regressors propagates by ``loading`` of the whole. Only evaluations for the noise
-    count.
+    Noise of the regressors propagates by ``loading`` of the whole.
     """
     kernel = of_terms(whole.posterior.kernel, part)
-    learned = whole.learned._replace(kernel=kernel, n_evaluations=0)
+    learned = whole.learned._replace(kernel=kernel)
     if isinstance(whole.posterior, SparsePosterior):
         features = of_terms(whole.posterior.features, part)
         return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
     data = whole.posterior.data
-    noise, n_evaluations = best_noise(kernel, X, Y, data)
+    noise = best_noise(kernel, X, Y, data)
     posterior: SinglePosterior
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
     else:  # the few weights of a trend are all that there is to know, so this is exact, and small
         posterior = SparsePosterior(kernel, inducing_features(kernel, X[:1]), noise, data)
-    return Fit(posterior, learned._replace(noise=noise, n_evaluations=n_evaluations), whole.value)
+    return Fit(posterior, learned._replace(noise=noise))

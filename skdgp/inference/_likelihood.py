@@ -110,15 +110,6 @@ class Tile(NamedTuple):
     stacked: slice  # among the stacked values of all outputs
 
 
-def make_tiles(sizes, side=None):
-    """Return the tiles of outputs of the given sizes."""
-    tiles, start = [], 0
-    for i, size in enumerate(sizes):
-        tiles += _cut(Tile(i, slice(0, size), slice(start, start + size)), side or TILE)
-        start += size
-    return tiles
-
-
 def _cut(tile, side):
     row, place = tile.rows.start, tile.stacked.start
     size = tile.rows.stop - row
@@ -131,7 +122,9 @@ def _cut(tile, side):
 
 def _pairs(kernel, sizes):
     """Return the pairs of tiles on and above the diagonal that the kernel couples."""
-    tiles = make_tiles(sizes)
+    ends = np.cumsum([0, *sizes])
+    outputs = [Tile(i, slice(0, n), slice(ends[i], ends[i] + n)) for i, n in enumerate(sizes)]
+    tiles = [tile for output in outputs for tile in _cut(output, TILE)]
     pairs = list(combinations(tiles, 2))
     for tile in tiles:
         pairs += combinations_with_replacement(_cut(tile, HALF), 2)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any
 
 import numpy as np
 
 from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Matrix, Vector
+from skdgp.kernels import PathBundle
 
 FREQUENCIES = 64  # waves of each latent process in each path
 
@@ -55,13 +55,13 @@ class Paths(Sequence):
 
     def __init__(
         self,
-        bundle: Any,
+        bundle: PathBundle,
         n_paths: int,
         n_features: int,
-        center: Any = 0.0,
-        scale: Any = 1.0,
-        single: bool = False,
-        feature_names: Any = None,
+        center: Vector,
+        scale: Vector,
+        single: bool,
+        feature_names: Sequence[str] | None,
     ) -> None:
         self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
         self.center, self.scale, self.single, self.feature_names = (
@@ -69,12 +69,6 @@ class Paths(Sequence):
             scale,
             single,
             feature_names,
-        )
-
-    def in_units(self, center: Any, scale: Vector, single: bool, feature_names: Any) -> Paths:
-        """Return the paths of the outputs ``center`` + ``scale`` times these outputs."""
-        return Paths(
-            self.bundle, self.n_paths, self.n_features, center, scale, single, feature_names
         )
 
     def __len__(self):

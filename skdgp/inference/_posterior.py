@@ -13,7 +13,6 @@ from skdgp._compute.linalg import unexplained_variance
 from skdgp._compute.parallel import few_threads, thread_map
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import Paths
 from skdgp.kernels import MultiOutputKernel, PathBundle
 
 CHUNK_BYTES = 2**27  # working memory of one batch of predictions
@@ -57,7 +56,7 @@ class Posterior(ABC):
         """Return the joint covariance at Xs, (P n, P n), output-major."""
 
     @abstractmethod
-    def paths(self, n_paths: int, random_state: Seed) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples that are functions of the regressors."""
 
     @abstractmethod
@@ -87,17 +86,21 @@ class SinglePosterior(Posterior):
 
     @property
     def members(self) -> Sequence[SinglePosterior]:  # type: ignore[override]
+        """The posterior itself."""
         return [self]
 
     @property
     def parts(self) -> list[tuple[int, ...]]:  # type: ignore[override]
+        """All terms."""
         return [tuple(range(len(self.kernel.summands())))]
 
     @property
     def mixture(self) -> Matrix:  # type: ignore[override]
+        """Ones, (1, P)."""
         return np.ones((1, self.kernel.n_outputs))
 
     def samples(self) -> Data:
+        """Return the observed values."""
         return self.data
 
     @abstractmethod
@@ -135,12 +138,14 @@ class SinglePosterior(Posterior):
 
     @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._in_batches(lambda X: [self.mean_function.values(X[None])[0]], Xs, 1)[0]
         return self._in_batches(partial(self._moments, self.loading, self.kernel.block_diag), Xs, 1)
 
     @few_threads
     def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
+        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         d = np.shape(Xs)[1]
         if not return_variance:
             return self._in_batches(lambda X: [self.mean_slopes(X)], Xs, d)[0]

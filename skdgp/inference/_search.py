@@ -5,7 +5,7 @@
 3. All hyperparameters.
 4. The noise alone, if stage 3 neglected correlations between outputs.
 
-Stages 2 to 4 learn from ``some_rows``. Each stage is a call of ``Climb.run``, which maximises one
+Stages 2 to 4 learn from ``some_rows``. Each stage is a call of ``climb``, which maximises one
 likelihood from one starting point by ``maximize``.
 """
 
@@ -63,7 +63,6 @@ class Hyperparameters(NamedTuple):
     noise: Vector
     root: Matrix | None = None
     n_iter: int = 0
-    n_evaluations: int = 0
     interrupted: bool = False
     remaining: float = 0.0
     converged: bool = True
@@ -101,46 +100,29 @@ class Point(NamedTuple):
     end: Optimum
 
 
-class Climb:
-    """Runs with one optimizer: they end together after Ctrl-C, and their evaluations are counted."""
-
-    def __init__(self, optimizer: Any) -> None:
-        self.optimizer = optimizer
-        self.stop = Event()
-        self.n_evaluations = 0
-
-    def run(
-        self,
-        kernel: MultiOutputKernel,
-        noise: Vector,
-        noise_bounds: Matrix,
-        data: Data,
-        max_iter: int,
-        *,
-        tolerance: float = TOLERANCE,
-        common: bool = True,
-        noise_alone: bool = False,
-        stage: str = "fit",
-    ) -> Point:
-        """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``."""
-        objective = Objective(kernel, data, len(noise), common)
-        bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
-        if noise_alone:
-            bounds[: kernel.n_dims] = kernel.theta[:, None]
-        with threads_for(data.n_values):
-            end = maximize(
-                objective,
-                np.concatenate([kernel.theta, np.log(noise)]),
-                bounds,
-                optimizer=self.optimizer,
-                max_iter=max_iter,
-                tolerance=tolerance,
-                stage=stage,
-                stop=self.stop,
-                grid=GRID,
-            )
-        self.n_evaluations += end.n_evaluations
-        return Point(*objective.at(end.theta), end)
+def climb(
+    kernel: MultiOutputKernel,
+    noise: Vector,
+    noise_bounds: Matrix,
+    data: Data,
+    max_iter: int,
+    stop: Event,
+    *,
+    tolerance: float = TOLERANCE,
+    common: bool = True,
+    noise_alone: bool = False,
+    stage: str = "fit",
+) -> Point:
+    """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``."""
+    objective = Objective(kernel, data, len(noise), common)
+    bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
+    if noise_alone:
+        bounds[: kernel.n_dims] = kernel.theta[:, None]
+    start = np.concatenate([kernel.theta, np.log(noise)])
+    options: Any = {"max_iter": max_iter, "tolerance": tolerance, "stage": stage, "grid": GRID}
+    with threads_for(data.n_values):
+        end = maximize(objective, start, bounds, stop, **options)
+    return Point(*objective.at(end.theta), end)
 
 
 def search(
@@ -167,10 +149,10 @@ def search(
     root = np.diag(scale) if learned_root else input_noise
     if optimizer is None:
         return Hyperparameters(start, noise, None if learned_root else root)
-    climb, singles = Climb(optimizer), None
+    stop, singles = Event(), None
     if not kernel.has_values():  # stage 1
         singles, noise = _fit_outputs(
-            climb, kernel, noise, noise_bounds, X, Y, max_iter, random_state
+            kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop
         )
     # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that
     # predict better than those reached from arbitrary widths. With noisy regressors, slopes of the
@@ -181,7 +163,7 @@ def search(
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < start.n_dims or root is not None:
         half = -(-max_iter // 2)
-        coarse, noise, end = climb.run(coarse, noise, noise_bounds, data, half, common=exact)
+        coarse, noise, end = climb(coarse, noise, noise_bounds, data, half, stop, common=exact)
         n_iter = end.n_iter
         start = kernel.initialize(X, Y, random_state, singles, coarse)
     # Stage 3.
@@ -191,37 +173,36 @@ def search(
     if learned_root:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
-    best, noise, end = climb.run(start, noise, bounds, data, max_iter - n_iter, common=exact)
+    best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
     if learned_root:
-        if not (exact or callable(optimizer) or climb.stop.is_set()):
+        if not (exact or stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
             half_data = Hyperparameters(best, noise[:P], root).data(X[::2], Y[::2], 1)
-            noise = climb.run(best, noise, bounds, half_data, NOISE_STEPS, noise_alone=True).noise
+            noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
         root = root * np.sqrt(noise[P:])
     return Hyperparameters(
         best,
         noise[:P],
         root,
         n_iter=n_iter + end.n_iter,
-        n_evaluations=climb.n_evaluations,
-        interrupted=climb.stop.is_set(),
+        interrupted=stop.is_set(),
         remaining=end.remaining,
         converged=bool(end.converged or end.remaining <= IRRELEVANT_RISE * data.n_values),
     )
 
 
-def best_noise(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data) -> tuple[Vector, int]:
-    """Return the noise (P,) that is best for a kernel, and the number of evaluations of the likelihood it took.
+def best_noise(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data) -> Vector:
+    """Return the noise (P,) that is best for a kernel.
 
     It is learned from at most 1800 of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
     """
     some = data.every(-(-data.n_values // SEARCH_VALUES[1]))
     noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
-    climb = Climb("fmin_l_bfgs_b")
-    end = climb.run(kernel, noise, bounds, some, NOISE_STEPS, noise_alone=True, stage="members")
-    if climb.stop.is_set():
+    stop = Event()
+    end = climb(kernel, noise, bounds, some, NOISE_STEPS, stop, noise_alone=True, stage="members")
+    if stop.is_set():
         raise KeyboardInterrupt
-    return end.noise, climb.n_evaluations
+    return end.noise
 
 
 def _initial_noise(residual, scale):
@@ -297,7 +278,7 @@ TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 
 
 @one_blas_thread()  # two threads gain nothing on small matrices
-def _fit_outputs(climb, kernel, noise, noise_bounds, X, Y, max_iter, random_state):
+def _fit_outputs(kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop):
     """Return kernels and noise (P,) of separate fits of each output.
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
@@ -309,7 +290,6 @@ def _fit_outputs(climb, kernel, noise, noise_bounds, X, Y, max_iter, random_stat
         )
         own = slice(i, i + 1)
         fitted = _fit_output(
-            climb,
             kernel,
             noise[own],
             noise_bounds[own],
@@ -318,13 +298,14 @@ def _fit_outputs(climb, kernel, noise, noise_bounds, X, Y, max_iter, random_stat
             max_iter=max_iter,
             seed=seed,
             stage=f"output {i + 1}",
+            stop=stop,
         )
         kernels.append(fitted.kernel)
         noises.append(fitted.noise)
     return kernels, np.concatenate(noises)
 
 
-def _fit_output(climb, kernel, noise, noise_bounds, x, y, max_iter, seed, stage):
+def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop):
     """Return the Point of the fit to one output, y (n, 1), in at most twice ``max_iter`` iterations.
 
     From widths that are much too long, the nearest optimum explains everything as noise. Short
@@ -340,7 +321,7 @@ def _fit_output(climb, kernel, noise, noise_bounds, x, y, max_iter, seed, stage)
     def run(kernel, noise, step, max_iter):
         data = Data.from_table(x[::step], y[::step])
         options = {"tolerance": TOLERANCE * max(1, kernel.n_processes), "stage": stage}
-        return climb.run(kernel, noise, noise_bounds, data, max_iter, **options)
+        return climb(kernel, noise, noise_bounds, data, max_iter, stop, **options)
 
     widths = {single.theta.tobytes(): single for single in map(start, WIDTH_FACTORS)}
     step, few = max(1, len(x) // TRIAL_VALUES), min(TRIAL_ITERATIONS, max_iter)
@@ -402,8 +383,6 @@ class Optimum(NamedTuple):
     theta: np.ndarray
     value: float
     n_iter: int
-    n_evaluations: int
-    interrupted: bool
     remaining: float  # expected rise of the likelihood in as many iterations again [nats]
     converged: bool  # stopped because the likelihood no longer rose
 
@@ -418,8 +397,8 @@ class _Loss:
         self.latest = -np.inf
         self.best_values: list[float] = []  # after each evaluation
 
-    def __call__(self, theta, eval_gradient=True):
-        if self.stop is not None and self.stop.is_set():
+    def __call__(self, theta):
+        if self.stop.is_set():
             raise KeyboardInterrupt
         try:
             value, gradient = self.log_likelihood(theta)
@@ -434,7 +413,7 @@ class _Loss:
         self.latest = value
         self.best_values.append(self.value)
         notify(self.stage, len(self.best_values), self.value)
-        return (-value, -gradient) if eval_gradient else -value
+        return -value, -gradient
 
     def rise_per_evaluation(self) -> float:
         """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
@@ -446,12 +425,11 @@ def maximize(
     log_likelihood: Callable,
     theta: Vector,
     bounds: Matrix,
+    stop: Event,
     *,
-    optimizer: Any = "fmin_l_bfgs_b",
     max_iter: int = 100,
     tolerance: float = TOLERANCE,
     stage: str = "fit",
-    stop: Event | None = None,
     grid: float = 0.0,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
@@ -463,16 +441,13 @@ def maximize(
     theta : ndarray (n,)
         Starting point.
     bounds : ndarray (n, 2)
-    optimizer : "fmin_l_bfgs_b" or callable
-        A callable has scikit-learn's signature: (obj_func, initial_theta, bounds) -> theta,
-        minimum.
+    stop : threading.Event
+        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
     max_iter : int
     tolerance : float
         Stop when one iteration raises the likelihood by less than this fraction.
     stage : str
         Name of the stage for progress listeners.
-    stop : threading.Event or None
-        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
     grid : float
         Spacing of the points that are evaluated, from the lower bounds on, over the width of the
         bounds, see ``GRID``. Zero: any points.
@@ -480,7 +455,7 @@ def maximize(
     Returns
     -------
     Optimum
-        After Ctrl-C the best point so far, with ``interrupted``; the caller warns.
+        After Ctrl-C the best point so far; the caller warns.
     """
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
     step[step == 0.0] = 1.0
@@ -490,21 +465,14 @@ def maximize(
         return np.clip(nearest, *bounds.T)
 
     loss = _Loss(log_likelihood, rounded(theta), stage, stop)
-    n_iter, remaining, converged, interrupted = 0, np.inf, False, False
+    n_iter, remaining, converged = 0, np.inf, False
     try:
-        if callable(optimizer):
-            optimizer(loss, rounded(theta), bounds)
-            remaining, converged = 0.0, True  # an optimiser of the user has its own stopping rule
-        else:
-            n_iter, remaining, converged = _minimized(
-                loss, rounded(theta), bounds, rounded, max_iter, tolerance
-            )
+        n_iter, remaining, converged = _minimized(
+            loss, rounded(theta), bounds, rounded, max_iter, tolerance
+        )
     except KeyboardInterrupt:
-        interrupted = True
-        if stop is not None:
-            stop.set()
-    n_evaluations = len(loss.best_values)
-    return Optimum(loss.theta, loss.value, n_iter, n_evaluations, interrupted, remaining, converged)
+        stop.set()
+    return Optimum(loss.theta, loss.value, n_iter, remaining, converged)
 
 
 def _minimized(loss, theta, bounds, rounded, max_iter, tolerance):

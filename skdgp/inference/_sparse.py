@@ -18,6 +18,7 @@ another machine can run them.
 from __future__ import annotations
 
 from functools import cached_property, partial
+from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ from skdgp._compute.linalg import (
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import FREQUENCIES, Paths
+from skdgp.inference._paths import FREQUENCIES
 from skdgp.inference._posterior import SinglePosterior
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 
@@ -233,7 +234,7 @@ class SparsePosterior(SinglePosterior):
         V = triangular_solve(self.Lu, A)
         return self.kernel(Xs) - V.T @ (V - self.B_inverse @ V)
 
-    def paths(self, n_paths: int, random_state: Seed) -> Paths:
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples of the posterior that are functions of the regressors; u_post = Lu w, w ~ N(white, B^-1)."""
         rng = check_random_state(random_state)
         with threads_for(self.size):
@@ -242,7 +243,7 @@ class SparsePosterior(SinglePosterior):
             w = self.white[:, None] + triangular_solve(self.LB, drawn, transposed=True)
             w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
             coefficients = triangular_solve(self.Lu, np.asfortranarray(w), transposed=True).T
-            return Paths(prior + self.features.paths(coefficients), n_paths, self.kernel.n_features)
+            return prior + self.features.paths(coefficients)
 
 
 # -- shares of the samples
@@ -314,19 +315,14 @@ class Statistics(NamedTuple):
         """Prior variance that the features do not explain."""
         return self.variance - float(np.trace(self.outer))
 
-    def plus(self, other: Statistics) -> Statistics:
-        """Return the sums over these and the other samples."""
-        pairs: Any = zip(self, other, strict=True)
-        return Statistics(*(one + another for one, another in pairs))
-
 
 def compute_statistics(kernel, features, noise, Lu, shares) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
-    statistics: dict[tuple[int, ...], Statistics] = {}
-    parts = thread_map(partial(_share_sums, kernel, features, noise, Lu), shares)
-    for share, part in zip(shares, parts, strict=True):
-        earlier = statistics.get(share.outputs)
-        statistics[share.outputs] = part if earlier is None else earlier.plus(part)
+    sums = thread_map(partial(_share_sums, kernel, features, noise, Lu), shares)
+    statistics = {}
+    for outputs in dict.fromkeys(share.outputs for share in shares):
+        parts = [part for part, share in zip(sums, shares, strict=True) if share.outputs == outputs]
+        statistics[outputs] = Statistics(*(sum(terms) for terms in zip(*parts, strict=True)))
     return statistics
 
 
@@ -345,7 +341,7 @@ def _share_sums(kernel, features, noise, Lu, share):
         Y = np.nan_to_num(Y)
         weighted = np.einsum("nij,nj->ni", precision, Y)
         V = [triangular_solve(factors[i], features.Kfu(share.outputs[i], X).T) for i in outputs]
-        for i, j in _pairs(share):
+        for i, j in combinations_with_replacement(outputs, 2):
             if i == j:
                 weight = precision[:, i, i]
                 half = V[i] if (weight == 1.0).all() else V[i] * np.sqrt(weight)
@@ -354,8 +350,9 @@ def _share_sums(kernel, features, noise, Lu, share):
                 block = (V[i] * precision[:, i, j]) @ V[j].T
                 outer[places[i, j]] += block
                 outer[places[j, i]] += block.T
-            prior = _variance(kernel, share.outputs[i], share.outputs[j], X)
-            variance += (1 if i == j else 2) * precision[:, i, j] @ prior
+            if kernel.couples(share.outputs[i], share.outputs[j]):
+                prior = _variance(kernel, share.outputs[i], share.outputs[j], X)
+                variance += (1 if i == j else 2) * precision[:, i, j] @ prior
         for i in outputs:
             inner[columns[i]] += V[i] @ weighted[:, i]
         square += np.sum(Y * weighted)
@@ -391,17 +388,10 @@ def precisions(Y, loading, noise):
     return precision, log_determinants + observed.sum(axis=1) * np.log(2 * np.pi)
 
 
-def _pairs(share):
-    p = len(share.outputs)
-    return [(i, j) for i in range(p) for j in range(i, p)]
-
-
 def _variance(kernel, i, j, X):
     """Return cov(y_i(x), y_j(x)) at each row x of X, (n,)."""
     if i == j:
         return kernel.block_diag(i, X)
-    if not kernel.couples(i, j):
-        return np.zeros(len(X))
     return np.concatenate(
         [
             np.diag(kernel.block(i, j, X[rows], X[rows]))

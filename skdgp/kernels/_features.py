@@ -118,7 +118,7 @@ class ValueFeatures(Features):
         edges = np.cumsum([0, *map(len, self.Z)])
         self.size = int(edges[-1])
         self._variables = [np.arange(*ends) for ends in pairwise(edges)]
-        self.blocks = [range(len(self.Z))] * kernel.n_outputs
+        self.blocks = [list(range(len(self.Z)))] * kernel.n_outputs
 
     def columns(self, i: int) -> Indices:
         return np.concatenate([np.arange(0), *(self._variables[f] for f in self.blocks[i])])

@@ -106,7 +106,7 @@ class TestMixture:
 
     def test_paths_have_its_mean_and_covariance(self, mixture):
         n, at = 2000, AT[:4]
-        values = mixture.paths(n, 1)(at).swapaxes(1, 2).reshape(n, -1)  # output-major
+        values = mixture.paths(n, 1).values(at[None]).swapaxes(1, 2).reshape(n, -1)  # output-major
         covariance = mixture.covariance(at)
         size = np.sqrt(np.diag(covariance))
         np.testing.assert_allclose(
@@ -119,20 +119,23 @@ class TestMixture:
         """Far from the samples a trend grows, as no process does."""
         far = np.array([[1e4, 0.0], [2e4, 0.0], [3e4, 0.0]])
         paths = mixture.paths(50, 0)
-        assert len(paths[3:9]) == 6
-        np.testing.assert_allclose(paths[3:9](far), paths(far)[3:9], rtol=1e-9)
-        np.testing.assert_allclose(paths[7](AT), paths(AT)[7], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(pickle.loads(pickle.dumps(paths))(AT), paths(AT), rtol=1e-12)
-        kinds = mixture.paths(50, 0).bundle.member
-        counts = np.array([(kinds == k).sum(axis=0) for k in range(3)])
+        values, some = paths.values(far[None]), paths.take(slice(3, 9))
+        np.testing.assert_allclose(some.values(far[None]), values[3:9], rtol=1e-9)
+        again = pickle.loads(pickle.dumps(paths))
+        np.testing.assert_allclose(again.values(far[None]), values, rtol=1e-12)
+        counts = np.array([(paths.member == k).sum(axis=0) for k in range(3)])
         assert (np.abs(counts - 50 * WEIGHTS) <= 1).all()
 
     def test_slopes_of_paths_are_those_of_their_values(self, mixture):
         paths = mixture.paths(20, 0)
-        quotients = [(paths(AT + h) - paths(AT - h)) / 2e-5 for h in 1e-5 * np.eye(D)]
-        np.testing.assert_allclose(paths.gradient(AT), np.stack(quotients, axis=-1), atol=1e-6)
-        each = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
-        np.testing.assert_allclose(paths.each(each)[5], paths[5](each[5]), rtol=1e-9, atol=1e-12)
+        up, down = (
+            [paths.each((AT + h)[None]) for h in sign * 1e-5 * np.eye(D)] for sign in (1, -1)
+        )
+        slopes = np.moveaxis(np.subtract(up, down), 0, -1) / 2e-5
+        np.testing.assert_allclose(paths.gradient(AT[None]), slopes, atol=1e-6)
+        points = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
+        fifth = paths.take(slice(5, 6)).each(points[5:6])[0]
+        np.testing.assert_allclose(paths.each(points)[5], fifth, rtol=1e-9, atol=1e-12)
 
 
 def test_a_trend_of_weights_is_the_exact_posterior(data):
@@ -370,11 +373,9 @@ class TestRegressor:
         """The search has ended: what it found is kept, alone."""
         options = {"n_latent": 0, "max_iter": 5, "random_state": 0}
         joint = DependentGPRegressor(structure="joint", **options).fit(*data)
-        told = []
 
-        def press(*news):
-            told.append(news)
-            if len(told) > joint.n_evaluations_:
+        def press(stage, *news):
+            if stage == "members":
                 raise KeyboardInterrupt
 
         with listening(press), pytest.warns(UserWarning, match=r"interrupted.*kept"):

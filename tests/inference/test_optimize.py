@@ -1,5 +1,7 @@
 """Maximisation: bounds are kept, the best point is never lost, whatever happens on the way."""
 
+from threading import Event
+
 import numpy as np
 import pytest
 
@@ -22,12 +24,11 @@ def ridge(theta):
 
 
 def test_finds_the_top():
-    best = maximize(hill, np.array([4.0, 4.0]), BOUNDS)
+    best = maximize(hill, np.array([4.0, 4.0]), BOUNDS, Event())
     np.testing.assert_allclose(best.theta, [1, -2], atol=1e-4)
     assert best.value == pytest.approx(3.0)
     assert best.value == pytest.approx(hill(best.theta)[0])
-    assert 0 < best.n_iter <= best.n_evaluations
-    assert not best.interrupted
+    assert best.n_iter > 0
 
 
 def test_keeps_to_the_bounds():
@@ -38,7 +39,7 @@ def test_keeps_to_the_bounds():
         return hill(theta)
 
     bounds = np.array([[2.0, 3.0], [-1.0, 4.0]])
-    best = maximize(watched, np.array([10.0, -10.0]), bounds)
+    best = maximize(watched, np.array([10.0, -10.0]), bounds, Event())
     np.testing.assert_allclose(best.theta, [2.0, -1.0])
     seen = np.array(seen)
     assert (seen >= bounds[:, 0]).all()
@@ -46,8 +47,8 @@ def test_keeps_to_the_bounds():
 
 
 def test_iterations_are_limited():
-    few = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, max_iter=3)
-    many = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, max_iter=200)
+    few = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, Event(), max_iter=3)
+    many = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, Event(), max_iter=200)
     assert few.n_iter == 3
     assert few.value < many.value
     np.testing.assert_allclose(many.theta, 1.0, atol=1e-2)
@@ -72,7 +73,7 @@ def test_points_where_nothing_can_be_computed_are_walls(failure):
         value, gradient = partly(theta)
         return value, gradient * 40  # too steep: the first step lands behind the wall
 
-    best = maximize(eager, np.array([-4.0, 3.0]), BOUNDS)
+    best = maximize(eager, np.array([-4.0, 3.0]), BOUNDS, Event())
     assert np.isfinite(best.value)
     assert best.theta[0] <= 3.0
     assert best.value >= hill(np.array([-4.0, 3.0]))[0]
@@ -82,37 +83,9 @@ def test_a_start_that_fails_says_so_by_its_value():
     def nowhere(theta):
         raise np.linalg.LinAlgError
 
-    best = maximize(nowhere, np.zeros(2), BOUNDS)
+    best = maximize(nowhere, np.zeros(2), BOUNDS, Event())
     assert best.value == -np.inf
     np.testing.assert_array_equal(best.theta, 0.0)
-
-
-def test_the_best_point_is_kept_not_the_last():
-    def wander(objective, theta, bounds):
-        for point in ([3.0, 3.0], [1.0, -2.1], [5.0, 5.0]):
-            objective(np.array(point))
-        return np.array([5.0, 5.0]), 0.0
-
-    best = maximize(hill, np.zeros(2), BOUNDS, optimizer=wander)
-    np.testing.assert_array_equal(best.theta, [1.0, -2.1])
-    assert best.n_evaluations == 3
-
-
-def test_a_callable_has_scikit_learns_signature():
-    """As in GaussianProcessRegressor: a minimiser of the negative likelihood, gradient on request."""
-    called = []
-
-    def optimizer(obj_func, initial_theta, bounds):
-        called.append((initial_theta.copy(), bounds.copy()))
-        value, gradient = obj_func(initial_theta)
-        assert value == pytest.approx(-hill(initial_theta)[0])
-        assert obj_func(initial_theta, eval_gradient=False) == pytest.approx(value)
-        np.testing.assert_allclose(gradient, -hill(initial_theta)[1])
-        return initial_theta, value
-
-    maximize(hill, np.ones(2), BOUNDS, optimizer=optimizer)
-    np.testing.assert_array_equal(called[0][0], 1.0)
-    np.testing.assert_array_equal(called[0][1], BOUNDS)
 
 
 class TestInterrupt:
@@ -125,8 +98,9 @@ class TestInterrupt:
             points.append((ridge(theta)[0], theta.copy()))
             return ridge(theta)
 
-        best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS)
-        assert best.interrupted
+        stop = Event()
+        best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS, stop)
+        assert stop.is_set()
         value, theta = max(points, key=lambda point: point[0])
         assert best.value == value
         np.testing.assert_array_equal(best.theta, theta)

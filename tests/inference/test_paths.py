@@ -27,7 +27,7 @@ def points(problem):
 def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
     """Mean and joint covariance over paths, within what so many of them allow."""
     paths = posterior.paths(n_paths, 0)
-    values = paths(X).swapaxes(1, 2).reshape(n_paths, -1)
+    values = paths.values(X[None]).swapaxes(1, 2).reshape(n_paths, -1)
     mean, cov = posterior.predict(X).T.ravel(), posterior.covariance(X)
     std = np.sqrt(np.diag(cov))
     assert (np.abs(values.mean(axis=0) - mean) < bound * std / np.sqrt(n_paths)).all()
@@ -55,7 +55,7 @@ def test_mean_and_covariance_are_the_posteriors(problem, make):
 
 def test_slopes_have_the_posteriors_moments(one_problem, make):
     posterior, X = make(one_problem), points(one_problem)
-    slopes = posterior.paths(N_PATHS, 1).gradient(X)
+    slopes = posterior.paths(N_PATHS, 1).slopes(X[None])
     mean, variance = posterior.gradient(X, return_variance=True)
     assert (np.abs(slopes.mean(axis=0) - mean) < 5 * np.sqrt(variance / N_PATHS)).all()
     assert (
@@ -80,7 +80,7 @@ def test_a_path_is_one_function_between_two_points(one_problem, make):
     """Two points that nearly coincide have nearly one value on every path: the covariance between them counts too."""
     paths = make(one_problem).paths(50, 4)
     near = Z[:1] + np.array([[0.0, 0.0], [1e-6, 0.0]])
-    values = paths(near)
+    values = paths.values(near[None])
     np.testing.assert_allclose(values[:, 0], values[:, 1], atol=1e-4)
-    slope = paths.gradient(near)[:, 0, :, 0]
+    slope = paths.slopes(near[None])[:, 0, :, 0]
     np.testing.assert_allclose((values[:, 1] - values[:, 0]) / 1e-6, slope, rtol=1e-3, atol=1e-3)

@@ -7,7 +7,6 @@ correct model, only that the next flight is of the same kind as the flights of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from numbers import Integral, Real
 from typing import Any, Self
 
@@ -16,13 +15,12 @@ import pandas as pd
 from sklearn.base import BaseEstimator, MetaEstimatorMixin, RegressorMixin, clone
 from sklearn.model_selection import GroupKFold
 from sklearn.utils import check_array, get_tags
-from sklearn.utils.metaestimators import available_if
 from sklearn.utils.parallel import Parallel, delayed
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import column_names
 from skdgp._compute.messages import warn
-from skdgp._compute.predicting import accepts, predict_observed, predict_with_noise, unwrap
+from skdgp._compute.predicting import predict_observed, predict_with_noise, unwrap
 from skdgp._compute.sklearn_compat import (
     HasMethods,
     Interval,
@@ -30,11 +28,10 @@ from skdgp._compute.sklearn_compat import (
     fit_context,
     safe_indexing,
 )
-from skdgp._compute.statistics import check_level, half_width
-from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._compute.statistics import half_width
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.clock import flight_codes
 from skdgp._regressor import check_targets
-from skdgp.inference import Path, Paths
 from skdgp.model_selection import BlockSplit
 
 __all__ = ["CalibratedRegressor"]
@@ -42,11 +39,6 @@ __all__ = ["CalibratedRegressor"]
 N_SPLITS = 5
 MIN_ROWS = 6  # of a single flight, which is cut into two blocks of three rows
 ROUNDING = 1e-9  # levels nearer than this are equal
-
-
-def _estimator_has(name: str) -> Callable[[Any], bool]:
-    """Return a check of whether the estimator has a method, before and after ``fit``."""
-    return lambda self: hasattr(unwrap(getattr(self, "estimator_", self.estimator)), name)
 
 
 class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
@@ -70,13 +62,16 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     ``fit`` warns, and q is the quantile of the observed scores with equal weight per flight:
     consistent as K grows (Dunn et al., section 3), without a guarantee for small K.
 
+    Only bands of predictions are scaled: a simulation flies the mean. Paths, slopes and covariances
+    are of ``estimator_``.
+
     Parameters
     ----------
     estimator : regressor or Pipeline
         Its ``predict`` takes ``return_std``.
     level : float, default=0.95
         Level at which the normal interval of the scaled standard deviation is the conformal one.
-    cv : None, int, splitter, iterable or "prefit", default=None
+    cv : None, int, splitter or "prefit", default=None
         None or int: hold out whole flights, in 5 or ``cv`` folds (``GroupKFold``). A single flight
         is cut into as many blocks, 2 s apart (``BlockSplit``), with a warning: the guarantee is
         then for further blocks of that flight. "prefit": the estimator is fitted, and ``fit`` gets
@@ -97,8 +92,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         observed each output.
     calibration_scores_, calibration_units_ : ndarray (m, P), ndarray (m,) of int
         Scores of the held-out samples, NaN where an output was not observed, and their units.
-    drift_variance_, drift_memory_, misfit_variance_ : ndarray (P,)
-        As of the estimator, variances scaled; zero if it has none.
     output_names_, n_features_in_, feature_names_in_
         Column names of Y, or y0, y1, ...; the others are the estimator's.
 
@@ -122,7 +115,12 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
     _parameter_constraints: dict = {
         "estimator": [HasMethods(["fit", "predict"])],
         "level": [Interval(Real, 0, 1, closed="neither")],
-        "cv": ["cv_object", StrOptions({"prefit"})],
+        "cv": [
+            Interval(Integral, 2, None, closed="left"),
+            HasMethods(["split", "get_n_splits"]),
+            StrOptions({"prefit"}),
+            None,
+        ],
         "n_jobs": [Integral, None],
     }
 
@@ -160,8 +158,8 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         few to guarantee ``level``.
         """
         X = _check_X(X)
-        Y, self.output_names_, self._single = check_targets(y, len(X), type(self).__name__)
-        y = y if column_names(y) else Y[:, 0] if self._single else Y
+        Y, self.output_names_, is_single = check_targets(y, len(X), type(self).__name__)
+        y = y if column_names(y) else Y[:, 0] if is_single else Y
         flights = _flight_table(X, groups)
         splits = _splits_of(flights, self.cv)
         if isinstance(self.cv, str):
@@ -178,10 +176,6 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             self.estimator_ = clone(self.estimator).fit(X, y, **fit_params)
         self.unit_, units = _units_of([test for _, test in splits], flights["flight"].to_numpy())
         self._calibrate(np.concatenate(scores), units)
-        inner, zero = unwrap(self.estimator_), np.zeros(len(self.std_scale_))
-        self.drift_memory_ = getattr(inner, "drift_memory_", zero)
-        self.drift_variance_ = getattr(inner, "drift_variance_", zero) * self.std_scale_**2
-        self.misfit_variance_ = getattr(inner, "misfit_variance_", zero) * self.std_scale_**2
         return self
 
     def _calibrate(self, scores, units):
@@ -201,7 +195,7 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
             )
         self.max_level_ = self.n_units_ / (self.n_units_ + 1)
         self.guaranteed_ = self.max_level_ >= self.level - ROUNDING
-        self.std_scale_ = self._half_widths(self.level) / half_width(self.level)
+        self.std_scale_ = self._half_widths() / half_width(self.level)
         if not self.guaranteed_.all():
             few = ~self.guaranteed_
             names = [name for name, lacks in zip(self.output_names_, few, strict=True) if lacks]
@@ -216,40 +210,26 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
                 stacklevel=4,
             )
 
-    def _half_widths(self, level) -> np.ndarray:
-        """Return half the width of the interval in standard deviations, (P,)."""
+    def _half_widths(self) -> np.ndarray:
+        """Return half the width of the interval of the level in standard deviations, (P,)."""
         widths = []
         for k, column in enumerate(self.calibration_scores_.T):
             rows = ~np.isnan(column)
             scores, weights = column[rows], unit_weights(self.calibration_units_[rows])
             # the next flight weighs 1 / (K + 1)
             total = self.max_level_[k] if self.guaranteed_[k] else 1.0
-            widths.append(weighted_quantile(scores, total * weights, level))
+            widths.append(weighted_quantile(scores, total * weights, self.level))
         return np.array(widths)
 
-    def predict(
-        self, X: Any, return_std: bool = False, include_noise: bool = True, return_cov: bool = False
-    ) -> Any:
-        """Return the mean at X (n, d), and on request its standard deviation or covariance, scaled; (n, P) or (n,).
+    def predict(self, X: Any, return_std: bool = False, include_noise: bool = True) -> Any:
+        """Return the mean at X (n, d), and on request its scaled standard deviation; (n, P) or (n,).
 
         With ``return_std``, mean -/+ z std, z of the normal distribution, is the calibrated
         interval of probability ``level``: of a new measurement, as calibrated, or, without
-        ``include_noise``, of the function, scaled alike. ``return_cov`` is the joint covariance (P
-        n, P n) of the function at exact X, scaled alike. Raises ValueError if both are requested.
+        ``include_noise``, of the function, scaled alike.
         """
         check_is_fitted(self)
         X, inside = _check_X(X), unwrap(self.estimator_)
-        if return_cov:
-            if return_std:
-                raise ValueError("Got return_std and return_cov, but expected one.")
-            exact = (
-                {"include_input_noise": False}
-                if accepts(self.estimator_, "include_input_noise")
-                else {}
-            )
-            mean, covariance = inside.predict(X, return_cov=True, **exact)
-            scale = np.repeat(self.std_scale_, len(mean))
-            return mean, covariance * scale[:, None] * scale
         if not return_std:
             return self.estimator_.predict(X)
         mean, std = (
@@ -257,53 +237,10 @@ class CalibratedRegressor(MetaEstimatorMixin, RegressorMixin, BaseEstimator):
         )
         return mean, std * (self.std_scale_ if std.ndim > 1 else self.std_scale_[0])
 
-    @available_if(_estimator_has("predict_gradient"))
-    def predict_gradient(self, X: Any, return_std: bool = False) -> Any:
-        """Return the gradient of the mean at X (n, d), (n, P, d) or (n, d), and on request its scaled deviations."""
-        check_is_fitted(self)
-        gradients = unwrap(self.estimator_).predict_gradient(X, return_std=return_std)
-        return (
-            (gradients[0], gradients[1] * np.asarray(self._scale)[..., None])
-            if return_std
-            else gradients
-        )
-
-    @available_if(_estimator_has("sample_paths"))
-    def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> ScaledPaths:
-        """Draw functions from the posterior, as :meth:`skdgp.DependentGPRegressor.sample_paths`, scaled.
-
-        A path f of a posterior with mean m becomes m + s (f - m), with s the output's
-        ``std_scale_``.
-        """
-        check_is_fitted(self)
-        regressor = unwrap(self.estimator_)
-        return ScaledPaths(regressor.sample_paths(n_paths, random_state), regressor, self._scale)
-
-    @property
-    def _scale(self):
-        """Return the factors of the deviations: (P,), or a number for y of shape (n,)."""
-        return self.std_scale_[0] if self._single else self.std_scale_
-
-    def predict_interval(self, X: Any, level: float | None = None) -> tuple[Array, Array]:
-        """Return lower and upper ends of calibrated intervals of new measurements at X (n, d), shaped as the mean.
-
-        The default level is the constructor's. Above the guaranteed level of outputs whose
-        ``level`` is guaranteed, intervals are infinite, with a warning. Raises ValueError if
-        ``level`` is not inside (0, 1).
-        """
-        check_is_fitted(self)
-        level = check_level(self.level if level is None else level)
-        widths = self._half_widths(level)
-        if np.isinf(widths).any():
-            warn(
-                f"Got level={level:g}, but {self.n_units_.min()} {self.unit_}s guarantee no more "
-                f"than "
-                f"{self.max_level_.min():.3g}, so intervals are infinite: calibrate on "
-                f"{units_needed(level)} of them, or lower the level.",
-                stacklevel=2,
-            )
-        mean, std = predict_with_noise(self.estimator_, _check_X(X))
-        half = std * (widths if std.ndim > 1 else widths[0])
+    def predict_interval(self, X: Any) -> tuple[Array, Array]:
+        """Return lower and upper ends of intervals of ``level`` of new measurements at X (n, d), shaped as the mean."""
+        mean, std = self.predict(X, return_std=True)
+        half = half_width(self.level) * std
         return mean - half, mean + half
 
     def score(self, X: Any, y: Any, sample_weight: Any = None) -> float:
@@ -328,46 +265,6 @@ def _check_X(X: Any) -> Any:
     return X if hasattr(X, "columns") else check_array(X, ensure_all_finite=False)
 
 
-class ScaledPaths(Sequence):
-    """Paths f of a posterior with mean m, of a regressor, as m + scale (f - m): as `skdgp.inference.Paths`."""
-
-    def __init__(self, paths: Paths, regressor: Any, scale: Any) -> None:
-        self.paths, self.regressor, self.scale = paths, regressor, scale
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return ScaledPaths(self.paths[index], self.regressor, self.scale)
-        k = range(len(self))[index]
-        return Path(self[k : k + 1])
-
-    def __call__(self, X: Any) -> Array:
-        """Return the values of all paths at X (n, d): (n_paths, n, P), or (n_paths, n) for y of shape (n,)."""
-        return self._scaled(X, self.paths(X), self.regressor.predict, self.scale)
-
-    def each(self, X: Any) -> Array:
-        """Return the values of each path at its own points, X (n_paths, n, d), in the shape of a call."""
-        return self._scaled(X, self.paths.each(X), self.regressor.predict, self.scale)
-
-    def gradient(self, X: Any) -> Array:
-        """Return the gradients of all paths at X (n, d), or of each path at its own points, X (n_paths, n, d)."""
-        scale = np.asarray(self.scale)[..., None]
-        return self._scaled(X, self.paths.gradient(X), self.regressor.predict_gradient, scale)
-
-    def _scaled(
-        self, X: Any, values: Array, predict: Callable[[Array], Array], scale: Any
-    ) -> Array:
-        # A table of points for all paths has names, which predict expects.
-        mean = (
-            predict(X.reshape(-1, X.shape[-1])).reshape(values.shape)
-            if np.ndim(X) == 3
-            else predict(X)
-        )
-        return mean + scale * (values - mean)
-
-
 def _flight_table(X: Any, groups: Any) -> pd.DataFrame:
     """Return the number of each row's flight, and its time where X has one."""
     n, columns = len(X), getattr(X, "columns", ())
@@ -390,16 +287,7 @@ def _splits_of(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
         if cv == "prefit":
             return [(rows[:0], rows)]
         cv = GroupKFold(min(N_SPLITS, groups.nunique()) if cv is None else cv)
-    if not hasattr(cv, "split"):
-        return list(cv)
-    return list(cv.split(flights, groups=groups if _uses_groups(cv) else None))
-
-
-def _uses_groups(cv: Any) -> bool:
-    """Return whether a splitter uses groups: scikit-learn's say so, and warn of unused groups."""
-    if not type(cv).__module__.startswith("sklearn."):
-        return True
-    return bool(cv.get_metadata_routing().split.requests.get("groups"))
+    return list(cv.split(flights, groups=groups))
 
 
 def _blocks_of_one_flight(flights: pd.DataFrame, cv: Any) -> list[tuple[Indices, Indices]]:
@@ -461,10 +349,9 @@ def unit_weights(units: Indices) -> Vector:
 
 
 def weighted_quantile(scores: Vector, weights: Vector, level: float) -> float:
-    """Return the least score whose cumulative weight is ``level``; infinite if there is none."""
+    """Return the least score whose cumulative weight is ``level``."""
     order = np.argsort(scores)
-    index = np.searchsorted(np.cumsum(weights[order]), level - ROUNDING)
-    return float(scores[order][index]) if index < len(scores) else np.inf
+    return float(scores[order][np.searchsorted(np.cumsum(weights[order]), level - ROUNDING)])
 
 
 def units_needed(level: float) -> int:

@@ -15,21 +15,17 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-import pandas as pd
-from scipy.stats import norm
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._compute.messages import warn, without_warnings
+from skdgp._compute.messages import warn
 from skdgp._compute.predicting import accepts, predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
-from skdgp._flight.checks import check_columns, check_table
-from skdgp._flight.clock import flight_rows
 
 __all__ = [
-    "SCORERS", "continuous_ranked_probability_score", "interval_coverage", "median_relative_error",
-    "negative_log_predictive_density", "normalized_rmse", "score_flights", "score_outputs",
+    "SCORERS", "interval_coverage", "median_relative_error", "negative_log_predictive_density",
+    "normalized_rmse", "score_outputs",
 ]  # fmt: skip
 
 Average: TypeAlias = "str | ArrayLike"
@@ -107,43 +103,6 @@ def negative_log_predictive_density(
     target, mean, std = check_scored(y_true, y_pred, y_std)
     density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * ((target - mean) / std) ** 2
     return _aggregate(_by_output(np.mean, density, target), multioutput)
-
-
-def continuous_ranked_probability_score(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    y_std: ArrayLike,
-    *,
-    multioutput: Average = "uniform_average",
-) -> Score:
-    r"""Return the mean of the continuous ranked probability score of normal predictions.
-
-    With z = (y - m) / s (Gneiting & Raftery 2007, equation 21, there with the opposite sign)
-
-    .. math:: s \left[z (2 \Phi(z) - 1) + 2 \varphi(z) - 1 / \sqrt{\pi}\right].
-
-    It is a proper score, in units of the output and linear in a large error, so one outlier does
-    not dominate it.
-
-    Parameters
-    ----------
-    y_true, y_pred, y_std : array-like (n,) or (n, P)
-    multioutput : str or array-like (P,), default="uniform_average"
-
-    Returns
-    -------
-    float or ndarray (P,)
-        In units of the output.
-
-    Examples
-    --------
-    >>> round(continuous_ranked_probability_score([0.0, 1.0], [0.0, 0.0], [1.0, 1.0]), 4)
-    0.4181
-    """
-    target, mean, std = check_scored(y_true, y_pred, y_std)
-    z = (target - mean) / std
-    score = std * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi))
-    return _aggregate(_by_output(np.mean, score, target), multioutput)
 
 
 def interval_coverage(
@@ -265,27 +224,21 @@ class _Scorer:
 
 
 POINT = (median_relative_error, normalized_rmse)
-PROBABILISTIC = (
-    negative_log_predictive_density,
-    continuous_ranked_probability_score,
-    interval_coverage,
-)
+PROBABILISTIC = (negative_log_predictive_density, interval_coverage)
+# Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near
+# its level
 SCORERS = {
     "neg_median_relative_error": _Scorer(median_relative_error, needs_std=False),
     "neg_normalized_rmse": _Scorer(normalized_rmse, needs_std=False),
     "log_predictive_density": _Scorer(negative_log_predictive_density),
-    "neg_continuous_ranked_probability_score": _Scorer(continuous_ranked_probability_score),
     "interval_coverage": _Scorer(interval_coverage, sign=1),
 }
-"""Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near
-its level.
-"""
 
 
 def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
     """Return the metrics of each output, ``{"normalized_rmse_CX": ..., ...}``, for ``scoring=`` of ``cross_validate``.
 
-    There are five metrics where the estimator predicts standard deviations, otherwise the two that
+    There are four metrics where the estimator predicts standard deviations, otherwise the two that
     need none. Outputs are named by the columns of ``y``, or numbered.
 
     Examples
@@ -297,65 +250,11 @@ def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
     ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
     """
     rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
-    scores = _scores(safe_indexing(y, rows), *predicted)
-    return {
-        f"{metric}_{name}": float(value)
-        for metric, values in scores.items()
-        for name, value in values.items()
-    }
-
-
-def score_flights(estimator: Any, table: pd.DataFrame, Y: Any) -> pd.DataFrame:
-    """Return the metrics of a fitted estimator or pipeline by flight and output.
-
-    The table (n, ...), regressors or the flights of an identification pipeline, names flights in
-    its column ``flight``; Y (n,) or (n, P) are measured targets. The result has a row per flight
-    and output, with ``n_observed`` and the metrics of :func:`score_outputs`; NaN where an output is
-    never observed in a flight. Standard deviations include measurement noise where the estimator
-    has it. Raises ValueError if the table lacks the column.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> from sklearn.linear_model import LinearRegression
-    >>> from sklearn.pipeline import make_pipeline
-    >>> table = pd.DataFrame({"flight": ["a"] * 5 + ["b"] * 5, "alpha": np.linspace(0.0, 0.9, 10)})
-    >>> Y = pd.DataFrame({"CZ": -4.0 * table.alpha + 0.1 * (table.flight == "b")})
-    >>> from skdgp.preprocessing import RegressorSelector
-    >>> model = make_pipeline(RegressorSelector(["alpha"]), LinearRegression()).fit(table[:5], Y[:5])
-    >>> score_flights(model, table, Y)["normalized_rmse"].round(2)
-    flight  output
-    a       CZ        0.00
-    b       CZ        0.18
-    Name: normalized_rmse, dtype: float64
-    """
-    check_columns(check_table(table), ["flight"], what="table of flights")
-    values = np.asarray(Y, dtype=float).reshape(len(table), -1)
-    Y = pd.DataFrame(values, columns=output_names(Y) or range(values.shape[1]))
-    rows, *observed = predict_observed(
-        estimator, table, Y, with_std=accepts(estimator, "return_std")
-    )
-    predicted = [np.ones(values.shape) for _ in observed]  # no row without a target is scored
-    for full, part in zip(predicted, observed, strict=True):
-        full[rows] = part.reshape(len(rows), -1)
-    tables = {}
-    for name, rows in flight_rows(table["flight"]).items():
-        with without_warnings(UndefinedMetricWarning):  # the NaN shows it
-            scores = pd.DataFrame(_scores(Y.iloc[rows], *(part[rows] for part in predicted)))
-        scores.insert(0, "n_observed", Y.iloc[rows].notna().sum())
-        tables[name] = scores
-    return pd.concat(tables, names=["flight", "output"])
-
-
-def _scores(y, *predicted) -> dict[str, dict]:
-    """Return every metric that the predictions allow, by output."""
-    scores: dict[str, Any] = {
-        metric.__name__: metric(y, predicted[0], multioutput="raw_values") for metric in POINT
-    }
-    if len(predicted) > 1:
-        scores |= {
-            metric.__name__: metric(y, *predicted, multioutput="raw_values")
-            for metric in PROBABILISTIC
-        }
-    names = list(getattr(y, "columns", [])) or range(len(scores[POINT[0].__name__]))
-    return {metric: dict(zip(names, values, strict=True)) for metric, values in scores.items()}
+    found = {}
+    for metric in (*POINT, *(PROBABILISTIC if len(predicted) > 1 else ())):
+        moments = predicted if metric in PROBABILISTIC else predicted[:1]
+        values = metric(safe_indexing(y, rows), *moments, multioutput="raw_values")
+        names = list(getattr(y, "columns", [])) or range(len(values))
+        for name, value in zip(names, values, strict=True):
+            found[f"{metric.__name__}_{name}"] = float(value)
+    return found

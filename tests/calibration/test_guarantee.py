@@ -73,27 +73,6 @@ def test_without_a_guarantee_the_band_is_what_held_on_these_flights():
         model = calibrated(flights, level=0.95)
     assert not model.guaranteed_.any()
     assert np.mean([held_by(model, one) for one in flights]) == pytest.approx(0.95, abs=0.03)
-    widths = [
-        model.predict_interval(np.zeros((1, 1)), level=level)[1][0]
-        for level in (0.5, 0.8, 0.95, 0.99)
-    ]
-    assert np.isfinite(widths).all()
-    assert (np.diff(widths) > 0).all()
-
-
-def test_a_level_beyond_the_guarantee_is_infinite_and_says_so():
-    model = calibrated([flight(np.random.default_rng(k)) for k in range(4)], level=0.8)
-    assert model.guaranteed_.all()
-    assert model.max_level_ == pytest.approx(0.8)
-    with pytest.warns(
-        UserWarning,
-        match=r"Got level=0.81, but 4 flights guarantee no more than 0.8, .*calibrate on 5",
-    ):
-        lower, upper = model.predict_interval(np.zeros((2, 1)), level=0.81)
-    assert (upper == np.inf).all()
-    assert (lower == -np.inf).all()
-    finite = model.predict_interval(np.zeros((1, 1)), level=0.79)[1]
-    assert finite < model.predict_interval(np.zeros((1, 1)))[1] < np.inf
 
 
 @pytest.mark.parametrize("level", [0.3, 0.5, 0.75, 0.799])

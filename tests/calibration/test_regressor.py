@@ -92,7 +92,7 @@ class TestScikitLearnContract:
             CalibratedRegressor(pipeline(), level=0.6, cv=2),
             {"estimator__dependentgpregressor__trend": ["linear"], "level": [0.6]},
             cv=LeaveOneGroupOut(),
-            scoring=SCORERS["neg_continuous_ranked_probability_score"],
+            scoring=SCORERS["neg_normalized_rmse"],
             error_score="raise",
         )
         search.fit(*flights, groups=flights[0]["flight"].isin(["a", "b"]))  # two folds
@@ -182,50 +182,6 @@ class TestScaling:
         assert np.isfinite(upper - lower).all()
 
 
-@pytest.fixture(scope="module")
-def rows():
-    X, Y = make_flights(n=40)
-    return X[["alpha", "elevator"]].to_numpy(), Y, X["flight"]
-
-
-@pytest.fixture(scope="module")
-def inside(rows, cut_short):
-    X, Y, flight = rows
-    with cut_short():
-        return CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y, groups=flight)
-
-
-class TestFunctions:
-    def test_paths_have_the_moments_of_the_prediction(self, inside, rows):
-        at = rows[0][3:60:14] + 0.02
-        paths = inside.sample_paths(2000, random_state=0)
-        mean, std = inside.predict(at, return_std=True, include_noise=False)
-        _, covariance = inside.predict(at, return_cov=True)
-        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), std.T.ravel())
-        values = paths(at)
-        assert (np.abs(values.mean(axis=0) - mean) < 5 * std / np.sqrt(2000)).all()
-        found = np.cov(values.swapaxes(1, 2).reshape(2000, -1).T)
-        size = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(
-            found / size / size[:, None], covariance / size / size[:, None], atol=0.1
-        )
-        _, slope_std = inside.predict_gradient(at, return_std=True)
-        np.testing.assert_allclose(paths.gradient(at).std(axis=0), slope_std, rtol=0.1)
-
-    def test_of_one_output(self, rows):
-        X, Y, flight = rows
-        model = CalibratedRegressor(QUICK, cv=2, level=0.6).fit(X, Y["Cm"], groups=flight)
-        paths, at = model.sample_paths(1000, random_state=0), X[:5]
-        std = model.predict(at, return_std=True, include_noise=False)[1]
-        np.testing.assert_allclose(paths(at).std(axis=0), std, rtol=0.15)
-        assert paths.gradient(at).shape == (1000, 5, 2)
-        assert model.predict_gradient(at, return_std=True)[1].shape == (5, 2)
-
-    def test_only_where_the_estimator_has_them(self):
-        assert not hasattr(CalibratedRegressor(BayesianRidge()), "sample_paths")
-        assert hasattr(CalibratedRegressor(QUICK), "sample_paths")
-
-
 class TestErrors:
     def test_no_deviation_no_calibration(self, flights):
         with pytest.raises(TypeError, match="takes no return_std"):
@@ -245,8 +201,6 @@ class TestErrors:
         for parameters in ({"level": 95}, {"cv": "flights"}, {"cv": 1}):
             with pytest.raises(ValueError, match=f"The {next(iter(parameters))!r} parameter"):
                 CalibratedRegressor(pipeline(), **parameters).fit(*flights)
-        with pytest.raises(ValueError, match="expected a probability"):
-            model.predict_interval(flights[0], level=95)
         with pytest.raises(ValueError, match="expected at least 6"):
             CalibratedRegressor(BayesianRidge()).fit(np.zeros((4, 1)), np.zeros(4))
         with pytest.raises(ValueError, match="Got 3 flight identifiers"):

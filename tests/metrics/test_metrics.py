@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import norm
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.exceptions import UndefinedMetricWarning
@@ -21,12 +20,10 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from skdgp.metrics import (
     SCORERS,
-    continuous_ranked_probability_score,
     interval_coverage,
     median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
-    score_flights,
     score_outputs,
 )
 
@@ -34,7 +31,6 @@ METRICS = [
     median_relative_error,
     normalized_rmse,
     negative_log_predictive_density,
-    continuous_ranked_probability_score,
     interval_coverage,
 ]
 WITH_STD = METRICS[2:]
@@ -66,17 +62,7 @@ def reference(metric, y, mean, std):
             sum(0.5 * math.log(2 * math.pi * c**2) + (a - b) ** 2 / (2 * c**2) for a, b, c in seen)
             / n
         )
-    if metric is continuous_ranked_probability_score:
-        return sum(ranked_probability(a, b, c) for a, b, c in seen) / n
     return sum(abs(a - b) < 1.959963984540054 * c for a, b, c in seen) / n
-
-
-def ranked_probability(y, mean, std):
-    """The integral of (F(x) - 1{x >= y})^2 that defines the score, by the trapezium rule."""
-    low, high = np.linspace(mean - 12 * std, y, 4001), np.linspace(y, mean + 12 * std, 4001)
-    return np.trapezoid(norm.cdf(low, mean, std) ** 2, low) + np.trapezoid(
-        norm.sf(high, mean, std) ** 2, high
-    )
 
 
 @pytest.mark.parametrize("metric", METRICS)
@@ -90,16 +76,11 @@ class TestEveryMetric:
             for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
         ]
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
-        rtol = (
-            1e-5 if metric is continuous_ranked_probability_score else 1e-12
-        )  # its reference is an integral
-        np.testing.assert_allclose(got, expected, rtol=rtol)
-        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(
-            np.mean(expected), rel=rtol
-        )
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), 1e-12)
         weights = [1.0, 0.0, 3.0]
         weighted = metric(*arguments(metric, y, mean, std), multioutput=weights)
-        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=rtol)
+        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=1e-12)
 
     def test_shapes_and_types_do_not_matter(self, metric):
         y, mean, std = sample(outputs=1)
@@ -158,17 +139,6 @@ class TestMeaning:
         ]
         assert at[1] == min(at)
         assert at[1] == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.09), abs=0.02)
-
-    def test_ranked_probability_is_proper_and_in_units_of_the_output(self):
-        error = np.random.default_rng(0).normal(0, 0.3, 20_000)
-        at = [
-            continuous_ranked_probability_score(error, 0 * error, 0 * error + s)
-            for s in (0.25, 0.3, 0.36)
-        ]
-        assert at[1] == min(at)
-        assert at[1] == pytest.approx(0.3 / math.sqrt(math.pi), rel=0.01)
-        scaled = continuous_ranked_probability_score(1e3 * error, 0 * error, 0 * error + 300)
-        assert scaled == pytest.approx(1e3 * at[1])
 
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
@@ -249,34 +219,6 @@ class TestScorers:
             X[:, 0], np.zeros(40), np.full(40, 2.0)
         )
 
-    def test_scores_of_every_flight(self):
-        X = pd.DataFrame(
-            {
-                "x": np.random.default_rng(0).normal(size=60),
-                "flight": ["late"] * 20 + ["early"] * 40,
-            }
-        )
-        Y = pd.DataFrame({"CX": X["x"], "Cm": 2 * X["x"]})
-        Y.loc[X["flight"] == "late", "Cm"] = np.nan
-        Y.index = X.index = np.arange(100, 160)
-        single = score_flights(NoisyModel().fit(X, X["x"]), X, Y["CX"])
-        assert single.index.tolist() == [("late", "CX"), ("early", "CX")]
-        scores = score_flights(NoisyModel().fit(X, Y), X, Y)
-        assert list(scores) == ["n_observed", *(metric.__name__ for metric in METRICS)]
-        assert scores["n_observed"].tolist() == [20, 0, 40, 40]
-        assert scores.loc[("late", "Cm")].drop("n_observed").isna().all()
-        rows = (X["flight"] == "early").to_numpy()
-        zeros = np.zeros((40, 2))
-        for metric in METRICS:
-            expected = metric(
-                *arguments(metric, Y[rows], zeros, zeros + 2.0), multioutput="raw_values"
-            )
-            np.testing.assert_allclose(
-                scores.loc["early", metric.__name__], expected, rtol=1e-9, atol=1e-10
-            )
-        with pytest.raises(ValueError, match="lacks the columns 'flight'"):
-            score_flights(NoisyModel().fit(X, Y), X[["x"]], Y)
-
     def test_the_last_step_is_asked_for_observed_rows_alone_transformers_see_all(self):
         X = np.arange(50.0)[:, None]
         y = np.where(np.arange(50) % 5 == 0, X[:, 0], np.nan)
@@ -294,7 +236,7 @@ class TestScorers:
         ):
             for scorer in (*SCORERS.values(), score_outputs):
                 scorer(model.fit(X, X[:, 0]), X, y)
-        assert len(asked) == 12
+        assert len(asked) == 10
         for rows in asked:
             np.testing.assert_array_equal(rows, X[::5] - 24.5)
 

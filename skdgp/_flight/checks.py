@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -19,9 +19,8 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
     TRUTH_SUFFIX,
-    VANES,
 )
-from skdgp._flight.clock import flight_codes, flight_segments
+from skdgp._flight.clock import flight_segments
 
 LARGEST_ANGLE = {
     "alpha": np.pi,
@@ -32,16 +31,17 @@ LARGEST_ANGLE = {
 }
 WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
-GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
-# an angle that changes by so many times the integral of the gyros is in degrees
-CLEARLY_FASTER = 57.3**0.5
-NO_TURN = 0.1  # change in a second [rad] that needs no turn
-FASTEST_TURN = {
-    "phi": 2 * np.pi,
-    "psi": np.pi,
-}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
-# of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
-SLOW_TURN, MOST_TURNS = (1.0, 10.0)
+FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
+# 99 % of the values of a flight are smaller [rad, rad/s]
+USUAL = {
+    **dict.fromkeys(("alpha", "beta", "theta"), 1.7),
+    **{name: LARGEST_ANGLE[name] + ANGLE_NOISE for name in WRAPPED},
+    **dict.fromkeys(ALL_SURFACES, 1.6),
+    **dict.fromkeys(RATES, 20.0),
+}
+# median of the size of an angle in degrees, but for roll and heading; a guess
+LARGEST_MIDDLE = 30.0
+LONGEST_STEP = 5.0  # s
 # Names in other programs and textbooks, in lower case
 ALIASES = {
     **dict.fromkeys(("ias", "tas", "va", "vtas", "vias", "aspd"), "airspeed"),
@@ -56,14 +56,13 @@ ALIASES = {
     "gx": "p", "gy": "q", "gz": "r", "gyrx": "p", "gyry": "q", "gyrz": "r",
     "accx": "ax", "accy": "ay", "accz": "az",
 }  # fmt: skip
+WRAP = " Roll and heading in radians can be wrapped by numpy.angle(numpy.exp(1j * psi))."
 NO_AIRSPEED = (
     " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: give a "
     "column airspeed [m/s]."
 )
 MOST_NAMES = 8  # unknown columns that a message names
 HEADING_UNIT = re.compile(r"[\[(].*")
-ENOUGH = 5  # least number of changes to judge an angle by
-FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
 # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
 LARGEST_DEFLECTION = 0.7
 
@@ -213,70 +212,68 @@ def _lacking(needed: Iterable[str], names: list[str]) -> str:
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass.
-
-    Roll and heading may be unwrapped: see `is_unwrapped`.
-    """
+    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
     for name in names:
-        values = (
-            np.abs(table[name].to_numpy(float, na_value=np.nan)) if name in table else np.empty(0)
-        )
+        most = LARGEST_ANGLE[name] + ANGLE_NOISE if name in LARGEST_ANGLE else FASTEST_RATE
+        values = np.abs(_values(table, name))
         top = np.max(values, initial=0.0, where=np.isfinite(values))
-        if (
-            name in LARGEST_ANGLE
-            and top > LARGEST_ANGLE[name] + ANGLE_NOISE
-            and not is_unwrapped(table, name)
-        ):
-            raise degrees_error(
-                f"{name} up to {top:g}",
-                f"radians, at most {LARGEST_ANGLE[name]:.3f}",
-                f"flight[{name!r}]",
-                name,
-            )
-        if name in RATES and top > FASTEST_RATE:
-            raise degrees_error(
-                f"{name} up to {top:g}", f"rad/s, at most {FASTEST_RATE:g}", f"flight[{name!r}]"
-            )
+        if top > most:
+            expected = f"{'rad/s' if name in RATES else 'radians'}, at most {most:.4g}"
+            raise degrees_error(f"{name} up to {top:g}", expected, f"flight[{name!r}]", name)
 
 
-def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
-    """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
+def check_units(table: pd.DataFrame) -> None:
+    """Raise ValueError if the numbers of a flight are in degrees, per cent, g or milliseconds.
 
-    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees
-    change 57 times as fast. Without gyros, it begins within a turn, as unwrapping leaves it, turns
-    slowly, and a few times only. A tenth of the seconds may be faster, so spikes do not count.
+    A hundredth of the values may be faults. Warn of surfaces that are probably commands.
     """
-    if name not in GYROS or "time" not in table:
-        return False
-    angle = _values(table, name)
-    sampled = np.isfinite(angle)
-    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table), int)
-    steps = np.abs(np.diff(angle[sampled]))[np.diff(codes[sampled]) == 0]
-    change = np.abs(_over_a_second(table, angle))
-    if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
-        return False
-    fastest = float(np.nanquantile(change, 0.9))
-    turned = np.hypot.reduce(
-        [_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]]
-    )
-    if _any_finite(turned) and fastest > 0:
-        return fastest <= min(
-            max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name]
+    tops = {name: _quantile(np.abs(_values(table, name)), 0.99) for name in USUAL}
+    degrees = {name: round(top, 1) for name, top in tops.items() if top > USUAL[name]}
+    middles = {name: _quantile(np.abs(_values(table, name)), 0.5) for name in degrees}
+    shifted = {
+        name: round(middle, 1)
+        for name, middle in middles.items()
+        if middle > LARGEST_MIDDLE and name not in WRAPPED
+    }
+    if shifted:
+        raise ValueError(
+            f"Got {shifted} as medians of angles, more than an aircraft flies at even in degrees: "
+            f"these look like the values of another column. Check that each name in the header "
+            f"stands above its own values."
         )
-    begins = np.abs(angle[sampled][np.r_[0, 1 + np.flatnonzero(np.diff(codes[sampled]))]])
-    turns = np.quantile(np.abs(angle[sampled]), 0.99) / (2 * np.pi)
-    return bool(
-        begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS
-    )
+    if degrees:
+        raise ValueError(
+            f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "
+            f"per second: these look like degrees. Convert them with numpy.deg2rad, or say the "
+            f"unit in the header, as in 'alpha [deg]'." + WRAP * bool(degrees.keys() & {*WRAPPED})
+        )
+    if (throttle := _quantile(_values(table, "throttle"), 0.99)) > 1.5:
+        raise ValueError(
+            f"Got throttle up to {throttle:g}, but expected 0 to 1: divide it by its full range "
+            f"(100 for per cent, or 'throttle [%]' in the header)."
+        )
+    force = _quantile(_size(table, SPECIFIC_FORCE), 0.5)
+    if 0.5 < force < 2.0:
+        raise ValueError(
+            f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near "
+            f"9.8 m/s^2: this looks like g. Multiply by 9.80665, or say the unit in the header, as "
+            f"in 'az [g]'."
+        )
+    step = _quantile(np.diff(_values(table, "time")), 0.5)
+    if step > LONGEST_STEP:
+        raise ValueError(
+            f"Got a median time step of {step:g}, but expected seconds: this looks like "
+            f"milliseconds or microseconds. Divide time by 1e3 or 1e6, or say the unit in the "
+            f"header, as in 'time [ms]'."
+        )
+    _warn_of_commands(table)
 
 
 def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
-    wrap = (
-        f" If it is unwrapped, use numpy.angle(numpy.exp(1j * {name}))." if angle in GYROS else ""
-    )
     return ValueError(
-        f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name}).{wrap}"
+        f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name})."
+        + WRAP * (angle in WRAPPED)
     )
 
 
@@ -290,7 +287,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> list[slice]:
     check_columns(check_table(flight), needed)
     numeric(flight, needed)
     segments = flight_segments(flight["time"].to_numpy(float), flight.get("flight"))
-    for check in (_airspeed, _density, _angles, warn_of_commands, _rates, _accelerations):
+    for check in (_airspeed, _density, check_units, _roll_rate, _accelerations):
         check(flight)
     return segments
 
@@ -311,67 +308,50 @@ def check_airspeed(flight: pd.DataFrame) -> None:
 def _airspeed(flight: pd.DataFrame) -> None:
     check_airspeed(flight)
     airspeed = _values(flight, "airspeed")
-    if not _any_finite(airspeed):
-        return
-    middle = np.nanmedian(airspeed)
+    middle = _quantile(airspeed, 0.5)
     if (slow := airspeed < 0.2 * middle).any():
         _warn(
             f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its "
-            f"median ({middle:.1f} "
-            "m/s), where noise over rho V^2 / 2 drowns the coefficients: is the part on the "
-            "ground still in the "
-            "flight? Cut it, e.g. flight[flight.airspeed > 5]."
+            f"median ({middle:.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is "
+            f"the part on the ground still in the flight? Cut it, e.g. "
+            f"flight[flight.airspeed > 5]."
         )
-    ground = np.sqrt(sum(_values(flight, name) ** 2 for name in EARTH_VELOCITY))
-    if _any_finite(ground) and not 0.5 < (ratio := middle / np.nanmedian(ground)) < 1.8:
+    ratio = middle / _quantile(_size(flight, EARTH_VELOCITY), 0.5)
+    if ratio < 0.5 or ratio > 1.8:
         _warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "
-            f"be m/s (1.94: "
-            "airspeed in knots; 3.6: in km/h). Ignore this only if the wind was that strong."
+            f"be m/s (1.94: airspeed in knots; 3.6: in km/h). Ignore this only if the wind was "
+            f"that strong."
         )
 
 
 def _density(flight: pd.DataFrame) -> None:
     density = _values(flight, "density")
-    if not _any_finite(density):
-        return
-    middle = np.nanmedian(density)
-    if not 0.05 < middle < 2.5 or np.nanmin(density) <= 0:
+    lowest, middle = _quantile(density, 0.0), _quantile(density, 0.5)
+    if lowest <= 0 or middle <= 0.05 or middle >= 2.5:
         raise ValueError(
-            f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air "
-            f"in kg/m^3 (1.225 "
-            "at sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
+            f"Got density from {lowest:g} to {np.nanmax(density):g}, but expected air in kg/m^3 "
+            f"(1.225 at sea level): convert it, or use "
+            f"skdgp.dynamics.standard_density(altitude)."
         )
-    altitude = _values(flight, "altitude")
-    if _any_finite(altitude) and LOWEST <= (height := np.nanmedian(altitude)) <= HIGHEST:
+    height = _quantile(_values(flight, "altitude"), 0.5)
+    if LOWEST <= height <= HIGHEST:
         standard = float(standard_density(height))
-        if not 0.8 < middle / standard < 1.25:
+        if middle < 0.8 * standard or middle > 1.25 * standard:
             _warn(
                 f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of "
-                f"the standard "
-                f"atmosphere at the median altitude {height:.0f} m: check the units of both."
+                f"the standard atmosphere at the median altitude {height:.0f} m: check the units "
+                f"of both."
             )
 
 
-def _angles(flight: pd.DataFrame) -> None:
-    check_radians(flight, LARGEST_ANGLE)
-    for name in VANES:
-        values = np.abs(_values(flight, name))
-        if _any_finite(values) and (middle := np.nanmedian(values)) > 0.7:
-            angle = f"{middle:.2f} rad ({np.rad2deg(middle):.0f} deg)"
-            _warn(f"The median |{name}| is {angle}, but expected radians: these look like degrees.")
-
-
-def warn_of_commands(flight: pd.DataFrame) -> None:
+def _warn_of_commands(flight: pd.DataFrame) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
-    values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES if name in flight}
-    large = {
-        name: np.nanpercentile(angles, 99) for name, angles in values.items() if _any_finite(angles)
-    }
+    values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES}
     large = {
         name: top
-        for name, top in large.items()
-        if top > LARGEST_DEFLECTION or (values[name] == 1).sum() > 1
+        for name, angles in values.items()
+        if (top := _quantile(angles, 0.99)) > LARGEST_DEFLECTION or (angles == 1).sum() > 1
     }
     if large:
         surfaces = ", ".join(
@@ -379,71 +359,56 @@ def warn_of_commands(flight: pd.DataFrame) -> None:
         )
         _warn(
             f"Got surfaces up to {surfaces}, more than most servos reach: if these are commands from "
-            f"-1 to 1, multiply "
-            "each by its largest deflection [rad]."
+            f"-1 to 1, multiply each by its largest deflection [rad]."
         )
 
 
-def _rates(flight: pd.DataFrame) -> None:
-    check_radians(flight, RATES)
-    change = np.angle(np.exp(1j * _over_a_second(flight, _values(flight, "phi"))))
-    integral = _over_a_second(flight, _values(flight, "p"), rate=True)
-    good = np.isfinite(change) & np.isfinite(integral)
-    turned, gyro = (
-        np.sqrt(np.mean(turn[good] ** 2)) if good.any() else 0.0 for turn in (change, integral)
-    )
-    if min(turned, gyro) > 0.02 and not 1 / 15 < gyro / turned < 15:
+def _roll_rate(flight: pd.DataFrame) -> None:
+    """Raise ValueError if the roll rate and the changes of roll over seconds are of different units."""
+    time, phi, p = (_values(flight, name) for name in ("time", "phi", "p"))
+    rows = max(round(1.0 / np.median(np.diff(time))), 1) if len(time) > 1 else 1
+    seconds = np.arange(0, len(time) - rows, rows)
+    turned = _quantile(np.abs(np.angle(np.exp(1j * np.diff(phi[::rows])))), 0.9)
+    changes = p * np.diff(time, append=np.nan)
+    gyro = _quantile(np.abs(np.add.reduceat(changes, seconds)), 0.9) if seconds.size else np.nan
+    ratio = gyro / turned if turned > 0.02 and gyro > 0.02 else 1.0
+    if ratio < 1 / 15 or ratio > 15:
         raise ValueError(
-            f"The roll rate p integrates to {gyro / turned:.3g} times the change of phi, but "
-            f"expected about 1: one "
-            "of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad on it, and on q and r "
-            "as on p."
+            f"The roll rate p integrates to {ratio:.3g} times the change of phi, but "
+            f"expected about 1: one of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad "
+            f"on it, and on q and r as on p."
         )
-
-
-def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = False) -> np.ndarray:
-    """Return by how much values change over about a second of a flight, or of a rate its integral; NaN in gaps."""
-    time = _values(flight, "time")
-    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(time), int)
-    longest = int(np.bincount(codes).max())
-    if longest < 3:
-        return np.full(len(time), np.nan)
-    step = np.nanmedian(np.diff(time))
-    lag = min(max(round(1.0 / step), 1), longest // 2)
-    unbroken = (codes[lag:] == codes[:-lag]) & (
-        np.abs(time[lag:] - time[:-lag] - lag * step) < step
-    )
-    sums = np.convolve(values, np.ones(lag), mode="valid")[: len(time) - lag] * step
-    return np.where(unbroken, sums if rate else values[lag:] - values[:-lag], np.nan)
 
 
 def _accelerations(flight: pd.DataFrame) -> None:
-    specific = np.stack([_values(flight, name) for name in SPECIFIC_FORCE], axis=-1)
-    sizes = np.linalg.norm(specific, axis=-1)
-    if not _any_finite(sizes):
-        return
-    if not 3.0 < (size := np.nanmedian(sizes)) < 300.0:
+    size, down = (
+        _quantile(_size(flight, SPECIFIC_FORCE), 0.5),
+        _quantile(_values(flight, "az"), 0.5),
+    )
+    if size < 3.0 or size > 300.0 or down > 3.0:
         _warn(
-            f"The median specific force |(ax, ay, az)| is {size:.3g} m/s^2, but level flight "
-            f"gives 9.8: multiply by "
-            "9.80665 if these are g; if gravity was subtracted from them, add it (an "
-            "accelerometer reads specific "
-            "force)."
-        )
-    elif (down := np.nanmedian(specific[:, 2])) > 3.0:
-        _warn(
-            f"The median az is {down:+.2f} m/s^2, but z points down and level flight gives about "
-            f"-9.8: change the "
-            "signs of ay and az if the sensor's z points up."
+            f"The median specific force is {size:.3g} m/s^2, its az {down:+.2f} m/s^2, but level "
+            f"flight gives 9.8 and -9.8: an accelerometer reads specific force, so add gravity if "
+            f"it was subtracted, and change the signs of ay and az if the sensor's z points up."
         )
 
 
-def _values(flight: pd.DataFrame, name: str) -> np.ndarray:
-    return flight[name].to_numpy(float) if name in flight else np.full(len(flight), np.nan)
+def _values(flight: pd.DataFrame, name: str) -> Vector:
+    return (
+        flight[name].to_numpy(float, na_value=np.nan)
+        if name in flight
+        else np.full(len(flight), np.nan)
+    )
 
 
-def _any_finite(values: np.ndarray) -> bool:
-    return bool(np.isfinite(values).any())
+def _size(flight: pd.DataFrame, names: Iterable[str]) -> Vector:
+    return np.linalg.norm([_values(flight, name) for name in names], axis=0)
+
+
+def _quantile(values: Vector, fraction: float) -> float:
+    """Return a quantile of the finite values, NaN of none."""
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, fraction)) if finite.size else np.nan
 
 
 def _warn(text: str) -> None:

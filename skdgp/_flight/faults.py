@@ -64,11 +64,6 @@ LEAST_HOLD = 0.3  # shorter holds [s] are no fault
 FEWEST_HELD = 6  # repeated values, at least, to estimate the resolution of a channel
 MOST_ON_STEP = 0.9  # fraction of such values that are multiples of the resolution
 OFF_STEP = 0.1  # tolerance of such multiples, as a fraction of the resolution
-LEAST_STOP = 0.5  # least time at the extreme value of a surface at its stop [s]
-STANDS = 3.0  # a surface stands still where a run of equal values is so many times as long as usual
-FEWEST_LEVELS = 20  # a surface with fewer values between its extremes is a command in steps
-# a surface held at its extremes so many times as long as it moves is not stopped, but switched
-MOST_HELD = 4.0
 # a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
 SPIKE = 8.0
 WIDEST_SPIKE = 3
@@ -85,7 +80,6 @@ REMEDY = {
     "impossible": "not measured; write missing values as empty cells",
     "spike": "not measured",
     "constant": "a dead sensor, or none: drop the column unless the flight was simulated so",
-    "saturated": "kept; the effect of larger angles is not known",
 }
 
 
@@ -198,10 +192,6 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
             rows = spike_rows(values, angle=name in WRAPPED)
             if rows.size:
                 yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
-        elif name in ALL_SURFACES:
-            for rows in saturated_rows(values, step):
-                text = f"stands at its extreme value {values[rows[0]] + 0.0:.4g} {_times(rows)}, as at a stop"
-                yield name, "saturated", rows, text
     yield from _dead(channels, len(time))
 
 
@@ -260,52 +250,37 @@ def _times(rows: np.ndarray) -> str:
     return "once" if n == 1 else f"{n} times"
 
 
-class Runs(NamedTuple):
-    """Runs of equal values: first row, length in rows, and length over the usual length."""
-
-    start: np.ndarray
-    length: np.ndarray
-    k: np.ndarray
-    chance: np.ndarray  # Expected number of runs at least so long in the flight
-
-
-def equal_runs(values: np.ndarray) -> Runs:
-    """Return the runs of equal values and how probable they are."""
-    start = np.flatnonzero(np.r_[True, np.diff(values) != 0])
-    length = np.diff(np.r_[start, len(values)])
-    k = np.floor(length / np.median(length))
-    share = (1 + np.sum(length >= 1.5 * np.median(length))) / (1 + len(length))
-    return Runs(start, length, k, len(length) * share ** (k - 1))
-
-
 def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     """Return the rows of each run where a sensor repeats its last value, improbably often."""
     rows = np.flatnonzero(np.isfinite(values))
     readings = values[rows]
     if len(rows) < ENOUGH or np.ptp(readings) == 0:
         return []
-    runs = equal_runs(readings)
-    leap = np.abs(np.diff(readings[runs.start], append=np.nan))
+    start = np.flatnonzero(np.r_[True, np.diff(readings) != 0])
+    length = np.diff(np.r_[start, len(readings)])
+    k = np.floor(length / np.median(length))
+    share = (1 + np.sum(length >= 1.5 * np.median(length))) / (1 + len(length))
+    chance = len(length) * share ** (k - 1)  # expected number of runs at least so long
+    leap = np.abs(np.diff(readings[start], append=np.nan))
     steps = leap[:-1]
-    quantum = max(np.quantile(steps, 0.01), _resolution(readings[runs.start[runs.length > 1]]))
+    quantum = max(np.quantile(steps, 0.01), _resolution(readings[start[length > 1]]))
     bend = (
-        np.median(np.abs(np.diff(readings[runs.start], 2))) / np.median(steps)
+        np.median(np.abs(np.diff(readings[start], 2))) / np.median(steps)
         if len(steps) > 1
         else np.inf
     )
-    stuck = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_HOLD)
+    stuck = (chance < IMPROBABLE) & (length * step >= LEAST_HOLD)
     stuck &= ~(
         leap <= 3 * quantum
     )  # a channel that turns back repeats its value, and leaves it by one quantum
     if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
         stuck &= leap > np.quantile(steps, 0.99)
-    levels, counts = np.unique(readings[runs.start[stuck]], return_counts=True)
+    levels, counts = np.unique(readings[start[stuck]], return_counts=True)
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
-    again = np.isin(readings[runs.start], levels[counts > 1])
+    again = np.isin(readings[start], levels[counts > 1])
     stuck &= ~(again & (leap <= np.quantile(steps, 0.99)))
     return [
-        rows[first + 1 : first + n]
-        for first, n in zip(runs.start[stuck], runs.length[stuck], strict=True)
+        rows[first + 1 : first + n] for first, n in zip(start[stuck], length[stuck], strict=True)
     ]
 
 
@@ -349,32 +324,6 @@ def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
     return np.concatenate(
         [sampled[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [sampled[:0]]
     )
-
-
-def saturated_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
-    """Return the rows at the smallest and the largest value, each where a surface that else moves is held there.
-
-    A command in steps, or a stick, is also held elsewhere or hardly moves between its levels: that
-    is no stop.
-    """
-    rows = np.flatnonzero(np.isfinite(values))
-    readings = values[rows]
-    if len(rows) < ENOUGH or np.ptp(readings) == 0:
-        return []
-    runs = equal_runs(readings)
-    level = readings[runs.start]
-    ends = (level == readings.min()) | (level == readings.max())
-    long = (runs.chance < IMPROBABLE) & (runs.length * step >= LEAST_STOP)
-    moves = ~ends & (runs.length < STANDS * np.median(runs.length))
-    held, elsewhere, moving = (int(runs.length[part].sum()) for part in (long & ends, ~ends, moves))
-    if len(np.unique(level[moves])) < FEWEST_LEVELS or moving < max(
-        elsewhere / 2, held / MOST_HELD
-    ):
-        return []
-    if np.sum(long & ~ends) * 2 > np.sum(long & ends):
-        return []
-    held_there = (long & (level == extreme) for extreme in (readings.min(), readings.max()))
-    return [rows[np.repeat(held, runs.length)] for held in held_there if held.any()]
 
 
 def usual_spacing(values: np.ndarray) -> float:

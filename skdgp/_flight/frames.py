@@ -10,11 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
-
-from skdgp._compute.messages import warn
-from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, WIND
 
 
 def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -119,33 +115,6 @@ def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     u, v, w = _components(velocity)
     # atan2 keeps beta accurate near 90 degrees and defined at rest, where asin(v / V) is neither.
     return np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arctan2(v, np.hypot(u, w))
-
-
-def with_air_data(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight table with airspeed, alpha and beta, of u, v, w if it has these and no air data.
-
-    If it has the wind, and the attitude, they are relative to the wind. If it has no wind, the air
-    is taken to be still, with a warning. Tables without u, v, w, or with any air data, are returned
-    as they are.
-    """
-    if not set(BODY_VELOCITY) <= set(table.columns) or set(AIR_DATA) & set(table.columns):
-        return table
-    velocity = table[list(BODY_VELOCITY)].to_numpy(float, na_value=np.nan)
-    if set(WIND) & set(table.columns):
-        if not {*WIND, *EULER} <= set(table.columns):
-            return table
-        phi, theta, psi = table[list(EULER)].to_numpy(float, na_value=np.nan).T
-        velocity = velocity - ned_to_body(
-            euler_to_quaternion(phi, theta, psi), table[list(WIND)].to_numpy(float)
-        )
-    else:
-        warn(
-            "The table has u, v, w but neither air data nor wind, so airspeed, alpha and beta are "
-            "relative to still air. "
-            "Add wind_north, wind_east, wind_down if there was wind.",
-            stacklevel=4,
-        )
-    return table.assign(**dict(zip(AIR_DATA, air_data(velocity), strict=True)))
 
 
 def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray:

@@ -204,25 +204,13 @@ def reversed_surfaces(table: pd.DataFrame) -> list[str]:
 
 
 def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
-    contradictions = [Contradiction(flight, *fault) for fault in _magnitudes(table)]
+    contradictions: list[Contradiction] = []
     windows, signals = _reduced(table)
     while signals and len(contradictions) < MOST and (best := _most_probable(windows, signals)):
         cause, message, is_sign = best
         contradictions.append(Contradiction(flight, cause.channels, message, is_sign))
         signals = cause.correct(signals)
     return contradictions
-
-
-def _magnitudes(table: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield controls that are too large for radians, or for a share."""
-    for name in (*SURFACES, *ELEVONS, "throttle"):
-        if name in table and pd.api.types.is_numeric_dtype(table[name]):
-            most, unit = (1.5, "percent") if name == "throttle" else (np.pi / 2, "degrees")
-            values = np.abs(table[name].to_numpy(float, na_value=np.nan))
-            large = float(np.nanquantile(values, 0.95)) if np.isfinite(values).any() else 0.0
-            if large > most:
-                fault = f"{name} is probably in {unit}: convert it; 5 % of its values are beyond {large:.3g}"
-                yield (name,), f"{fault} ({CHANNELS[name].unit or 'a share'} at most {most:.3g})"
 
 
 class Windows(NamedTuple):

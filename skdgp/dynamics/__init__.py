@@ -4,7 +4,7 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The interface to a regressor is a flight table and a table of the six coefficients.
 """
 
-from skdgp._flight.atmosphere import Atmosphere, standard_atmosphere, standard_density
+from skdgp._flight.atmosphere import standard_density
 from skdgp._flight.frames import (
     air_data,
     air_velocity,
@@ -68,7 +68,6 @@ __all__ = [
     "Aerodynamics",
     "Air",
     "Aircraft",
-    "Atmosphere",
     "Clock",
     "FlightComputer",
     "GustyAir",
@@ -118,7 +117,6 @@ __all__ = [
     "scaling_of",
     "simulate",
     "stability_derivatives",
-    "standard_atmosphere",
     "standard_density",
     "trajectory_bands",
     "trim",

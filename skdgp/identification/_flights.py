@@ -23,7 +23,6 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, check_table, suggestions
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.frames import with_air_data
 from skdgp._flight.physics import block_means, find_contradictions
 from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import FlightCheck
@@ -112,7 +111,6 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
 
 
 def _checked_columns(table, needed, path=None) -> pd.DataFrame:
-    table = with_air_data(table)
     try:
         check_columns(table, needed)
     except ValueError as error:

@@ -6,7 +6,7 @@
 from skdgp.io._autopilot import AUTOPILOTS, is_log
 from skdgp.io._inspect import LogSummary, inspect_log, names_servos, servo_template
 from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
-from skdgp.io._read import read_flight, read_flights
+from skdgp.io._read import read_flight
 from skdgp.io._servos import FULL_THROW, Throw, read_servos, reversed_of
 from skdgp.io._tables import FlightReadError
 
@@ -26,7 +26,6 @@ __all__ = [
     "is_log",
     "names_servos",
     "read_flight",
-    "read_flights",
     "read_servos",
     "reversed_of",
     "servo_template",

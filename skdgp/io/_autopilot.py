@@ -45,7 +45,6 @@ LEAST_RATIO = 1.2  # least ratio of rates of a channel that is low-passed
 LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
 MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
 MOST_GAPS = 0.05  # larger fractions of gaps are the pauses between bursts; a guess
-LEAST_GAP = 0.5  # seconds of a gap that is worth a remark
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
@@ -146,7 +145,7 @@ def on_one_clock(
                 table, origins = with_specific_force(table, origins)
             origin |= origins
             parts.append(Part(part, sources, table, find_segments(table, log, part, speed)))
-    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless), *_gap_remarks(parts)]
+    remarks = [*log.remarks, *remarks, *dict.fromkeys(useless)]
     return FlightLog(log, parts, origin, speed, remarks)
 
 
@@ -307,16 +306,6 @@ def _landed(time, log, topics):
         return None
     last = np.searchsorted(topics[name].time, time, side="right") - 1
     return (topics[name][field] == value)[np.maximum(last, 0)]
-
-
-def _gap_remarks(parts):
-    """Yield a remark on the longest gap of each topic that has some."""
-    for part in parts:
-        for source in {source.name.split(".")[0]: source for source in part.sources}.values():
-            if pauses := gaps(source.time):
-                begin, length = max(pauses, key=itemgetter(1))
-                name = f"{source.name} ({' '.join(source.columns)})"
-                yield f"{name} has {len(pauses)} gaps, the longest of {length:.2f} s at {begin:.2f} s"
 
 
 def _check_options(rate, airborne, imu_position):
@@ -545,13 +534,6 @@ def usual_step(step: Vector) -> float:
     gap = step > GAP * median
     bursts = gap.mean() > MOST_GAPS and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step)) if bursts else median
-
-
-def gaps(time: Vector) -> list[tuple[float, float]]:
-    """Return beginnings and lengths [s] of the gaps between two or more increasing times."""
-    step = np.diff(time)
-    long = step > max(LEAST_GAP, GAP * usual_step(step))
-    return list(zip(time[:-1][long].tolist(), step[long].tolist(), strict=True))
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:

@@ -104,12 +104,10 @@ SERVOS = {
 }  # fmt: skip
 MOST_SERVOS = 16
 # Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
-# commands that go up and right; of flaperons left = aileron + flap, right = aileron - flap
-# (ArduPlane/servos.cpp)
+# commands that go up and right (ArduPlane/servos.cpp)
 MIXES = {
     "elevator": {79: -0.5, 80: -0.5},
     "rudder": {79: -0.5, 80: 0.5},
-    "aileron": {24: 0.5, 25: 0.5},
 }
 Outputs: TypeAlias = Topic | Mapping[str, Any]
 Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
@@ -270,25 +268,14 @@ def servos_of(
 
 
 def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
-    """Return elevator and rudder of a V-tail, aileron of flaperons, where all their servos are logged."""
+    """Return elevator and rudder of a V-tail where both servos are logged."""
     numbers = _outputs_by_function(outputs, parameters, name)
     mixing: Mixing = {}
     for control, weights in MIXES.items():
         if set(weights) <= set(numbers):
             channels = [_channel(name, numbers[function], parameters) for function in weights]
-            signs = [_flaperon_sign(outputs, channels), 1.0] if control == "aileron" else [1.0, 1.0]
-            signed = np.multiply(signs, list(weights.values())).tolist()
-            mixing[control] = tuple(zip(signed, channels, strict=True))
+            mixing[control] = tuple(zip(weights.values(), channels, strict=True))
     return mixing
-
-
-def _flaperon_sign(outputs: Outputs, channels: list[ServoChannel]) -> float:
-    """Return -1 if the left flaperon moves against the right one, as in later versions; else 1."""
-    moves_left, moves_right = (
-        (-1.0) ** channel.turned * np.diff(outputs[channel.channel.partition(".")[2]])
-        for channel in channels
-    )
-    return -1.0 if moves_left @ moves_right < 0 else 1.0
 
 
 def _outputs_by_function(outputs, parameters, name) -> dict[int, int]:

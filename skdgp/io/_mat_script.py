@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import pickle
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,17 +18,16 @@ from scipy.io import loadmat
 OVERHEAD = 2**31  # bytes of addresses that NumPy and SciPy take without a file
 
 
-def _vectors(place: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the vectors of real numbers or texts in a struct, with their places, such as ``log.time``."""
-    if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _vectors(f"{place}.{key}".lstrip("."), part)
-        return
-    values = np.atleast_1d(np.asarray(value))
-    is_number = values.dtype.kind in "biuf"
-    is_text = not is_number and all(isinstance(text, str) for text in values.ravel())
-    if values.size and values.ndim == 1 and (is_text or is_number):
-        yield place, values.astype(str if is_text else float)
+def _vectors(struct: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the vectors of real numbers or texts in a struct."""
+    vectors = {}
+    for name, value in struct.items():
+        values = np.atleast_1d(np.asarray(value))
+        kind = float if values.dtype.kind in "biuf" else str
+        is_text = all(isinstance(text, str) for text in values.ravel())
+        if values.size and values.ndim == 1 and (kind is float or is_text):
+            vectors[name] = values.astype(kind)
+    return vectors
 
 
 def main() -> None:
@@ -40,8 +38,10 @@ def main() -> None:
 
         resource.setrlimit(resource.RLIMIT_AS, (OVERHEAD + 2 * room, OVERHEAD + 2 * room))
     content = loadmat(path, appendmat=False, simplify_cells=True)
-    variables = {name: value for name, value in content.items() if not name.startswith("__")}
-    vectors = pickle.dumps(dict(_vectors("", variables)), protocol=5)
+    loose = {name: value for name, value in content.items() if not name.startswith("__")}
+    structs = {"": loose} | {name: part for name, part in loose.items() if isinstance(part, dict)}
+    tables = {name: _vectors(part) for name, part in structs.items()}
+    vectors = pickle.dumps(tables, protocol=5)
     if len(vectors) > room:
         sys.exit(f"it takes {len(vectors) >> 20} MiB when unpacked, more than {room >> 20}")
     sys.stdout.buffer.write(vectors)

@@ -1,9 +1,9 @@
-"""read_flight and read_flights: files to flight tables."""
+"""read_flight: a file to a flight table."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,15 +13,13 @@ import pandas as pd
 
 from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.checks import suggestions, unknown_columns, unknown_columns_message
-from skdgp._flight.clock import check_clock, flight_codes, part_restarts
-from skdgp._flight.faults import FlightDataWarning, seconds_origin
-from skdgp._flight.frames import with_air_data
+from skdgp._flight.checks import check_units, suggestions, unknown_columns, unknown_columns_message
+from skdgp._flight.clock import check_clock, flight_codes
+from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
-    check_magnitudes,
     check_names,
     read_csv,
     read_mat,
@@ -40,7 +38,7 @@ PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
 def read_flight(
-    path: PathLike | Iterable[PathLike],
+    path: PathLike,
     *,
     flight: str | None = None,
     rate: float | None = None,
@@ -53,8 +51,7 @@ def read_flight(
 
     A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are
     converted. Columns that the vocabulary does not know are kept,
-    ``table.attrs["unknown_columns"]``. A table that has u, v, w but neither airspeed, alpha nor
-    beta gets them: relative to the wind if it has wind and attitude, else of still air.
+    ``table.attrs["unknown_columns"]``.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where
     slower, NaN in gaps) and cut into flights; ``table.attrs["sources"]`` names the message of each
@@ -63,11 +60,10 @@ def read_flight(
 
     Parameters
     ----------
-    path : str or path, or several
+    path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.mat`` (MATLAB v5 to v7:
         vectors named as columns, loose or in one struct), ``.ulg`` (PX4) and ``.tlog`` (MAVLink
-        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot). Several: as
-        :func:`read_flights`.
+        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -116,13 +112,6 @@ def read_flight(
     1  0.02  sortie_7  0.785  0.2
     """
     options = {"rate": rate, "servos": servos, "airborne": airborne, "imu_position": imu_position}
-    if not isinstance(path, (str, Path)) and isinstance(path, Iterable):
-        if flight is not None:
-            raise TypeError(
-                "Got several paths and one flight, but expected a mapping of flight identifier to "
-                "path."
-            )
-        return read_flights(path, rename=rename, **options)
     path = Path(path)
     with reading(path):
         if is_log(path):
@@ -152,58 +141,6 @@ def read_flight(
         if flight is not None or "flight" not in table:
             table["flight"] = path.stem if flight is None else flight
         return _as_flight(table)
-
-
-def read_flights(
-    paths: Iterable[PathLike] | Mapping[str, PathLike], **options: Any
-) -> pd.DataFrame:
-    r"""Read several logs into one table, flight after flight.
-
-    ``paths`` is an iterable, or a mapping of flight identifier to path, which names the flights
-    itself; ``options`` are as for :func:`read_flight`, for all files. The table is as of
-    :func:`read_flight`, with a new index. Columns that some files lack are NaN there, with a
-    warning. Raises FlightReadError as :func:`read_flight`, or if two files hold a flight of the
-    same name.
-
-    Examples
-    --------
-    >>> import pathlib, tempfile
-    >>> folder = pathlib.Path(tempfile.mkdtemp())
-    >>> for name in ("morning", "noon"):
-    ...     _ = (folder / f"{name}.csv").write_text("time,alpha\n0,0.1\n0.02,0.2\n")
-    >>> read_flights(sorted(folder.glob("*.csv"))).flight.unique().tolist()
-    ['morning', 'noon']
-    """
-    if isinstance(paths, (str, Path)) or not isinstance(paths, Iterable):
-        raise TypeError(f"Got {paths!r}, but expected several paths: use read_flight for one.")
-    named = list(paths.items()) if isinstance(paths, Mapping) else [(None, path) for path in paths]
-    if not named:
-        raise FlightReadError("Got no path, but expected at least one.")
-    tables = [read_flight(path, flight=flight, **options) for flight, path in named]
-    path_of: dict[str, PathLike] = {}
-    for (_, path), table in zip(named, tables, strict=True):
-        for name in table["flight"].unique():
-            if name in path_of:
-                raise FlightReadError(
-                    f"Got flight {name!r} in both {path_of[name]} and {path}, but expected each "
-                    f"once: give a mapping "
-                    "of flight identifier to path."
-                )
-            path_of[name] = path
-    every = dict.fromkeys(name for table in tables for name in table.columns)
-    lacking = {
-        str(path): names
-        for (_, path), table in zip(named, tables, strict=True)
-        if (names := [name for name in every if name not in table])
-    }
-    if lacking:
-        warn(f"Files lack columns that others have; they are NaN there: {lacking}.", stacklevel=2)
-    unknown = list(dict.fromkeys(name for table in tables for name in table.attrs[UNKNOWN]))
-    for table in tables:
-        table.attrs = {}  # pandas compares them
-    joined = pd.concat(tables, ignore_index=True)
-    joined.attrs[UNKNOWN] = unknown
-    return joined
 
 
 def _from_autopilot(path, flight, options):
@@ -251,7 +188,6 @@ def _as_flight(table):
             f"or compute it."
         )
     table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
-    table = _split_at_restarts(_without_repeats(table))
     time = table["time"].to_numpy()
     if np.isnan(time).any():
         raise FlightReadError(
@@ -260,10 +196,9 @@ def _as_flight(table):
         )
     try:
         check_clock(time, table["flight"])
+        check_units(table)
     except ValueError as error:
         raise FlightReadError(*error.args) from error
-    check_magnitudes(table)
-    table = with_air_data(table)
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
     table = table[order]
     table.attrs = {UNKNOWN: unknown_columns(table)}
@@ -301,42 +236,6 @@ def _flight_names(flight):
         int(name) if isinstance(name, float) and name.is_integer() else name for name in names
     ]
     return np.array([str(name).strip() for name in numbered], dtype=object)[codes]
-
-
-def _without_repeats(table):
-    """Return the table without rows that equal the row before them."""
-    repeated = table["time"].diff() == 0
-    repeated = repeated & table.duplicated() if repeated.any() else repeated
-    if not repeated.any():
-        return table
-    warn(
-        f"{int(repeated.sum())} rows repeat the row before them exactly (first: row "
-        f"{int(np.argmax(repeated))}) and "
-        "are dropped.",
-        stacklevel=4,
-    )
-    return table[~repeated].reset_index(drop=True)
-
-
-def _split_at_restarts(table):
-    """Return the table with a flight of its own for each part of a flight whose clock was restarted."""
-    time = table["time"].to_numpy()
-    names, restarts = part_restarts(time, table["flight"].to_numpy())
-    if not restarts.size:
-        return table
-    origin = seconds_origin(time)
-    steps = [
-        f"from {time[row - 1] - origin:.6g} s to {time[row] - origin:.6g} s at row {row}: "
-        f"{names[row]!r}"
-        for row in restarts[:8]
-    ]
-    warn(
-        f"Time goes back where a clock was restarted, and from there on flights are named apart "
-        f"({'; '.join(steps)}).",
-        FlightDataWarning,
-        stacklevel=4,
-    )
-    return table.assign(flight=names)
 
 
 def _hint_at_names(table):

@@ -1,4 +1,4 @@
-"""Servo files (TOML): pulse widths to surface angles and to controls of any mixing; templates."""
+"""Servo files (TOML): pulse widths to surface angles; mixing by the autopilot's parameters; templates."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS, SURFACES
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS
 from skdgp.io._log import Log, ServoChannel
 from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
-MIXING = "mixing"
 KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
 # What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to
 # 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
@@ -73,14 +72,12 @@ def read_servos(
 
     ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel,
     angle in rad), or ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at
-    ``max`` [rad] (the angle at ``min`` is its negative; two numbers give both). ``reversed = true``
-    turns the sign of all angles. Or in one line the angle at full throw, ``elevator = "25 deg"``,
+    ``max`` [rad] (the angle at ``min`` is its negative). ``reversed = true`` turns the sign of all
+    angles. Or in one line the angle at full throw, ``elevator = "25 deg"``,
     or with its standard deviation ``"25 +- 2 deg"``, of the servos that the autopilot's parameters
     name.
 
-    Surfaces that make controls together have any names and weights in ``[mixing]``, as in
-    ``rudder = {fin = 0.5, nose = -0.5}``: the control is the weighted sum of angles. Raises
-    FlightReadError if the file is no TOML, or a surface or number makes no sense.
+    Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------
@@ -96,49 +93,7 @@ def read_servos(
             raise FlightReadError(
                 f"Got {servos} as the servo file, but expected TOML: {error}"
             ) from error
-    weights = _weights(servos.get(MIXING, {}))
-    mixed = {name for parts in weights.values() for name in parts}
-    entries = {
-        name: _servo(name, entry, (*MOVED, *mixed))
-        for name, entry in servos.items()
-        if name != MIXING
-    }
-    mixtures = {}
-    for control, parts in weights.items():
-        mixture = [
-            (weight, servo)
-            for name, weight in parts.items()
-            if isinstance(servo := entries.get(name), Servo)
-        ]
-        if len(mixture) < len(parts) or control in entries:
-            raise FlightReadError(
-                f"Got {control} as a mixture of {list(parts)}, but expected a channel of each of "
-                f"these in the servo "
-                f"file, and none of the {control} itself."
-            )
-        if len({servo.channel.partition(".")[0] for _, servo in mixture}) > 1:
-            raise FlightReadError(
-                f"Got channels of several topics for the {control}, but expected one topic."
-            )
-        mixtures[control] = Mixture(tuple(mixture))
-    return {name: servo for name, servo in entries.items() if name not in mixed} | mixtures
-
-
-def _weights(mixing: Any) -> dict[str, dict[str, float]]:
-    """Return the weights of surfaces in the controls that they make."""
-    try:
-        weights = {
-            control: {name: float(weight) for name, weight in parts.items()}
-            for control, parts in mixing.items()
-        }
-    except (AttributeError, TypeError, ValueError):
-        weights = {"": {}}
-    if not set(weights) <= set(SURFACES) or not all(weights.values()):
-        raise FlightReadError(
-            f"Got mixing = {mixing!r}, but expected weights of surfaces for some of "
-            f"{list(SURFACES)}, as in rudder = {{fin = 0.5, nose = -0.5}}."
-        )
-    return weights
+    return {name: _servo(name, entry) for name, entry in servos.items()}
 
 
 def reversed_of(servos: Any) -> tuple[str, ...] | None:
@@ -215,12 +170,9 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
     return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
-def _servo(name, entry, surfaces) -> Servo | Throw:
-    if name not in surfaces:
-        raise FlightReadError(
-            f"Got {name!r} in the servo file, but expected one of {list(MOVED)}, or a name with "
-            f"its weight in mixing."
-        )
+def _servo(name, entry) -> Servo | Throw:
+    if name not in MOVED:
+        raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
         return _throw(name, entry)
     if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
@@ -256,17 +208,15 @@ def _pairs(name: str, entry: dict) -> np.ndarray:
     try:
         points = entry.get("points")
         if points is None:
-            deflection = entry["deflection"]
-            first, last = deflection if isinstance(deflection, list) else (-deflection, deflection)
-            points = [(entry["min"], first), (entry["trim"], 0.0), (entry["max"], last)]
+            angle = entry["deflection"]
+            points = [(entry["min"], -angle), (entry["trim"], 0.0), (entry["max"], angle)]
         pairs = np.array(sorted([float(value), float(angle)] for value, angle in points))
     except (KeyError, TypeError, ValueError, OverflowError):
         pairs = np.empty((0, 2))
     if len(pairs) < 2:
         raise FlightReadError(
-            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad] "
-            f"(one number, or two: at min and at max), or points, pairs of numbers as in "
-            f"[[1100, -0.35], [1900, 0.35]]."
+            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad], "
+            f"or points, pairs of numbers as in [[1100, -0.35], [1900, 0.35]]."
         )
     return pairs
 

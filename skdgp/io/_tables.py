@@ -20,8 +20,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._flight.channels import ALL_SURFACES, CHANNELS, RATES, SPECIFIC_FORCE, TRUTH_SUFFIX
-from skdgp._flight.checks import ANGLE_NOISE, GYROS, LARGEST_ANGLE, is_unwrapped, warn_of_commands
+from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io import _mat_script
 
@@ -43,16 +42,6 @@ SPELLINGS = {
     "1": "", "kts": "kt", "knots": "kt", "m/s2": "m/s^2", "m/s²": "m/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2",
     "deg/s2": "deg/s^2", "°/s²": "deg/s^2", "kg/m3": "kg/m^3", "kg/m³": "kg/m^3", "nm": "N m", "n": "N",
 }  # fmt: skip
-
-# Above these the 99th percentile of a flight is not in radians.
-LIMITS = {
-    **dict.fromkeys(("alpha", "beta", "theta"), 1.7),
-    **dict.fromkeys(ALL_SURFACES, 1.6),
-    **dict.fromkeys(RATES, 20.0),
-}
-LONGEST_STEP = 5.0  # s
-# median of the size of an angle in degrees, but for roll and heading; a guess
-LARGEST_MIDDLE = 30.0
 
 
 class FlightReadError(ValueError):
@@ -158,67 +147,6 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
         if factor != 1.0:
             converted[name] = to_floats(table[name]) * factor
     return table.assign(**converted)
-
-
-def check_magnitudes(table: pd.DataFrame) -> None:
-    """Raise FlightReadError if the numbers of a column are in degrees, per cent, g or milliseconds.
-
-    Warn of surfaces that are probably commands from -1 to 1.
-    """
-    limits = LIMITS | {name: LARGEST_ANGLE[name] + ANGLE_NOISE for name in GYROS}
-    large = {name: _typical_maximum(table, name) for name in limits if name in table}
-    degrees = {
-        name: round(most, 1)
-        for name, most in large.items()
-        if most > limits[name] and not (name in GYROS and is_unwrapped(table, name))
-    }
-    middles = {name: float(np.nanmedian(np.abs(table[name]))) for name in degrees}
-    shifted = {name: round(most, 1) for name, most in middles.items() if most > LARGEST_MIDDLE}
-    if shifted.keys() - GYROS.keys():
-        raise FlightReadError(
-            f"Got {shifted} as medians of angles, more than an aircraft flies at even in degrees: "
-            f"these look like the values of another column. Check that each name in the header "
-            f"stands above its own values."
-        )
-    if degrees:
-        raise FlightReadError(
-            f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "
-            f"per second: these "
-            "look like degrees. Convert them with numpy.deg2rad, or say the unit in the header, "
-            "as in 'alpha [deg]'."
-            + " Roll and heading in radians can be wrapped by numpy.angle(numpy.exp(1j * psi))."
-            * bool(degrees.keys() & GYROS)
-        )
-    if "throttle" in table and (most := _typical_maximum(table, "throttle")) > 1.5:
-        raise FlightReadError(
-            f"Got throttle up to {most:g}, but expected 0 to 1: divide it by its full range (100 "
-            f"for per cent, or "
-            "'throttle [%]' in the header)."
-        )
-    if {*SPECIFIC_FORCE} <= {*table}:
-        sizes = np.linalg.norm(table[list(SPECIFIC_FORCE)].to_numpy(float), axis=1)
-        sizes = sizes[np.isfinite(sizes)]
-        force = float(np.median(sizes)) if sizes.size else np.nan
-        if 0.5 < force < 2.0:
-            raise FlightReadError(
-                f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected "
-                f"near 9.8 m/s^2: this "
-                "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'."
-            )
-    warn_of_commands(table)
-    step = np.median(np.diff(table["time"].to_numpy(float))) if len(table) > 1 else 0.0
-    if step > LONGEST_STEP:
-        raise FlightReadError(
-            f"Got a median time step of {step:g}, but expected seconds: this looks like "
-            f"milliseconds or microseconds. "
-            "Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'."
-        )
-
-
-def _typical_maximum(table, name) -> float:
-    values = np.abs(table[name].to_numpy(float))
-    values = values[np.isfinite(values)]
-    return float(np.percentile(values, 99)) if values.size else 0.0
 
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
@@ -342,7 +270,8 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
         for place, name in enumerate(names)
         if base_name(name) in CHANNELS and name != "flight"
     ]
-    n_rows, cut, examples, marks = 0, "", {}, "" if separator == "," else ",."
+    n_rows, cut = 0, ""
+    examples = dict.fromkeys("" if separator == "," else ",.")
     for cells in records:
         if len(cells) < 2 and not "".join(cells).strip():
             continue
@@ -354,25 +283,18 @@ def _check_rows(records, names, separator, above) -> tuple[int, str, str]:
             if any(cell.strip() for cell in cells[width:]):
                 raise _uneven(remark, width, separator)
             cut = remark if len(cells) < needed else ""
-        for mark in marks:
-            if mark in "".join(cells):
-                cell = next(
-                    (
-                        cells[k]
-                        for k in numbers
-                        if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])
-                    ),
-                    None,
-                )
-                if cell is not None:
-                    examples[mark], marks = cell, marks.replace(mark, "")
-    if len(examples) == 2:
+        for mark, example in examples.items():
+            decimals = (
+                cells[k] for k in numbers if k < len(cells) and DECIMAL[mark].fullmatch(cells[k])
+            )
+            examples[mark] = example or next(decimals, None)
+    if examples and all(examples.values()):
         raise FlightReadError(
             f"Got {examples[',']!r} with a decimal comma and {examples['.']!r} with a decimal "
-            f"point, but expected one "
-            "kind: write all with a point, and no separators of thousands."
+            f"point, but expected one kind: write all with a point, and no separators of "
+            f"thousands."
         )
-    return n_rows, cut, "," if "," in examples else "."
+    return n_rows, cut, "," if examples.get(",") else "."
 
 
 def _uneven(remark, width, separator):
@@ -420,24 +342,19 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
         check_width(len(schema.names))
         check_names(name.strip() for name in schema.names)
         fields = [field for field in schema if not field.name.startswith(INDEX)]
-        columns = [field.name for field in fields if _has_one_value(field.type, pyarrow.types)]
-        left_out = {field.name: str(field.type) for field in fields if field.name not in columns}
-        for name, kind in left_out.items():
-            if base_name(name.strip()) in CHANNELS:
-                raise FlightReadError(
-                    f"Got column {name!r} of type {kind}, but expected one value in each row: "
-                    f"write one column for each value."
-                )
-        if left_out:
-            warn(
-                f"{path.name}: columns that hold neither numbers, texts nor times are left out: "
-                f"{left_out}.",
-                FlightDataWarning,
-                stacklevel=4,
+        nested = {
+            field.name: str(field.type)
+            for field in fields
+            if not _has_one_value(field.type, pyarrow.types)
+        }
+        if nested:
+            raise FlightReadError(
+                f"Got columns of types {nested}, but expected one value in each row: drop them, "
+                f"or write one column for each value."
             )
         packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
-        check_room(max(8 * size.num_rows * len(columns), packed), room_for(path.stat().st_size))
-        table = file.read(columns=columns).replace_schema_metadata(None)
+        check_room(max(8 * size.num_rows * len(fields), packed), room_for(path.stat().st_size))
+        table = file.read(columns=[field.name for field in fields]).replace_schema_metadata(None)
     return table.to_pandas()
 
 
@@ -495,23 +412,20 @@ def _refusal(reason: str) -> FlightReadError:
     )
 
 
-def _mat_table(vectors: dict[str, np.ndarray]) -> pd.DataFrame:
-    """Return the only table with ``time`` among vectors, named ``struct.field`` or ``name``."""
-    check_width(len(vectors))
-    tables: dict[str, dict[str, np.ndarray]] = {}
-    for place, vector in vectors.items():
-        struct, _, name = place.rpartition(".")
-        tables.setdefault(struct, {})[name] = vector
-    timed = {name: columns for name, columns in tables.items() if "time" in columns}
+def _mat_table(structs: dict[str, dict[str, np.ndarray]]) -> pd.DataFrame:
+    """Return the only table with ``time`` among vectors of structs, and those without a struct, named ""."""
+    timed = {name: columns for name, columns in structs.items() if "time" in columns}
     if len(timed) != 1:
         names = [name or "loose vectors" for name in timed]
-        lacking = f"no vector 'time' among {sorted(vectors)[:12]}"
+        vectors = sorted(name for columns in structs.values() for name in columns)
+        lacking = f"no vector 'time' among {vectors[:12]}"
         raise FlightReadError(
             f"Got {f'several tables, {names}' if names else lacking}, but expected one: vectors "
             "of equal length, loose or in one struct (of a MATLAB table: table2struct(T, "
             "'ToScalar', true))."
         )
     (columns,) = timed.values()
+    check_width(len(columns))
     n = len(columns["time"])
     lengths = {name: len(vector) for name, vector in columns.items() if len(vector) != n}
     uneven = {name: length for name, length in lengths.items() if base_name(name) in CHANNELS}

@@ -40,8 +40,6 @@ SHORT_MESSAGES = (  # classes of pyulog that may raise struct.error, which ends 
     *("_MessageInfo", "_MessageParameterDefault", "MessageLogging", "MessageLoggingTagged"),
     "MessageDropout",
 )
-# least last byte of a version that is an alpha, beta or release, not a state of development
-RELEASED = 64
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
@@ -136,7 +134,8 @@ def read_ulog(path: Path) -> Log:
     try:
         with redirect_stdout(io.StringIO()):  # where pyulog tells of damage
             log, order, lost = _parsed(file)
-    except (ULogException, EOFError) as error:
+            version = log.get_version_info_str() or "development"
+    except (ULogException, EOFError, TypeError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
     topics = {}
     for data_set in log.data_list:
@@ -159,7 +158,7 @@ def read_ulog(path: Path) -> Log:
         topics=topics,
         rules=RULES,
         parameters=parameters,
-        firmware=_firmware(log.msg_info_dict),
+        firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}",
         vehicle=_vehicle(topics, parameters),
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
@@ -258,16 +257,6 @@ def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     sampled = fields["timestamp_sample"]
     believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
     return np.where(believed, sampled, published)
-
-
-def _firmware(information: Mapping[str, Any]) -> str:
-    name, release = information.get("sys_name") or "PX4", information.get("ver_sw_release")
-    if isinstance(release, int) and release & 255 >= RELEASED:
-        version = f" {release >> 24 & 255}.{release >> 16 & 255}.{release >> 8 & 255}"
-    else:
-        version = " development " + str(information.get("ver_sw") or "")[:8]
-    board = information.get("ver_hw")
-    return f"{name}{version.rstrip()}" + (f" on {board}" if board else "")
 
 
 def _vehicle(topics, parameters) -> str | None:

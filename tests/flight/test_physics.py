@@ -79,13 +79,12 @@ FAULTS = {
     "sign of elevons": (controls(-1, -1), ELEVONS, "sign of elevon_left, elevon_right"),
     **{
         f"{names} in degrees": (scaled(DEGREES, *names.split()), set(names.split()), "in degrees")
-        for names in ("alpha", "r", "theta", "psi", "p q r", "phi theta psi", "rudder")
+        for names in ("alpha", "r", "theta", "psi", "p q r", "phi theta psi")
     },
     "g": (scaled(1 / G, "ax", "ay", "az"), {"ax", "ay", "az"}, "in g: multiply by 9.8066"),
     "knots": (scaled(1 / 0.514444, "airspeed"), {"airspeed"}, "in knots"),
     "km/h": (scaled(3.6, "airspeed"), {"airspeed"}, "in km/h"),
     "feet": (scaled(1 / 0.3048, "altitude"), {"altitude"}, "in feet"),
-    "percent": (scaled(100, "throttle"), {"throttle"}, "in percent"),
     "no gravity": (without_gravity, {"ax", "ay", "az"}, "gravity is probably removed"),
     "accelerometer z up": (
         opposite("ay", "az"),

@@ -50,7 +50,9 @@ def test_loose_vectors(save, shape):
     assert "mass" not in table
 
 
-@pytest.mark.parametrize("content", [{"data": VECTORS}, {"log": {"deep": VECTORS, "note": "calm"}}])
+@pytest.mark.parametrize(
+    "content", [{"data": VECTORS}, {"log": VECTORS | {"note": "calm"}, "x": 1.0}]
+)
 def test_a_struct(save, content):
     np.testing.assert_allclose(read_flight(save(**content)).airspeed, VECTORS["airspeed"])
 

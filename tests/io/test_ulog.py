@@ -55,7 +55,7 @@ class TestWhatTheLogSaysOfItself:
         release = info("uint32_t", "ver_sw_release", bytes([255, 2, 14, 1]))
         parameter = b"\x0dint32_t A_B_C" + struct.pack("<i", -3)
         log = read(name, release, message("P", parameter), *TICK, *ticks(1, 2))
-        assert log.firmware == "PX4 1.14.2"
+        assert log.firmware == "PX4 v1.14.2"
         assert log.parameters == {"A_B_C": -3.0}
         assert log.kind == "PX4 ULog"
 

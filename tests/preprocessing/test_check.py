@@ -8,7 +8,6 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
-from skdgp._flight.faults import saturated_rows
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._flights import usable_flights
@@ -168,67 +167,6 @@ def test_a_slow_sensor_that_sticks_is_found():
 def test_a_dead_sensor_among_living_ones():
     assert faults(log().assign(ay=0.0)) == [("ay", "constant")]
     assert faults(log().assign(ax=0.0, ay=0.0, az=-9.8)) == []  # a simulation may be so
-
-
-def test_a_surface_at_its_stop_is_told_and_kept():
-    rng = np.random.default_rng(1)
-    wave = gaussian_filter1d(rng.normal(size=2400), 20)
-    table = log().assign(aileron=np.minimum(wave / wave.std(), 1.0) * 0.2)
-    assert faults(table) == [("aileron", "saturated")]
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "error"
-        )  # what was measured is right, so a fit has nothing to warn of
-        pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
-
-
-def squares(levels, rate, unit, ramp, lead):
-    """Return a command in steps of so many units [s] each, its edges ramps of so many samples."""
-    parts = [(0.0, lead), *((level, units * unit) for level, units in levels), (0.0, lead)]
-    command = np.concatenate([np.full(round(seconds * rate), level) for level, seconds in parts])
-    smooth = np.convolve(
-        np.pad(command, ramp, mode="edge"), np.full(ramp + 1, 1 / (ramp + 1)), mode="same"
-    )
-    return 0.3 * smooth[ramp : len(smooth) - ramp]
-
-
-@pytest.mark.parametrize("rate", [25, 40, 100])
-@pytest.mark.parametrize("ramp", [0, 1, 2])
-@pytest.mark.parametrize(
-    "levels",
-    [[(1, 1), (-1, 1)], [(1, 3), (-1, 2), (1, 1), (-1, 1)], [(1, 3), (0, 2), (1, 1), (0, 1)]],
-    ids=["doublet", "3211", "one side"],
-)
-def test_doublets_and_3211_are_at_no_stop(levels, ramp, rate):
-    for unit in (0.3, 0.6, 1.0):
-        for lead in (0.0, 0.5, 2.0):
-            command = squares(levels, rate, unit, ramp, lead)
-            for trim, records in ((0.0, 1), (-0.02, 4)):
-                assert saturated_rows(np.tile(command, records) + trim, 1 / rate) == []
-
-
-def test_commands_of_few_values_are_at_no_stop():
-    """A stick that is let go for most of a record, and moved by hand, logged in a dozen values."""
-    stick = np.r_[
-        np.zeros(134),
-        -0.1,
-        -0.11,
-        np.repeat([-0.09, -0.08, -0.1], 5),
-        np.linspace(-0.1, -0.02, 8),
-        -np.ones(40),
-    ]
-    assert saturated_rows(stick, 0.01) == []
-
-
-@pytest.mark.parametrize("rate", [25, 40, 100])
-@pytest.mark.parametrize("quantum", [0.0, 0.005])
-def test_a_servo_at_its_stop_is_found_in_short_and_slow_logs(rate, quantum):
-    time = np.arange(0, 6, 1 / rate)
-    servo = np.minimum(np.sin(1.3 * time) + 0.3 * np.sin(4.1 * time), 0.8)
-    servo = np.round(servo / quantum) * quantum if quantum else servo
-    (rows,) = saturated_rows(servo, 1 / rate)
-    assert len(rows) >= 0.5 * rate
-    assert (servo[rows] == servo.max()).all()
 
 
 class TestBridging:

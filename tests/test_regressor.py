@@ -6,7 +6,6 @@ import pkgutil
 from collections import Counter
 
 import numpy as np
-import pandas as pd
 import pytest
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
@@ -120,15 +119,6 @@ class TestShapesAndNames:
         assert slope.shape == slope_std.shape == (6, *rest, 2)
         assert model.sample_y(new, 5).shape == (6, *rest, 5)
         assert model.noise_variance_.shape == (P,)
-
-    def test_names_where_there_are_none(self, data):
-        X, Y = data
-        assert DependentGPRegressor(max_iter=2).fit(X, Y).output_names_ == ["y0", "y1"]
-        assert DependentGPRegressor(max_iter=2).fit(X, pd.DataFrame(Y)).output_names_ == [
-            "y0",
-            "y1",
-        ]
-        assert not hasattr(DependentGPRegressor(max_iter=2).fit(X, Y), "feature_names_in_")
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
         X, Y = data

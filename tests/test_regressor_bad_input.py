@@ -96,14 +96,6 @@ def test_what_cannot_be_asked(X, Y, model, ask, match):
         ask(fitted, X)
 
 
-@pytest.mark.parametrize("scale", [1.0, 2.0**-100, 2.0**100])
-def test_sizes_decide_nothing(X, Y, scale):
-    """Powers of two, so that no digit is rounded."""
-    here, far = quick().fit(X, Y).predict(X), np.array([scale**3, scale**-3])
-    there = quick().fit(X * [scale, 1 / scale], Y * far).predict(X * [scale, 1 / scale])
-    np.testing.assert_allclose(there / far, here, atol=0.05)
-
-
 class TestRegressors:
     @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
     def test_by_other_names_or_in_another_order(self, tables, call):

@@ -333,26 +333,6 @@ class TestWeights:
 
 
 class TestRegressor:
-    @pytest.mark.parametrize(
-        "options",
-        [
-            {"structure": "joint"},
-            {"structure": "trend"},
-            {"structure": "additive"},
-            {"trend": "constant"},
-            {"trend": None},
-            {"optimizer": None},
-        ],
-        ids=lambda options: " ".join(map(str, *options.items())),
-    )
-    def test_one_member_has_all_the_weight(self, data, options):
-        model = DependentGPRegressor(
-            **{"n_latent": 0, "max_iter": 3, "random_state": 0} | options
-        ).fit(*data)
-        ((_, weight),) = model.weights_.items()
-        np.testing.assert_array_equal(weight, np.ones(P))
-        assert not isinstance(model.posterior_, AveragePosterior)
-
     def test_goes_with_a_kernel_and_another_trend(self, data):
         kernel = ConvolvedGaussian(1, private_latents=False)
         model = DependentGPRegressor(kernel, max_iter=5, random_state=0).fit(*data)

@@ -100,21 +100,6 @@ class TestResiduals:
         )
         assert apart[2, 0] == pytest.approx(1.9, rel=0.01)
 
-    def test_rows_in_any_order_and_of_one_time(self):
-        rng = np.random.default_rng(3)
-        Y = ornstein_uhlenbeck(rng, 400, 0.05, 0.5, 0.09)[:, None]
-        clock, mixed = np.column_stack([0.05 * np.arange(400), np.zeros(400)]), rng.permutation(400)
-        expected = residual_drift(Nothing(), Y, Y, clock)
-        np.testing.assert_allclose(
-            residual_drift(Nothing(), Y[mixed], Y[mixed], clock[mixed]),
-            expected,
-            rtol=1e-6,
-            atol=1e-9,
-        )
-        twice = np.repeat(np.arange(400), 2)
-        found = residual_drift(Nothing(), Y[twice], Y[twice], clock[twice])
-        np.testing.assert_allclose(found[1:], expected[1:], rtol=0.1)
-
     @pytest.mark.parametrize(
         "flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"]
     )

@@ -14,13 +14,6 @@ def test_of_an_autoregression_is_the_known_one(rho):
     assert autocorrelation_time(noise) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
 
 
-def test_is_that_of_the_variance_of_a_mean():
-    noise = lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).normal(size=(400, 3000)))[:, 1000:]
-    times = np.array([autocorrelation_time(row) for row in noise])
-    independent = noise.var(axis=1).mean() / noise.shape[1]
-    assert times.mean() == pytest.approx(noise.mean(axis=1).var() / independent, rel=0.2)
-
-
 @pytest.mark.parametrize("values", [np.zeros(10), np.ones(1), np.tile([1.0, -1.0], 50)])
 def test_is_never_less_than_one(values):
     assert autocorrelation_time(values) == 1.0

@@ -47,30 +47,12 @@ class TestOpenKernels:
             ratio = found.block_diag(i, X).mean() / np.nanvar(Y[:, i])
             assert 0.05 < ratio < 10
 
-    def test_kernel_that_asked_is_not_changed(self, kernel, data):
-        before = clone(kernel)
-        kernel.initialize(*data, 0)
-        assert kernel == before
-
     def test_seed_decides(self, kernel, data):
         first, again, other = (kernel.initialize(*data, seed) for seed in (3, 3, 4))
         np.testing.assert_allclose(first.theta, again.theta, rtol=1e-9, atol=1e-10)
         # Only shared latents need chance, to part from each other.
         chance = not np.allclose(first.theta, other.theta)
         assert chance == ("ConvolvedGaussian" in repr(kernel) and "n_latent=0" not in repr(kernel))
-
-    def test_units_are_followed(self, kernel, data):
-        """Other units of regressors and outputs: the same correlations."""
-        X, Y = data
-        other_X, other_Y = X * [8.0, 0.25, 1024.0], Y * [2.0, 0.5, 64.0]
-        K, other = (
-            kernel.initialize(X, Y, 0)(X[:5]),
-            kernel.initialize(other_X, other_Y, 0)(other_X[:5]),
-        )
-        scale = np.repeat([2.0, 0.5, 64.0], 5)
-        np.testing.assert_allclose(
-            other, K * np.multiply.outer(scale, scale), rtol=1e-9, atol=1e-300
-        )
 
     @pytest.mark.parametrize("what", ["regressor", "output"])
     def test_constant_columns_give_finite_values(self, kernel, data, what):
@@ -108,10 +90,6 @@ class TestGivenValues:
         )
         np.testing.assert_array_equal(found.slope_scale, 2.0)
         np.testing.assert_array_equal(found.center, [1.0, 2.0, 3.0])
-
-    def test_bounds_stay(self, data):
-        found = ConvolvedGaussian(1, length_scale_bounds=(1e-9, 1e9)).initialize(*data, 0)
-        assert found.length_scale_bounds == (1e-9, 1e9)
 
     @pytest.mark.parametrize(
         ("kernel", "message"),
@@ -229,10 +207,6 @@ class TestRefused:
         )
         with pytest.raises(ValueError, match=r"length scales that differ.*tied"):
             kernel(np.zeros((2, 2)))
-
-    def test_trend_without_values(self):
-        with pytest.raises(ValueError, match="LinearTrend has no values yet"):
-            LinearTrend()(self.X)
 
 
 class TestSums:

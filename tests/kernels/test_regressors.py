@@ -1,12 +1,10 @@
 """A convolved Gaussian of few regressors is the kernel of these columns alone."""
 
-import pickle
-
 import numpy as np
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian
 
 
 @pytest.fixture
@@ -54,32 +52,6 @@ def test_initialize_fixes_the_others_in_their_units(given, data):
     assert kernel.n_dims == 4 + 4  # amplitudes and widths of the shared and the private latents
     K = kernel(X)
     np.testing.assert_allclose(K, kernel(X * [1, 0, 0]), atol=1e-9 * K.max())
-
-
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_every_kind_of_inference_ignores_the_others(inference, data):
-    X, Y = data
-    kernel = LinearTrend() + ConvolvedGaussian(0, regressors=[0])
-    options = {
-        "trend": None,
-        "inference": inference,
-        "n_inducing": 20,
-        "max_iter": 15,
-        "random_state": 0,
-    }
-    model = DependentGPRegressor(kernel, **options).fit(X, Y)
-    assert model.score(X, Y) > 0.95
-    lines = model.predict(X) - model.predict(
-        X * [1, 0, 0]
-    )  # what is left is the trend in the others
-    basis = np.column_stack([X[:, 1:], np.ones(len(X))])
-    np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, lines)[0], lines, atol=1e-6)
-    paths = model.sample_paths(3, 0)
-    changes = paths(X) - paths(X * [1, 0, 0])
-    for change in changes:
-        np.testing.assert_allclose(basis @ np.linalg.lstsq(basis, change)[0], change, atol=1e-4)
-    again = pickle.loads(pickle.dumps(model))
-    np.testing.assert_allclose(again.predict(X), model.predict(X), rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -42,12 +42,12 @@ from skdgp.dynamics import (
     Propeller,
     Record,
     ThrustLine,
+    Turbulence,
     air_velocity,
     channels,
     dryden_gusts,
     euler_to_quaternion,
     fly_record,
-    low_altitude_turbulence,
     ned_to_body,
     propeller_loads,
 )
@@ -547,9 +547,10 @@ def fly_plans(
     time: np.ndarray = np.arange(round((SETTLING + duration) / LOG_STEP)) * LOG_STEP - SETTLING
     heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
     scales = [
-        low_altitude_turbulence(h, plan.wind_at_6m) for h, plan in zip(heights, plans, strict=True)
+        Turbulence.low_altitude(h, plan.wind_at_6m)[:2]
+        for h, plan in zip(heights, plans, strict=True)
     ]
-    lengths, intensities = (np.array(part) for part in zip(*scales, strict=True))
+    intensities, lengths = (np.array(part) for part in zip(*scales, strict=True))
     gusts = dryden_gusts(
         2 * len(time) + 1,
         0.5 * LOG_STEP,

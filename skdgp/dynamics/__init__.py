@@ -24,7 +24,6 @@ from skdgp.dynamics._air import (
     Turbulence,
     dryden_gusts,
     dryden_wind,
-    low_altitude_turbulence,
 )
 from skdgp.dynamics._aircraft import (
     KINDS,
@@ -52,7 +51,7 @@ from skdgp.dynamics._loads import (
 )
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._record import REASONS, Clock, Record, channels, fly_record
-from skdgp.dynamics._replay import replay, replay_errors
+from skdgp.dynamics._replay import replay
 from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
@@ -101,7 +100,6 @@ __all__ = [
     "fly_record",
     "gravity_in_body_axes",
     "linearize",
-    "low_altitude_turbulence",
     "ned_to_body",
     "propeller_loads",
     "propeller_speed_of",
@@ -110,7 +108,6 @@ __all__ = [
     "quaternion_to_matrix",
     "relative_errors",
     "replay",
-    "replay_errors",
     "rigid_body_derivative",
     "rk4",
     "rk4_step",

@@ -64,24 +64,6 @@ class Gusts(NamedTuple):
     rates: np.ndarray  # p, q, r of the air as if it turned like a rigid body [rad/s]
 
 
-def low_altitude_turbulence(height: float, wind_at_6m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return scale lengths (3,) [m] and intensities (3,) [m/s] of u, v, w below 1000 ft (MIL-F-8785C, 3.7.3.4).
-
-    With h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 W, sigma_u =
-    sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed 20 ft above the ground.
-    """
-    if not 0 < height <= CEILING:
-        raise ValueError(
-            f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, where "
-            f"the low-altitude "
-            "model ends."
-        )
-    check_number("wind_at_6m", wind_at_6m, is_open=False, unit="m/s")
-    shear = 0.177 + 0.000823 * height / FEET
-    length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
-    return length, 0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0])
-
-
 def dryden_system(
     airspeed: float, length: Array, intensity: Array, span: float
 ) -> tuple[Array, ...]:
@@ -227,7 +209,7 @@ def dryden_wind(
         check_number(name, value)
     north, east, down = check_numbers("mean_wind", np.ravel(mean_wind).tolist(), 3)
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
-    length, intensity = low_altitude_turbulence(height, wind_at_6m)
+    intensity, length = Turbulence.low_altitude(height, wind_at_6m)[:2]
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
     u, v, w = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng).velocity[:, 0].T
     ahead, aside = np.cos(heading), np.sin(heading)
@@ -262,9 +244,6 @@ class Turbulence(NamedTuple):
 
     intensity: Array  #: (3,) [m/s]
     length: Array  #: (3,) [m]
-    #: Standard errors of the intensities, (3,); None where they are given.
-    intensity_std: Array | None = None
-    length_std: Array | None = None
     #: Mean of the flights [m/s]; None where intensity and length are given.
     airspeed: float | None = None
     #: Whether u and v share intensity and length, since the wind does not tell them apart
@@ -272,9 +251,20 @@ class Turbulence(NamedTuple):
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
-        """Return the turbulence of MIL-F-8785C below 1000 ft, by height [m] and wind speed 6 m above ground [m/s]."""
-        length, intensity = low_altitude_turbulence(height, wind_at_6m)
-        return cls(intensity, length)
+        """Return the turbulence below 1000 ft, by height [m] and wind speed 6 m above ground [m/s].
+
+        MIL-F-8785C, 3.7.3.4, with h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 W, sigma_u =
+        sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed 20 ft above the ground.
+        """
+        if not 0 < height <= CEILING:
+            raise ValueError(
+                f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, "
+                "where the low-altitude model ends."
+            )
+        check_number("wind_at_6m", wind_at_6m, is_open=False, unit="m/s")
+        shear = 0.177 + 0.000823 * height / FEET
+        length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
+        return cls(0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0]), length)
 
     @classmethod
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
@@ -329,7 +319,7 @@ class Turbulence(NamedTuple):
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
         one, all winds and axes. The direction of flight is not known here: u and v share intensity
         and length (MIL-F-8785C, 3.7.2), and of north and east, S is the mean of their spectra.
-        Standard errors follow from the Fisher information. Raises ValueError if a column is
+        Raises ValueError if a column is
         missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds
         are too short or too rarely sampled.
 
@@ -386,18 +376,16 @@ class Turbulence(NamedTuple):
             apart = [_fitted(spectra, (axis,)) for axis in (0, 1)]
             is_tied = bool(2 * (along.loss - sum(fit.loss for fit in apart)) < chi2.ppf(LEVEL, 2))
             along, across = (along, across) if is_tied else apart
-        intensity, length, intensity_std, length_std = np.transpose(
-            [fit.estimate for fit in (along, across, vertical)]
-        )
+        fits = along, across, vertical
+        intensity, length = (np.array(x) for x in zip(*(fit[:2] for fit in fits), strict=True))
         mean = np.average(
             [p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra]
         )
-        return cls(intensity, length, intensity_std, length_std, float(mean), is_tied)
+        return cls(intensity, length, float(mean), is_tied)
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
-        std = None if self.intensity_std is None else factor * self.intensity_std
-        return self._replace(intensity=factor * np.asarray(self.intensity), intensity_std=std)
+        return self._replace(intensity=factor * np.asarray(self.intensity))
 
 
 class TooShort(ValueError):
@@ -428,7 +416,8 @@ class _Spectra(NamedTuple):
 class _Fit(NamedTuple):
     """Intensity and length of some axes."""
 
-    estimate: tuple[float, float, float, float]  # Intensity, length, and their standard errors
+    intensity: float
+    length: float
     loss: float  # The negative logarithm of likelihood and prior, but for a constant
 
 
@@ -508,15 +497,7 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
         (minimize(loss, start, bounds=bounds) for start in starts),
         key=lambda solution: solution.fun,
     )
-    x, step = best.x, 1e-4
-    slopes = np.array(
-        [(logarithm(x + step * e) - logarithm(x - step * e)) / (2 * step) for e in np.eye(len(x))]
-    )
-    information = slopes @ slopes.T
-    information[1, 1] += LENGTH_STD**-2
-    error = np.sqrt(np.diag(np.linalg.pinv(information)))  # of the logarithms
-    intensity, length = np.exp(0.5 * x[0]), np.exp(x[1])
-    return _Fit((intensity, length, 0.5 * error[0] * intensity, error[1] * length), best.fun)
+    return _Fit(float(np.exp(0.5 * best.x[0])), float(np.exp(best.x[1])), best.fun)
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,6 @@ class Propeller:
         table: pd.DataFrame,
         diameter: float,
         *,
-        degree: int = 2,
         pitch: float | None = None,
         rotation: int = 1,
     ) -> Propeller:
@@ -164,8 +163,6 @@ class Propeller:
             [m/s], ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
         diameter : float
             D [m].
-        degree : {0, 1, 2}
-            Degree of C_T(J) and C_Q(J); of a static table it is 0.
         pitch : float, optional
             Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1
             - J D / pitch), zero where the blades do not slip: a rule of thumb, true zero-thrust
@@ -184,7 +181,6 @@ class Propeller:
         """
         loads = ["thrust", *(["torque"] if "torque" in table else [])]
         check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
-        check_choice("degree", degree, (0, 1, 2))
         defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
         table = table.assign(**{name: x for name, x in defaults.items() if name not in table})
         speed, airspeed, density = (
@@ -205,14 +201,14 @@ class Propeller:
                 stacklevel=2,
             )
         n = speed / (2.0 * np.pi)
-        powers = range(1 if is_static else degree + 1)
+        powers = range(1 if is_static else 3)
         basis = np.stack([density * n ** (2 - k) * (airspeed / diameter) ** k for k in powers], -1)
         targets = table[loads].to_numpy(float) / [diameter**4, diameter**5][: len(loads)]
         coefficients, _, rank, _ = np.linalg.lstsq(basis, targets, rcond=None)
         if rank < len(powers):
             raise ValueError(
-                f"The bench table's {len(table)} rows do not determine a C_T(J) of degree {degree}: "
-                f"measure at {degree + 1} or more advance ratios, or lower degree."
+                f"The bench table's {len(table)} rows do not determine c_0, c_1 and c_2: measure at 3 "
+                "or more advance ratios."
             )
         fitted = dict(zip(loads, coefficients.T.tolist(), strict=True))
         if is_static and pitch is not None:

@@ -329,12 +329,6 @@ class LinearModel:
             self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A
         )
 
-    def to_scipy(self) -> Any:
-        """Return it as :class:`scipy.signal.StateSpace`, which has no names."""
-        from scipy.signal import StateSpace
-
-        return StateSpace(*(table.to_numpy() for table in self._tables()))
-
     def _tables(self) -> tuple[pd.DataFrame, ...]:
         return self.A, self.B, self.C, self.D
 

@@ -21,7 +21,6 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns, check_flight
 from skdgp._flight.clock import true_runs
-from skdgp._flight.frames import wrapped
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import table_states
 from skdgp.dynamics._loads import aerodynamic_loads, external_loads, propulsive_loads
@@ -36,7 +35,7 @@ def replay(
     aircraft: Aircraft,
     coefficients: pd.DataFrame | ArrayLike,
     *,
-    horizon: float | Sequence[float] = 2.0,
+    horizon: float = 2.0,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
     gravity: float = STANDARD_GRAVITY,
@@ -59,7 +58,7 @@ def replay(
     coefficients : array-like of shape (n, 6)
         CX CY CZ Cl Cm Cn at every row of the flight. Rows with NaN are not flown: windows end
         there.
-    horizon : float or sequence of float, default=2.0
+    horizon : float, default=2.0
         Seconds from restart to restart.
     thrust, external_forces
         As for `aerodynamic_coefficients`.
@@ -69,7 +68,7 @@ def replay(
     Returns
     -------
     pandas.DataFrame
-        Indexed as the flight, once per horizon: ``time``, ``flight`` (if present), ``horizon``,
+        Indexed as the flight: ``time``, ``flight`` (if present), ``horizon``,
         ``window`` (count of restarts), ``elapsed`` [s] since the restart, and the states (north,
         east, down where measured) v_north, v_east, v_down, phi, theta, psi, p, q, r. A row where
         one window ends and the next starts shows the end. Rows that are not flown are NaN, their
@@ -89,8 +88,7 @@ def replay(
     >>> flown[["elapsed", "v_east"]].iloc[-1].round(2).to_dict()
     {'elapsed': 2.0, 'v_east': 0.86}
     """
-    horizons = np.atleast_1d(np.asarray(horizon, dtype=float))
-    if not (horizons > 0).all():
+    if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, *RATES])
     path = _Path.of(flight, aircraft, coefficients, thrust, external_forces, float(gravity))
@@ -101,60 +99,8 @@ def replay(
         for run in true_runs(has_loads[segment])
     ]
     is_complete: Any = np.isfinite(path.state).all(axis=1)
-    tables = []
-    for seconds in horizons.tolist():
-        rows = restart_windows(path.time, runs, seconds, is_complete)
-        tables.append(_table(flight, rows, _integrate(path, rows), seconds))
-    return pd.concat(tables) if len(tables) > 1 else tables[0]
-
-
-def replay_errors(
-    trajectory: pd.DataFrame, flight: pd.DataFrame, *, suffix: str = ""
-) -> pd.DataFrame:
-    """Return how far a replay is from the flight: median absolute error of each state for each horizon.
-
-    ``trajectory`` is the result of `replay` for ``flight``; ``suffix`` is added to the names of the
-    flight's columns: "_true" compares with the truth of a simulation. The columns are ``state``,
-    ``horizon`` [s], ``median`` (over all samples but the restarts), ``at_end`` (over the ends of
-    full windows) and ``spread`` (standard deviation of the measured state over the flight). Units
-    are as of the states; errors of angles are at most half a turn.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from skdgp.dynamics import replay_errors
-    >>> flight = pd.DataFrame({"v_east": [0.0, 1.0, 2.0]})
-    >>> flown = pd.DataFrame({"horizon": 1.0, "window": 0, "elapsed": [0.0, 0.5, 1.0], "v_east": [0.0, 1.1, 2.3]})
-    >>> replay_errors(flown, flight).round(2)
-        state  horizon  median  at_end  spread
-    0  v_east      1.0     0.2     0.3    0.82
-    """
-    states = [name for name in REPLAYED if name in trajectory and name + suffix in flight]
-    if not states:
-        raise ValueError(
-            f"The flight has none of the replayed states {list(REPLAYED)} with suffix {suffix!r}."
-        )
-    rows = []
-    for horizon in trajectory["horizon"].unique().tolist():
-        part = trajectory[trajectory["horizon"] == horizon]
-        if len(part) != len(flight):
-            raise ValueError(
-                f"Got a replay of {len(part)} rows for a flight of {len(flight)}, but expected as "
-                f"many."
-            )
-        elapsed = part["elapsed"].to_numpy()
-        is_end = np.abs(elapsed - horizon) < 0.02 * horizon
-        for state in states:
-            measured = flight[state + suffix].to_numpy(float)
-            error = part[state].to_numpy() - measured
-            if state in EULER:
-                error = wrapped(error)
-                measured = wrapped(measured - np.angle(np.nansum(np.exp(1j * measured))))
-            error = pd.Series(np.abs(error))
-            median = error[elapsed > 0].median()
-            spread = pd.Series(measured).std(ddof=0)
-            rows.append((state, horizon, median, error[is_end].median(), spread))
-    return pd.DataFrame(rows, columns=["state", "horizon", "median", "at_end", "spread"])
+    rows = restart_windows(path.time, runs, float(horizon), is_complete)
+    return _table(flight, rows, _integrate(path, rows), float(horizon))
 
 
 class _Path(NamedTuple):

@@ -173,10 +173,9 @@ class Evaluation:
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
     replay : DataFrame, optional
-        Of `skdgp.dynamics.replay` for ``table``, of one or several horizons.
+        Of `skdgp.dynamics.replay` for ``table``.
     states : dict of str to DataFrame
-        Errors of the replay, as of `skdgp.dynamics.replay_errors`, against "measured" and, where it
-        is known, "truth".
+        Errors of the replay against "measured" and, where it is known, "truth".
     """
 
     name: str

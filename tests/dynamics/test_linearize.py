@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import lsim
 
 from skdgp.datasets._example_flights import REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
@@ -202,14 +201,6 @@ class TestParts:
         assert np.sort_complex(both) == pytest.approx(
             np.sort_complex(np.linalg.eigvals(linear.A)), rel=1e-6
         )
-
-    def test_scipy_has_the_same_matrices(self, linear):
-        system = linear.to_scipy()
-        for name in "ABCD":
-            assert getattr(system, name) == pytest.approx(getattr(linear, name).to_numpy())
-        times = np.linspace(0, 1, 11)
-        _, y, _ = lsim(linear.longitudinal().to_scipy(), np.ones((11, 2)) * [0.01, 0.0], times)
-        assert np.isfinite(y).all()
 
     def test_height_changes_the_density(self, glider, level):
         high = linearize(

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp.dynamics import replay, replay_errors
+from skdgp.dynamics import replay
 
 STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]
@@ -87,25 +87,6 @@ def test_windows_start_at_complete_states_and_last_as_long_as_they_can(
     assert flown["elapsed"].max() == pytest.approx(0.6, abs=1e-6)
 
 
-def test_errors_are_medians_over_the_samples_flown():
-    flight = pd.DataFrame(
-        {"v_east_true": [0.0, 0.0, 0.0, 0.0, 0.0], "psi_true": [0.0, 6.2, 6.2, 6.2, 6.2]}
-    )
-    flown = pd.DataFrame(
-        {
-            "horizon": 1.0,
-            "window": [0, 0, 0, 1, 1],
-            "elapsed": [0.0, 0.5, 1.0, 0.5, 1.0],
-            "v_east": [9.0, 0.1, -0.5, 0.3, 0.7],
-            "psi": [0.0, 0.0, 0.0, 0.0, 0.0],
-        }
-    )
-    errors = replay_errors(flown, flight, suffix="_true").set_index("state")
-    assert errors.loc["v_east", "median"] == pytest.approx(0.4)
-    assert errors.loc["v_east", "at_end"] == pytest.approx(0.6)
-    assert errors.loc["psi", "median"] == pytest.approx(2 * np.pi - 6.2)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -123,11 +104,3 @@ def test_requests_that_cannot_be(simulated, aircraft, true_coefficients, options
     flight = simulated.drop(columns=options.pop("without", []))
     with pytest.raises(ValueError, match=words):
         replay(flight, aircraft, **options)
-
-
-def test_errors_need_a_common_state(simulated, aircraft, true_coefficients):
-    flown = replay(simulated, aircraft, true_coefficients)
-    with pytest.raises(ValueError, match="suffix '_real'"):
-        replay_errors(flown, simulated, suffix="_real")
-    with pytest.raises(ValueError, match="600 rows for a flight of 10"):
-        replay_errors(flown, simulated.iloc[:10])

@@ -22,7 +22,7 @@ from skdgp.dynamics import (
     simulate,
 )
 from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift, turbulence_of
-from skdgp.dynamics._air import FEET, dryden_gusts, dryden_system, low_altitude_turbulence
+from skdgp.dynamics._air import FEET, dryden_gusts, dryden_system
 from skdgp.dynamics._inputs import drift_in, without_rotation
 from skdgp.dynamics._motion import Motion
 from skdgp.identification import make_identification_pipeline
@@ -58,31 +58,16 @@ def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
 
 
 class TestFromFlight:
-    def test_finds_intensity_and_length_and_says_how_well(self):
+    def test_finds_intensity_and_length(self):
         found = Turbulence.from_flight(flights(TRUE, 4, 300.0, 0.2, seed=1), SPAN)
-        for name, least in (("intensity", 0.1), ("length", 0.25)):
-            value, true, std = (
-                getattr(found, name),
-                getattr(TRUE, name),
-                getattr(found, f"{name}_std"),
-            )
-            np.testing.assert_allclose(value, true, rtol=least)
-            assert (np.abs(value - true) < 3.5 * std).all()
-            assert (std < 0.15 * true).all()
+        np.testing.assert_allclose(found.intensity, TRUE.intensity, rtol=0.1)
+        np.testing.assert_allclose(found.length, TRUE.length, rtol=0.25)
 
-    def test_standard_errors_are_the_scatter(self):
+    def test_u_and_v_that_are_alike_are_told_apart_in_few_flights(self):
         found = [
-            Turbulence.from_flight(flights(TRUE, 1, 120.0, 0.2, seed=s), SPAN) for s in range(30)
+            Turbulence.from_flight(flights(TRUE, 1, 120.0, 0.2, seed=s), SPAN) for s in range(15)
         ]
-        for name in ("intensity", "length"):
-            values = np.log([getattr(each, name)[[0, 2]] for each in found])
-            stated = [
-                (getattr(each, f"{name}_std") / getattr(each, name))[[0, 2]] for each in found
-            ]
-            np.testing.assert_allclose(values.std(axis=0), np.median(stated, axis=0), rtol=0.45)
-        assert (
-            np.mean([each.is_tied for each in found]) > 0.8
-        )  # of the flights, whose u and v are alike: 95 %
+        assert np.mean([turbulence.is_tied for turbulence in found]) > 0.8  # expected: 95 %
 
     def test_u_and_v_that_differ_are_told_apart(self):
         """Wherever the aircraft is heading; a wind without a heading does not tell."""
@@ -90,13 +75,8 @@ class TestFromFlight:
         tables = [flights(true, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
         found, turned = (Turbulence.from_flight(table, SPAN) for table in tables)
         assert not found.is_tied
-        assert (
-            np.abs(np.log(found.intensity / true.intensity))
-            < 3 * found.intensity_std / found.intensity
-        ).all()
-        assert (
-            np.abs(np.log(found.length / true.length)) < 3 * found.length_std / found.length
-        ).all()
+        np.testing.assert_allclose(found.intensity, true.intensity, rtol=0.25)
+        np.testing.assert_allclose(found.length, true.length, rtol=0.4)
         np.testing.assert_allclose(turned.intensity, found.intensity, rtol=1e-3)
         wind = dryden_wind(100.0, 25.0, 100.0, random_state=0)
         assert Turbulence.from_wind(wind, 25.0, SPAN).is_tied
@@ -494,9 +474,9 @@ def test_step_does_not_change_the_law():
 
 
 def test_low_altitude_model_joins_the_standards_corner_at_1000_feet():
-    length, intensity = low_altitude_turbulence(1000 * FEET, 10.0)
-    np.testing.assert_allclose(length, 1000 * FEET)
-    np.testing.assert_allclose(intensity, 1.0)
+    turbulence = Turbulence.low_altitude(1000 * FEET, 10.0)
+    np.testing.assert_allclose(turbulence.length, 1000 * FEET)
+    np.testing.assert_allclose(turbulence.intensity, 1.0)
 
 
 def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
@@ -508,7 +488,7 @@ def test_a_wind_to_fly_in_has_its_mean_its_intensities_and_its_heading():
         [[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
     )
     along = gusts @ turn.T
-    _, intensity = low_altitude_turbulence(40.0, 8.0)
+    intensity = Turbulence.low_altitude(40.0, 8.0).intensity
     np.testing.assert_allclose(along.std(axis=0), intensity, rtol=0.15)
     assert abs(np.corrcoef(along.T)[0, 1]) < 0.15
     again = dryden_wind(200.0, 30.0, 40.0, **options, random_state=3)

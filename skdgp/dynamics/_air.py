@@ -253,8 +253,9 @@ class Turbulence(NamedTuple):
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
         """Return the turbulence below 1000 ft, by height [m] and wind speed 6 m above ground [m/s].
 
-        MIL-F-8785C, 3.7.3.4, with h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2, sigma_w = 0.1 W, sigma_u =
-        sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed 20 ft above the ground.
+        MIL-F-8785C, 3.7.3.4, with h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2,
+        sigma_w = 0.1 W, sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed
+        20 ft above the ground.
         """
         if not 0 < height <= CEILING:
             raise ValueError(

@@ -6,36 +6,16 @@ import inspect
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.sklearn_compat import safe_indexing
-
 
 def predict_observed(estimator: Any, X: Any, y: Any, *, with_std: bool) -> tuple:
-    """Return the rows where some target is observed, all if none is, and mean and std there.
-
-    The transformers of a pipeline get every row. Its last step gets only the observed rows, as
-    deviations are costly, unless it has an estimator inside, which may be a transformer.
-    """
+    """Return the rows where some target is observed, all if none is, and mean and std there."""
     observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
     rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
-    if with_std:
-        check_predicts_std(estimator)
-    estimator = unwrap(estimator)
-    while type(estimator) is Pipeline:  # a subclass may know more of its rows
-        X, estimator = (
-            estimator[:-1].transform(X) if len(estimator) > 1 else X,
-            unwrap(estimator[-1]),
-        )
-    inside = estimator.get_params().values()
-    nested = isinstance(estimator, Pipeline) or any(
-        isinstance(value, BaseEstimator) for value in inside
-    )
-    X = X if nested else safe_indexing(X, rows)
     predicted = predict_with_noise(estimator, X) if with_std else (estimator.predict(X),)
-    return rows, *([part[rows] for part in predicted] if nested else predicted)
+    return rows, *(np.asarray(part)[rows] for part in predicted)
 
 
 def predict_with_noise(estimator: Any, X: Any) -> tuple:

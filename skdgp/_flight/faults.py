@@ -52,8 +52,6 @@ POSSIBLE = {
 }
 # impossible values more frequent than this are of another unit: the checks of units name it
 RARE = 0.05
-# missing samples over more seconds are findings of their own, shorter ones one finding together
-LONG_GAP = 1.0
 MOST_SHOWN = 8  # kinds of findings that a warning names
 EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
 WARNING_START = "Faults in the log"  # first words of the warning, for filters
@@ -196,7 +194,7 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
 
 
 def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
-    """Yield the gaps of a channel that usually has values there."""
+    """Yield the gaps, together, of a channel that usually has values there."""
     sampled = np.flatnonzero(np.isfinite(values))
     if not sampled.size:
         yield name, "missing", np.arange(len(values)), "has no value"
@@ -205,18 +203,10 @@ def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
     wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
     before = np.r_[-1, sampled][wide]
     gaps = [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
-    for rows in gaps:
-        if len(rows) * step >= LONG_GAP:
-            yield name, "missing", rows, f"has no value for {len(rows) * step:.3g} s"
-    short = [rows for rows in gaps if len(rows) * step < LONG_GAP]
-    if short:
-        rows = np.concatenate(short)
-        yield (
-            name,
-            "missing",
-            rows,
-            f"has no value {_times(rows)}, for {max(map(len, short)) * step:.2g} s at most",
-        )
+    if gaps:
+        longest = max(map(len, gaps)) * step
+        rows = np.concatenate(gaps)
+        yield name, "missing", rows, f"has no value {_times(rows)}, for {longest:.2g} s at most"
 
 
 def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:

@@ -145,8 +145,6 @@ class Cause(NamedTuple):
     remedy: str
     correct: Callable[[Signals], Signals]
     needs: tuple[str, ...] = ()  # Channels that it is looked for in
-    # Whether equal signals stay equal, so that only slopes show the fault
-    keeps_equalities: bool = False
 
 
 class Relation(NamedTuple):
@@ -523,9 +521,7 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
     for cause in _causes(signals) if contradictions else ():
         after = before | _relations(windows, cause.correct(signals), cause.channels)
         gains = {
-            name: after[name].agreement - relation.agreement
-            for name, relation in before.items()
-            if relation.pair is None or not cause.keeps_equalities
+            name: after[name].agreement - relation.agreement for name, relation in before.items()
         }
         gains = {name: gain for name, gain in gains.items() if np.isfinite(gain)}
         total = sum(gains.values()) - EXTRA_CHANNEL * len(cause.channels)
@@ -602,12 +598,6 @@ def _with_gravity(signals: Signals) -> Signals:
     }
 
 
-def _turned_over(signals: Signals) -> Signals:
-    """Return signals in forward, right, down and north, east, down, whose specific force had gravity upside down."""
-    names = "beta alpha q r ay az theta psi v w v_east v_down east down"
-    return _with_gravity(_with_gravity(_scaled(names.split(), -1.0)(signals)))
-
-
 # Possible faults beside signs and units
 OTHERS = (
     Cause(
@@ -658,13 +648,5 @@ OTHERS = (
         "subtract gravity in body axes: an accelerometer reads specific force",
         _with_gravity,
         ("az",),
-    ),
-    Cause(
-        ("theta", "psi", "v_down"),
-        "the vertical axis probably points up, in attitude and positions (axes y left, z up; north, west, up)",
-        "change the axes, then compute specific force",
-        _turned_over,
-        (*EULER, *SPECIFIC_FORCE, "v_down"),
-        keeps_equalities=True,
     ),
 )

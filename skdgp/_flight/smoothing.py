@@ -10,7 +10,6 @@ Beyond the last frequency at which signal is as strong as noise, both are made n
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal
 
 from skdgp._compute.messages import warn
+from skdgp._flight.checks import check_number
 from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
 
 ORDER = 2
@@ -53,17 +53,8 @@ def smooth(
     cutoff is not below half the sampling rate.
     """
     columns, times, codes = _checked(values, time, flight)
-    if isinstance(cutoff, str | None):
-        is_cutoff = cutoff in ("auto", None)
-    else:
-        is_cutoff = (
-            isinstance(cutoff, Real) and not isinstance(cutoff, bool) and 0 < float(cutoff) < np.inf
-        )
-    if not is_cutoff:
-        raise ValueError(
-            f"Got cutoff={cutoff!r}, but expected a positive frequency [Hz], 'auto', or None (no "
-            f"smoothing)."
-        )
+    if cutoff is not None and cutoff != "auto":
+        check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
     remarks: set[str] = set()
     for rows, channels in _same_rows(columns):

@@ -172,17 +172,6 @@ def test_one_of_several_flights(flight):
     assert str(found).startswith("flight d: the sign of beta")
 
 
-def test_a_log_whose_vertical_axis_points_up(flight):
-    """Specific force computed with gravity along the wrong axis: only aerodynamics shows it."""
-    names = ["beta", "alpha", "q", "r", "theta", "psi", "v_east", "v_down", "east"]
-    gravity = gravity_in_body_axes(flight["phi"], flight["theta"])
-    turned = opposite(*names, "ay", "az")(flight)
-    for k, (name, sign) in enumerate({"ax": 1, "ay": -1, "az": -1}.items()):
-        turned[name] += 2 * sign * gravity[:, k]
-    turned = turned.drop(columns="altitude")
-    assert find_contradictions(turned)[0].message.startswith("the vertical axis probably points up")
-
-
 def test_inspect_and_identify_say_so(flight, tmp_path):
     path = tmp_path / "flight.csv"
     opposite("az", "ay")(flight).to_csv(path, index=False)

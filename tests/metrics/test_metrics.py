@@ -219,27 +219,6 @@ class TestScorers:
             X[:, 0], np.zeros(40), np.full(40, 2.0)
         )
 
-    def test_the_last_step_is_asked_for_observed_rows_alone_transformers_see_all(self):
-        X = np.arange(50.0)[:, None]
-        y = np.where(np.arange(50) % 5 == 0, X[:, 0], np.nan)
-        asked = []
-
-        class Watched(NoisyModel):
-            def predict(self, X, **words):
-                asked.append(X.copy())
-                return super().predict(X, **words)
-
-        center = FunctionTransformer(lambda X: X - X.mean())
-        for model in (
-            make_pipeline(center, Watched()),
-            make_pipeline(make_pipeline(center, center), Watched()),
-        ):
-            for scorer in (*SCORERS.values(), score_outputs):
-                scorer(model.fit(X, X[:, 0]), X, y)
-        assert len(asked) == 10
-        for rows in asked:
-            np.testing.assert_array_equal(rows, X[::5] - 24.5)
-
     def test_what_holds_transformers_is_asked_for_every_row(self):
         X = np.arange(50.0)[:, None]
         y = np.where(np.arange(50) % 5 == 1, X[:, 0], np.nan)

@@ -5,7 +5,7 @@ import signal
 import tempfile
 import time
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import joblib
@@ -28,6 +28,7 @@ os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # of processes that tests start, as _threads below for this one
 
+MINUTE = 60.0  # of the example flights [s]
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 set_hypothesis_home_dir(
@@ -128,23 +129,36 @@ def _flown_once(once):
     whole = lru_cache(maxsize=1)(fly)
 
     def flights(*world, duration=_example_flights.DURATION):
-        if world != (0, 1.0, 1.0):
+        if world != (0, 1.0, 1.0) or duration == MINUTE:
             return fly(*world, duration)
         train, test = whole(*world)
         return train[train["time"] < duration].reset_index(drop=True), test[test["time"] < duration]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_example_flights, "_flights", flights)
-        yield
+        yield flights
+
+
+@pytest.fixture(scope="session")
+def first_minute(_flown_once):
+    """Return `load_example_flights` of the first minute alone, flown in a third of the time."""
+    load = datasets.load_example_flights
+
+    def first_minute(**options):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_example_flights, "_flights", partial(_flown_once, duration=MINUTE))
+            return load(**options)
+
+    return first_minute
 
 
 @pytest.fixture
-def short_flights(monkeypatch, request):
+def short_flights(monkeypatch, request, first_minute):
     """Let pages, examples and the command ``demo`` have the first 25 s of each example flight, or other rows."""
-    load, n_rows = datasets.load_example_flights, getattr(request, "param", 1000)
+    n_rows = getattr(request, "param", 1000)
 
     def first(**options):
-        data = load(**options)
+        data = first_minute(**options)
         data.train = data.train.groupby("flight", observed=True).head(n_rows)
         data.test = data.test.head(n_rows)
         return data

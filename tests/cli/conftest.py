@@ -9,20 +9,18 @@ from contextlib import redirect_stderr, redirect_stdout
 import pytest
 
 from skdgp._cli import main
-from skdgp.datasets import load_example_flights
 from skdgp.identification import Identification, _identification
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 
 
 @pytest.fixture(scope="session")
-def folder(once):
+def folder(once, first_minute):
     """Return a folder of short flights and their aircraft, as an engineer would have them."""
-    return once("flights", write_flights)
+    return once("flights", lambda folder: write_flights(folder, first_minute()))
 
 
-def write_flights(folder):
-    data = load_example_flights()
+def write_flights(folder, data):
     data.aircraft.to_json(folder / "uav.json")
     measured = [name for name in data.train if not name.endswith("_true")]
     for name, table in data.train.groupby("flight", observed=True):

@@ -16,7 +16,6 @@ from skdgp import DependentGPRegressor
 from skdgp._cli import _output, main
 from skdgp._cli._output import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _identification, _identify, load_model, predict_flight
 from skdgp.identification import identify as identify_flights
@@ -279,9 +278,9 @@ class TestBadInput:
 
 
 @pytest.fixture(scope="module")
-def late(tmp_path_factory):
+def late(tmp_path_factory, first_minute):
     """Return a flight whose vanes and airspeed are 80 ms late."""
-    data = load_example_flights()
+    data = first_minute()
     table = data.train[data.train["flight"] == "latlon"].iloc[:2400].reset_index(drop=True)
     table = table[[name for name in table if not name.endswith("_true")]]
     air = ("airspeed", "alpha", "beta")

@@ -110,7 +110,7 @@ def main(arguments=None):
                 axes=list(AXES), goal=GOAL, limits=AXES, envelope=ENVELOPE, random_state=number,
             )  # fmt: skip
             print(planned.manoeuvres[["start", "name", "scale", "risk", "gain"]].round(2))
-            trains.append(planned.trains[0])
+            trains.append(planned.train)
             flights.append(fly(truth, aircraft, trains[-1], options.seconds, number + 1))
 
     exact = stability_derivatives(truth, aircraft, steady)["value"]

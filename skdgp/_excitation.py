@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -36,33 +35,11 @@ AXES = (
 )  # fmt: skip
 
 
-class Signal(ABC):
-    """Deviation of one control from trim as a function of the time since its start [s], zero before it and after it."""
-
-    duration: float  #: How long it lasts [s]
-
-    @abstractmethod
-    def __call__(self, time: ArrayLike) -> Array:
-        """Return the deviation at times of any shape."""
-
-    @property
-    @abstractmethod
-    def peak(self) -> float:
-        """Bound of the deviation, the smallest that is known."""
-
-    @property
-    @abstractmethod
-    def period(self) -> float:
-        """Shortest period of a sine, or of a pulse and the one after it [s]."""
-
-    @abstractmethod
-    def scaled(self, factor: float) -> Self:
-        """Return it multiplied by a factor."""
-
-
 @dataclass(frozen=True)
-class Steps(Signal):
+class Steps:
     """Levels, deviations from trim, that are held one after another for ``durations`` [s], as `doublet` makes them.
+
+    Called with the time since their start, they return the deviation, zero before it and after it.
 
     Raises ValueError if there is no level, or a duration is not > 0.
 
@@ -97,19 +74,22 @@ class Steps(Signal):
         return np.cumsum([0.0, *self.durations])
 
     @property
-    def duration(self) -> float:  # type: ignore[override]
+    def duration(self) -> float:
         """How long it lasts [s]."""
         return float(self.edges[-1])
 
     @property
     def peak(self) -> float:
+        """Largest deviation, to either side."""
         return max(map(abs, self.levels))
 
     @property
     def period(self) -> float:
+        """Shortest period, of a pulse and the one after it [s]."""
         return 2.0 * min(self.durations)
 
     def scaled(self, factor: float) -> Self:
+        """Return it multiplied by a factor."""
         return replace(self, levels=[factor * level for level in self.levels])
 
 
@@ -143,14 +123,14 @@ def three_two_one_one(width: float, amplitude: float) -> Steps:
     return Steps([3 * width, 2 * width, width, width], levels)
 
 
-def freeze(signal: Signal, kind: Callable, *names: str) -> None:
+def freeze(signal: object, kind: Callable, *names: str) -> None:
     """Make the sequences of a frozen signal tuples, so that it compares and pickles by value."""
     for name in names:
         object.__setattr__(signal, name, tuple(map(kind, getattr(signal, name))))
 
 
 @dataclass(frozen=True)
-class Multisine(Signal):
+class Multisine:
     r"""Sum of sines whose frequencies are harmonics of one period: :math:`\sum_k a_k \sin(2\pi h_k t / T + \phi_k)`.
 
     Multisines of the same duration T without common harmonics are orthogonal over it, and so are
@@ -207,6 +187,7 @@ class Multisine(Signal):
 
     @property
     def peak(self) -> float:
+        """Bound of the deviation, to either side."""
         # the largest sample, and how far a curve can rise between two, step^2 / 8 |s''|
         signal = self._sampled(PEAK_SAMPLES)
         step = 2.0 * np.pi * np.array(self.harmonics) / len(signal)
@@ -217,6 +198,7 @@ class Multisine(Signal):
 
     @property
     def period(self) -> float:
+        """Shortest period of a sine [s]."""
         return self.duration / max(self.harmonics)
 
     @property
@@ -225,6 +207,7 @@ class Multisine(Signal):
         return float(np.ptp(self._sampled(PEAK_SAMPLES)) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
+        """Return it multiplied by a factor."""
         return replace(self, amplitudes=[factor * amplitude for amplitude in self.amplitudes])
 
     def optimized(self) -> Multisine:
@@ -390,6 +373,9 @@ def _flattest(harmonics: Sequence[int], weights: Vector, phases: Vector) -> Vect
     for p in POWERS:
         phases = minimize(size, phases, (p,), "L-BFGS-B", options={"maxiter": MOST_STEPS}).x
     return phases
+
+
+Signal: TypeAlias = Steps | Multisine
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -33,26 +34,24 @@ RATE = 50.0  # of the rows of tables, and of the script [Hz]
 def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
-    Doublets, 3-2-1-1s and multisines are simulated from trims of the model. Each that is chosen is
+    Doublets, 3-2-1-1s and multisines are simulated from a trim of the model. Each that is chosen is
     flown by aircraft drawn from its posterior, in gusts as in its training flights, and is
     made smaller or left out if it leaves the limits too often. These are the range of the training
     flights, with --growth, unless given. The controls are open loop during a
     manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with the best
     manoeuvre checked so far, if any.
 
-    Writes into DIR, all or none, and removes tables and scripts there that an earlier plan wrote
-    and this one does not:
-      plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz; plan_1.csv,
-                     plan_2.csv ... of several airspeeds
+    Writes into DIR, all or none, and removes a script there that an earlier plan wrote:
+      plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
       card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, promised errors
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trims, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
+      plan.json      trim, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
                      with a model learned from this flight too
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
-      skdgp plan results/model.joblib --airspeed 30 40 --seconds 120 --axes elevator --goal Cm_q -o pitch
+      skdgp plan results/model.joblib --airspeed 30 --seconds 120 --axes elevator --goal Cm_q -o pitch
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
     options, console = run.options, run.console
@@ -75,10 +74,10 @@ def plan(run: Run) -> None:
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
     highest = envelope.altitudes(model.pipeline)[1]  # of the training flights
-    trims = trim(
+    point: Any = trim(
         model.pipeline,
         model.aircraft,
-        sorted(set(options.airspeed)),
+        options.airspeed,
         altitude=highest if options.altitude is None else options.altitude,
         climb=None if thrust is None else 0.0,
         thrust=thrust,
@@ -87,7 +86,7 @@ def plan(run: Run) -> None:
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            trims,
+            point,
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,
@@ -97,21 +96,18 @@ def plan(run: Run) -> None:
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    files = run.write(_writers(options, planned), "plan.json", numbers, r"plan(_\d+)?\.(csv|lua)")
+    files = run.write(_writers(options, planned), "plan.json", numbers, r"plan\.lua")
     run.print(_text(planned, options, files), numbers)
 
 
 def _writers(options, planned: Plan) -> dict[str, Writer]:
-    files: dict[str, Writer] = {}
+    files: dict[str, Writer] = {"plan.csv": csv_writer(planned.train.table(RATE))}
     full = dict(options.full)
-    for number, train in enumerate(planned.trains, start=1):
-        name = "plan" if len(planned.trains) == 1 else f"plan_{number}"
-        files[f"{name}.csv"] = csv_writer(train.table(RATE))
-        if full:
-            try:
-                files[f"{name}.lua"] = text_writer(ardupilot_script(train, RATE, full))
-            except ValueError as error:  # the plan is kept
-                warn(f"No script for ArduPilot: {error}", stacklevel=2)
+    if full:
+        try:
+            files["plan.lua"] = text_writer(ardupilot_script(planned.train, RATE, full))
+        except ValueError as error:  # the plan is kept
+            warn(f"No script for ArduPilot: {error}", stacklevel=2)
     return files | {
         "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": csv_writer(planned.flight),
@@ -119,12 +115,9 @@ def _writers(options, planned: Plan) -> dict[str, Writer]:
 
 
 def _text(planned: Plan, options, files: list) -> str:
-    """Return trims, manoeuvres and standard deviations as tables."""
-    lines = [f"train {n}: {point.airspeed:g} m/s" for n, point in enumerate(planned.trims)]
-    flown = {point.airspeed for point in planned.trims}
-    lines += [f"{speed:g} m/s: nothing planned there" for speed in {*options.airspeed} - flown]
-    columns = ["train", "start", "name", "scale", "risk"]
-    lines += ["", _table(planned.manoeuvres[columns]), "", _table(planned.errors), ""]
+    """Return manoeuvres and standard deviations as tables."""
+    columns = ["start", "name", "scale", "risk"]
+    lines = [_table(planned.manoeuvres[columns]), "", _table(planned.errors), ""]
     if planned.abort_limits.empty:
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not options.full:
@@ -189,7 +182,7 @@ COMMANDS: opt.Commands = {
         "": {
             "model": opt.SHARED["model"],
             "--aircraft": opt.SHARED["--aircraft"],
-            "--airspeed": opt.SHARED["--airspeed"],
+            "--airspeed": opt.SHARED["--airspeed"] | {"nargs": None, "help": "of the trim [m/s]"},
             "--seed": opt.SHARED["--seed"],
             "--output": opt.SHARED["--output"] | {"required": True},
             "--seconds": {

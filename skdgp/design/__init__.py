@@ -2,7 +2,6 @@
 
 from skdgp._excitation import (
     Multisine,
-    Signal,
     Steps,
     Wavetrain,
     doublet,
@@ -21,7 +20,6 @@ __all__ = [
     "Multisine",
     "Plan",
     "PlanCheck",
-    "Signal",
     "Steps",
     "Wavetrain",
     "ardupilot_script",

@@ -86,7 +86,7 @@ def write_flight_card(
         body.append(
             '<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>'
         )
-    kinds = plan.manoeuvres.reset_index().groupby(["name", "train", "scale"], sort=False)["index"]
+    kinds = plan.manoeuvres.reset_index().groupby(["name", "scale"], sort=False)["index"]
     body += [_manoeuvre(plan, list(rows), full or {}, draw) for _, rows in kinds]
     body.append(_promise(plan))
     meta = (
@@ -126,23 +126,16 @@ def _go(plan: Plan) -> str:
 
 def _entry(plan: Plan) -> str:
     states = ("airspeed", "altitude", "phi", "alpha", "theta")
-    axes = list(dict.fromkeys(axis for trim in plan.trims for axis in trim.controls))
-    pauses = plan.manoeuvres.groupby("train")["start"].first()
-    rows = [
-        [
-            _train(plan, k),
-            *(shown(name, getattr(trim, name)) for name in states),
-            *(shown(axis, trim.controls.get(axis, np.nan)) for axis in axes),
-            number(pauses[k], ".1f"),
-        ]
-        for k, trim in enumerate(plan.trims)
-    ]
+    controls = plan.trim.controls
+    values = {name: getattr(plan.trim, name) for name in states} | controls
+    row = ["", *(shown(name, value) for name, value in values.items())]
+    row.append(number(plan.manoeuvres["start"].iloc[0], ".1f"))
     caption = (
         "Trim, as the model expects it; deflections of the controls are positions, not deviations."
     )
-    head = ["", *map(heading, (*states, *axes)), "pause<br>[s]"]
+    head = ["", *map(heading, values), "pause<br>[s]"]
     steps = "".join(f"<li>{step}</li>" for step in ENTRY)
-    return _section("Trim and entry", f"{table(head, rows, caption=caption)}<ol>{steps}</ol>")
+    return _section("Trim and entry", f"{table(head, [row], caption=caption)}<ol>{steps}</ol>")
 
 
 def _order(plan: Plan) -> str:
@@ -164,7 +157,7 @@ def _order(plan: Plan) -> str:
     total = f"<b>{percent(plan.risk)}</b>"
     rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", total, ""])
     caption = (
-        "Order of flight; the times of each trim begin at zero. Risk: predicted probability of "
+        "Order of flight. Risk: predicted probability of "
         "leaving a limit; if K of N simulated flights leave one, it is (K + 1) / (N + 2). That of "
         "the flight: of any of them, if they are independent."
     )
@@ -211,7 +204,7 @@ def _promise(plan: Plan) -> str:
         for name, row in errors.iterrows()
     ]
     caption = (
-        f"Standard deviations of derivatives at the trims, as <code>derivatives</code> states "
+        f"Standard deviations of derivatives at the trim, as <code>derivatives</code> states "
         f"them: before the flight, and promised of a model learned from this flight too. Geometric "
         f"mean of what is left: {percent(plan.remaining, '.0f')}{THIN}%."
     )
@@ -225,14 +218,13 @@ def _manoeuvre(plan: Plan, rows: Sequence[int], full: Mapping[str, float], draw:
     """Return the page of a kind of manoeuvre, which is flown in one or several rows of the order."""
     row = plan.manoeuvres.iloc[rows[0]]
     inputs = plan.inputs(rows[0])
-    trim = plan.trims[int(row["train"])]
     order = ", ".join(str(k + 1) for k in rows)
     starts = ", ".join(number(plan.manoeuvres["start"].iloc[k], ".1f") for k in rows)
     facts = (
-        f"<p>No. {order} of the order, at {starts}{THIN}s, from {_train(plan, int(row['train']))}. "
+        f"<p>No. {order} of the order, at {starts}{THIN}s. "
         f"Risk of leaving a limit: {percent(row['risk'])}{THIN}%.</p>"
     )
-    body = facts + _steps(inputs, trim.controls, full)
+    body = facts + _steps(inputs, plan.trim.controls, full)
     if draw:
         body += _pictures(plan, rows[0], inputs)
     return _section(text(row["name"]), body, "flight")
@@ -331,12 +323,6 @@ def _section(title: str, body: str, kind: str = "") -> str:
 def _drawn(plan: Plan) -> str:
     is_drawn = "alpha_low" in plan.flight
     return "95 % of the aircraft and gusts drawn" if is_drawn else "the mean of the model"
-
-
-def _train(plan: Plan, k: int) -> str:
-    trim = plan.trims[k]
-    bank = f", bank {shown('phi', trim.phi)}°" if abs(trim.phi) > np.deg2rad(0.5) else ""
-    return f"{number(trim.airspeed, 'g')}{THIN}m/s{bank}"
 
 
 def _label(name: str) -> tuple[str, float, str]:

@@ -51,29 +51,28 @@ TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flights that `plan` has chosen, with promised standard deviations; `write_flight_card` draws them.
+    """Flight that `plan` has chosen, with promised standard deviations; `write_flight_card` draws it.
 
     Parameters
     ----------
-    trains : tuple of Wavetrain
-        The inputs, a wavetrain for each trim that is flown.
-    trims : tuple of Trim
-        Where each wavetrain begins, and to which the aircraft is returned before each manoeuvre.
+    train : Wavetrain
+        The inputs.
+    trim : Trim
+        Where the flight begins, and to which the aircraft is returned before each manoeuvre.
     manoeuvres : DataFrame
-        In the order of flight: ``train`` (number of its wavetrain), ``airspeed`` [m/s] of its trim,
-        ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it, ``scale`` (relative to
-        the limits), ``risk`` (predicted probability of leaving the envelope; NaN without
-        posterior), and ``gain`` (relative reduction of the standard errors of the goal by linear
-        least squares, on geometric average).
+        In the order of flight: ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it,
+        ``scale`` (relative to the limits), ``risk`` (predicted probability of leaving the envelope;
+        NaN without posterior), and ``gain`` (relative reduction of the standard errors of the goal
+        by linear least squares, on geometric average).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
         Of a model with a posterior also the band of 95 % of the aircraft drawn: ``alpha_low``,
         ``alpha_high`` and so on.
     errors : DataFrame
-        Standard deviations of the derivatives of the goal at the trims, as of
-        :func:`skdgp.dynamics.stability_derivatives` (root mean square over the trims): ``before``
-        the flight, and ``promised`` of a model learned from this flight too. NaN where the model
-        has no posterior, or does not hold its rows.
+        Standard deviations of the derivatives of the goal at the trim, as of
+        :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``promised`` of a
+        model learned from this flight too. NaN where the model has no posterior, or does not hold
+        its rows.
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
@@ -84,8 +83,8 @@ class Plan:
         Of the surfaces behind the inputs, which are commands [s].
     """
 
-    trains: tuple[Wavetrain, ...]
-    trims: tuple[Trim, ...]
+    train: Wavetrain
+    trim: Trim
     manoeuvres: pd.DataFrame
     flight: pd.DataFrame
     errors: pd.DataFrame
@@ -105,9 +104,9 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        """Of all flights together, pauses included [s]."""
-        first = self.manoeuvres.groupby("train")["start"].first()
-        return float(first.sum() + self.manoeuvres[["duration", "pause"]].to_numpy().sum())
+        """Of the flight, pauses included [s]."""
+        first = self.manoeuvres["start"].iloc[0]
+        return float(first + self.manoeuvres[["duration", "pause"]].to_numpy().sum())
 
     @property
     def remaining(self) -> float:
@@ -116,9 +115,9 @@ class Plan:
 
     def inputs(self, k: int) -> dict[str, Signal]:
         """Return the inputs of a row of ``manoeuvres`` by axis."""
-        row = self.manoeuvres.iloc[k]
-        events = self.trains[int(row["train"])].events()
-        return {axis: signal for axis, start, signal in events if np.isclose(start, row["start"])}
+        begin = self.manoeuvres["start"].iloc[k]
+        events = self.train.events()
+        return {axis: signal for axis, start, signal in events if np.isclose(start, begin)}
 
     def expected(self, rows: Sequence[int]) -> pd.DataFrame:
         """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
@@ -153,7 +152,7 @@ class Plan:
         """Return the plan as plain values, SI units and radians."""
         return {
             "aircraft": self.aircraft.name,
-            "trims": [{name: plain(getattr(trim, name)) for name in TRIM} for trim in self.trims],
+            "trim": {name: plain(getattr(self.trim, name)) for name in TRIM},
             "manoeuvres": self.manoeuvres.to_dict("records"),
             "risk": self.risk,
             "gusts": self.gusts,
@@ -165,23 +164,19 @@ class Plan:
 def std_at(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
-    trims: Sequence[Mapping[str, Any]],
+    trim: Mapping[str, Any],
     thrust: Any,
     added: Matrix | None = None,
 ) -> pd.Series:
-    """Return the standard deviations of `stability_derivatives` by name, root mean square over trims.
+    """Return the standard deviations of `stability_derivatives` by name, empty for a model without a posterior.
 
-    Trims have "state" and "controls". The result is empty for a model without a posterior.
+    The trim has "state" and "controls".
     """
-    states = np.array([trim["state"] for trim in trims], dtype=float)
-    names = trims[0]["controls"]
-    controls = {name: np.array([trim["controls"][name] for trim in trims]) for name in names}
+    state = np.array(trim["state"], dtype=float)
     derivatives = stability_derivatives(
-        model, aircraft, states, controls, thrust=thrust, added=added
+        model, aircraft, state, trim["controls"], thrust=thrust, added=added
     )
-    if "std" not in derivatives:
-        return pd.Series(dtype=float)
-    return np.sqrt((derivatives["std"] ** 2).groupby(level=1).mean())
+    return derivatives.get("std", pd.Series(dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +187,7 @@ class PlanCheck:
     ----------
     errors : DataFrame
         By derivative of the goal: ``before`` and ``promised``, of the plan; ``found``, of the
-        model, at the trims of the plan.
+        model, at the trim of the plan.
     """
 
     name: ClassVar[str] = "plan"
@@ -228,7 +223,7 @@ class PlanCheck:
             columns = ["before", "promised"]
             rows = [[float(row[name]) for name in columns] for row in plan["errors"].values()]
             errors = pd.DataFrame(rows, index=list(plan["errors"]), columns=columns)
-            std = std_at(model, aircraft, plan["trims"], thrust)
+            std = std_at(model, aircraft, plan["trim"], thrust)
         except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError):
             raise ValueError(
                 f"Got {path} as the plan, but expected the plan.json that skdgp plan "
@@ -260,7 +255,7 @@ class PlanCheck:
         ]
         ratios = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
         caption = (
-            f"Standard deviations of derivatives at the trims of the plan: before its flight, "
+            f"Standard deviations of derivatives at the trim of the plan: before its flight, "
             f"promised by the plan, and found in this model. Geometric mean, of those before: "
             f"{ratios}."
         )
@@ -332,7 +327,7 @@ VAGUE = 1e-8  # information assumed of everything, relative to the largest of a 
 def plan(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
-    trims: Trim | Sequence[Trim],
+    trim: Trim,
     *,
     seconds: float,
     axes: Sequence[str],
@@ -367,7 +362,7 @@ def plan(
     Ctrl-C ends the search with the best checked manoeuvres. :func:`skdgp.listening` shows the
     progress.
 
-    Raises ValueError if a trim has not an axis, the model has not a regressor of the goal or did
+    Raises ValueError if the trim has not an axis, the model has not a regressor of the goal or did
     not see it move, no manoeuvre fits into the time, or no manoeuvre stays in the envelope. Warns
     if the model does not know the turbulence of its flights, or the range of a quantity, and
     neither is given.
@@ -378,10 +373,10 @@ def plan(
         As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior only its mean is checked,
         and nothing is promised.
     aircraft : Aircraft
-    trims : Trim or sequence of Trim
+    trim : Trim
         Where manoeuvres begin, of :func:`skdgp.dynamics.trim`.
     seconds : float
-        Of all flights together, pauses included; a flight ends 3 s after its last manoeuvre.
+        Of the flight, pauses included; it ends 3 s after its last manoeuvre.
     axes : sequence of str
         Controls to move, such as ``["elevator", "aileron", "rudder"]``.
     goal : sequence of str, optional
@@ -418,11 +413,10 @@ def plan(
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     with one_blas_thread(), without_warnings(SimulationWarning):  # leaving the envelope is a risk
-        trims = [trims] if isinstance(trims, Trim) else list(trims)
         envelope = envelope or Envelope()
         _check_options(seconds, axes, limits or {}, envelope)
         seed = int(check_random_state(random_state).randint(2**31 - 1))
-        planner = _Planner(model, aircraft, trims, seconds, envelope, thrust, seed)
+        planner = _Planner(model, aircraft, trim, seconds, envelope, thrust, seed)
         return planner.search(axes, limits or {}, goal)
 
 
@@ -456,10 +450,9 @@ def pause_of(airspeed: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Manoeuvre:
-    """A manoeuvre of the library, from one of the trims."""
+    """A manoeuvre of the library."""
 
     name: str
-    at: int
     full: Inputs  # as large as the limits allow
     inputs: Inputs
     pause: float
@@ -475,12 +468,12 @@ class _Manoeuvre:
 
 
 class _Planner:
-    """Trims, manoeuvres and risks of the flights that may be planned."""
+    """Manoeuvres and risks of the flights that may be planned."""
 
-    def __init__(self, model, aircraft, trims, seconds, envelope, thrust, seed) -> None:
+    def __init__(self, model, aircraft, trim, seconds, envelope, thrust, seed) -> None:
         self.model = model
         self.aircraft = aircraft
-        self.trims = trims
+        self.trim = trim
         self.seconds = float(seconds)
         self.envelope = envelope
         self.thrust = thrust
@@ -501,24 +494,18 @@ class _Planner:
         self.goal = check_goal(goal, self.aerodynamics)
         numbers = derivative_names(self.aerodynamics)
         self.slopes = [numbers[name] for name in self.goal]
-        for point in self.trims:
-            check_names(axes, point.controls, "controls of the trim")
+        check_names(axes, self.trim.controls, "controls of the trim")
         self.limits = self._checked_limits(axes, limits)
-        self.rehearsals = [
-            Rehearsal(
-                self.model, self.aircraft, point, self.limits, self.envelope,
-                pause_of(point.airspeed), self.thrust, self.seed,
-            )
-            for point in self.trims
-        ]  # fmt: skip
-        self.library = {
-            item.name: item for k in range(len(self.trims)) for item in self._library(k)
-        }
+        self.rehearsal = Rehearsal(
+            self.model, self.aircraft, self.trim, self.limits, self.envelope,
+            pause_of(self.trim.airspeed), self.thrust, self.seed,
+        )  # fmt: skip
+        self.library = {item.name: item for item in self._library()}
         if not self.library:
-            pause = min(item.pause for item in self.rehearsals)
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {pause:.3g} s is that "
-                f"short and can be flown: give more seconds or smaller limits."
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of "
+                f"{self.rehearsal.pause:.3g} s is that short and can be flown: give more seconds "
+                f"or smaller limits."
             )
         peak = np.max([np.diag(item.information) for item in self.library.values()], axis=0)
         self.known = VAGUE * np.diag(np.maximum(peak, UNMOVED))
@@ -564,7 +551,7 @@ class _Planner:
         return checked
 
     def _flown(self, axis: str) -> float:
-        """Return the largest deviation from the trims that was flown to both sides."""
+        """Return the largest deviation from the trim that was flown to both sides."""
         names = self.aerodynamics.regressors
         flown = self.aerodynamics.limits
         remedy = f"give limits={{{axis!r}: ...}} (--limits)"
@@ -575,15 +562,14 @@ class _Planner:
         return self._room(axis, flown[:, names.index(axis)], "flown was", remedy)
 
     def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
-        """Return the largest deviation of an axis from the trims, to both sides, in its range."""
+        """Return the largest deviation of an axis from the trim, to both sides, in its range."""
         low, high = ends
-        values = [point.controls[axis] for point in self.trims]
-        room = min(min(value - low, high - value) for value in values)
+        value = self.trim.controls[axis]
+        room = min(value - low, high - value)
         if not room > 0:
             raise ValueError(
-                f"Got trims with the {axis} at {', '.join(f'{value:.3g}' for value in values)}, "
-                f"but {what} {low:.3g} to {high:.3g}, which leaves it no room: {remedy}, or "
-                f"choose other trims."
+                f"Got a trim with the {axis} at {value:.3g}, but {what} {low:.3g} to {high:.3g}, "
+                f"which leaves it no room: {remedy}, or choose another trim."
             )
         return float(room)
 
@@ -594,16 +580,12 @@ class _Planner:
         times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
         return np.column_stack([np.interp(times, time, column) for column in X.T])
 
-    def _library(self, k: int) -> list[_Manoeuvre]:
+    def _library(self) -> list[_Manoeuvre]:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
-        rehearsal = self.rehearsals[k]
-        point = self.trims[k]
-        label = f"{point.airspeed:g} m/s: " if len(self.trims) > 1 else ""
-        if len({round(item.phi, 3) for item in self.trims}) > 1:
-            label += f"bank {np.rad2deg(point.phi):.0f} deg: "
-        notify(f"planning: {label}library", 0, 0.0)
+        rehearsal = self.rehearsal
+        notify("planning: library", 0, 0.0)
         linear = linearize(
-            self.model, self.aircraft, point, inputs=list(self.limits), thrust=self.thrust
+            self.model, self.aircraft, self.trim, inputs=list(self.limits), thrust=self.thrust
         )
         most = self.seconds - rehearsal.pause - rehearsal.response
         named = {
@@ -614,21 +596,21 @@ class _Planner:
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             remaining = {n: scaled(item, factor) for n, item in named.items() if n not in scales}
-            for name, flight in self._flights(k, remaining).items():
+            for name, flight in self._flights(remaining).items():
                 scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
         inputs = {name: scaled(named[name], scale) for name, scale in scales.items()}
         return [
             _Manoeuvre(
-                name=label + name, at=k, full=named[name], inputs=inputs[name],
+                name=name, full=named[name], inputs=inputs[name],
                 pause=rehearsal.pause, information=information(self._rows(item)), flight=item,
                 scale=scales[name],
             )
-            for name, item in self._flights(k, inputs).items()
+            for name, item in self._flights(inputs).items()
         ]  # fmt: skip
 
-    def _flights(self, k: int, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+    def _flights(self, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of manoeuvres that the mean completes."""
-        flights = self.rehearsals[k].flown([*named.values()]) if named else []
+        flights = self.rehearsal.flown([*named.values()]) if named else []
         pairs = zip(named, flights, strict=True)
         return {name: flight for name, flight in pairs if (flight["ended"] == "").all()}
 
@@ -638,8 +620,8 @@ class _Planner:
         return float(-0.5 * np.mean(np.log(slope_variances(fisher)[self.slopes])))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
-        last = sum(self.rehearsals[k].response for k in {manoeuvre.at for manoeuvre in chosen})
-        return sum(manoeuvre.seconds for manoeuvre in chosen) + last <= self.seconds + 1e-9
+        seconds = sum(manoeuvre.seconds for manoeuvre in chosen) + self.rehearsal.response
+        return seconds <= self.seconds + 1e-9
 
     def _filled(self, chosen: list, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
         """Return manoeuvres, and more with the largest gain per second until the time is used."""
@@ -720,7 +702,7 @@ class _Planner:
         best: tuple[Inputs, Checked] | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
             inputs = scaled(manoeuvre.full, scale)
-            checked = self.rehearsals[manoeuvre.at].checked(inputs)
+            checked = self.rehearsal.checked(inputs)
             if checked.risk <= self.envelope.risk:
                 safe = scale
                 best = inputs, checked
@@ -748,42 +730,29 @@ class _Planner:
         return largest, causes
 
     def _plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
-        """Return the plan of manoeuvres, grouped by trim."""
-        chosen = sorted(chosen, key=lambda manoeuvre: manoeuvre.at)
-        flown = sorted({manoeuvre.at for manoeuvre in chosen})
-        trains = []
+        """Return the plan of manoeuvres."""
+        start = self.rehearsal.pause
+        train = wavetrain([item.inputs for item in chosen], pause=start, limits=self.limits)
         gained = self._gain([])
         rows: list[dict[str, Any]] = []
-        for k_train, k_trim in enumerate(flown):
-            of_trim = [manoeuvre for manoeuvre in chosen if manoeuvre.at == k_trim]
-            start = self.rehearsals[k_trim].pause
-            trains.append(
-                wavetrain(
-                    [manoeuvre.inputs for manoeuvre in of_trim], pause=start, limits=self.limits
-                )
-            )
-            for manoeuvre in of_trim:
-                gain = self._gain(chosen[: len(rows) + 1]) - gained
-                gained += gain
-                pause = (
-                    self.rehearsals[k_trim].response
-                    if manoeuvre is of_trim[-1]
-                    else manoeuvre.pause
-                )
-                rows.append({
-                    "train": k_train, "airspeed": self.trims[k_trim].airspeed, "start": start,
-                    "name": manoeuvre.name, "duration": duration_of(manoeuvre.full), "pause": pause,
-                    "scale": manoeuvre.scale, "risk": manoeuvre.risk, "gain": -np.expm1(-gain),
-                })  # fmt: skip
-                start += manoeuvre.seconds
+        for manoeuvre in chosen:
+            gain = self._gain(chosen[: len(rows) + 1]) - gained
+            gained += gain
+            rows.append({
+                "start": start, "name": manoeuvre.name, "duration": duration_of(manoeuvre.full),
+                "pause": manoeuvre.pause, "scale": manoeuvre.scale, "risk": manoeuvre.risk,
+                "gain": -np.expm1(-gain),
+            })  # fmt: skip
+            start += manoeuvre.seconds
+        rows[-1]["pause"] = self.rehearsal.response
         flight = [manoeuvre.flight.assign(flight=k) for k, manoeuvre in enumerate(chosen)]
         gusts = self.envelope.gusts
         if gusts == "auto":
             gusts = self.aerodynamics.turbulence
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
-            trains=tuple(trains),
-            trims=tuple(self.trims[k_trim] for k_trim in flown),
+            train=train,
+            trim=self.trim,
             manoeuvres=pd.DataFrame(rows),
             flight=pd.concat(flight, ignore_index=True),
             errors=self._errors(chosen),
@@ -796,11 +765,11 @@ class _Planner:
     def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:
         """Return standard deviations of the goal before the flight, and promised after it."""
         notify("planning: promise", 0, 0.0)
-        points = [vars(item) for item in self.trims]
-        before = std_at(self.model, self.aircraft, points, self.thrust)
+        point = vars(self.trim)
+        before = std_at(self.model, self.aircraft, point, self.thrust)
         promised = pd.Series(dtype=float)
         if self.learned is not None and len(before):
             added = np.concatenate([self._rows(item.flight) for item in chosen])
-            promised = std_at(self.model, self.aircraft, points, self.thrust, added)
+            promised = std_at(self.model, self.aircraft, point, self.thrust, added)
         errors = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
         return errors.reindex(list(self.goal))

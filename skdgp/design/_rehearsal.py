@@ -160,10 +160,8 @@ class Rehearsal:
                 f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
                 f"{self.point.altitude:.0f} m "
                 f"leaves in {risk:.0%} of cases within {self.response:g} s, by {causes}, but "
-                f"expected at most "
-                f"{self.envelope.risk:.0%}: {self._possible(begun)}widen this limit, choose "
-                f"another airspeed or "
-                "altitude, or weaker gusts."
+                f"expected at most {self.envelope.risk:.0%}: widen this limit, choose another "
+                f"airspeed or altitude, or weaker gusts."
             )
         limits = self.envelope.bounds(self.aerodynamics)
         is_set = [
@@ -176,27 +174,6 @@ class Rehearsal:
             allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
         return Hold(
             centre, self.channels(paths).reshape(-1, *centre.shape), low, high, margin, allowed
-        )
-
-    def _possible(self, paths: pd.DataFrame) -> str:
-        """Return the airspeeds that stay in the envelope in the gusts of these flights, if theirs does not."""
-        bounds = [
-            pair
-            for name, pair in self.envelope.bounds(self.aerodynamics).items()
-            if name.endswith("airspeed")
-        ]
-        off = (
-            paths.groupby("flight", sort=False)["airspeed"].agg(["min", "max"])
-            - self.point.airspeed
-        )
-        low = max(pair[0] for pair in bounds) - off["min"].quantile(0.5 * self.envelope.risk)
-        high = min(pair[1] for pair in bounds) - off["max"].quantile(1 - 0.5 * self.envelope.risk)
-        if not np.isfinite(high - low) or low <= self.point.airspeed <= high:
-            return ""
-        return (
-            f"fly at {low:.3g} to {high:.3g} m/s, "
-            if low < high
-            else "no airspeed stays in its range, "
         )
 
     def room(self, flight: pd.DataFrame) -> float:

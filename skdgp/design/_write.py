@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation import ROUNDING, Multisine, Signal, Steps, Wavetrain
+from skdgp._excitation import ROUNDING, Signal, Steps, Wavetrain
 from skdgp._flight.checks import check_names, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
@@ -70,7 +70,7 @@ def ardupilot_script(
     ValueError
         If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces,
         ArduPilot has no servo function for one, a full deflection is no number > 0 or smaller than
-        the inputs of the surface, a signal is none of this package, or as of `Wavetrain.table`.
+        the inputs of the surface, or as of `Wavetrain.table`.
 
     Examples
     --------
@@ -146,12 +146,7 @@ def _parts(signal: Signal) -> dict[str, Any]:
     if isinstance(signal, Steps):
         swings = np.diff([0.0, *signal.levels, 0.0])
         return kind | {"edges": signal.edges.tolist(), "swings": swings.tolist()}
-    if isinstance(signal, Multisine):
-        return kind | vars(signal)
-    raise ValueError(
-        f"Got a {type(signal).__name__}, which the script does not know, but expected Steps "
-        f"or Multisine."
-    )
+    return kind | vars(signal)
 
 
 def _lua(value: Any) -> str:

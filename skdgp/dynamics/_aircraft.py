@@ -137,18 +137,6 @@ KINDS = {
 # 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
 # (tests/dynamics/test_estimate.py).
 PRODUCT_STD = 0.07
-# Measurements of an hour at most, by the scale factor that they narrow
-REMEDIES = {
-    "mass": "weigh it",
-    "span": "measure the span",
-    "aspect ratio": "measure the chord of the wing (area = span x mean chord)",
-    "wing area": "measure the chord of the wing (area = span x mean chord)",
-    "chord": "measure the chord of the wing along the span",
-    "mean aerodynamic chord": "measure the chord of the wing along the span",
-    "length": "measure the length from nose to tail",
-    "airspeed": "fit an airspeed sensor",
-    **dict.fromkeys(INERTIAS, "swing it about each axis on two cords (bifilar pendulum)"),
-}
 
 
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:

@@ -16,13 +16,11 @@ from skdgp._flight.physics import reversed_surfaces
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
-    REMEDIES,
     Aircraft,
     ScaleFactor,
     dynamic_pressure,
     propeller_speed_of,
     propulsive_loads,
-    relative_errors,
 )
 from skdgp.identification._flights import Flights, items_of
 from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
@@ -33,9 +31,6 @@ THRUST_IN_COEFFICIENTS = (
     "thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
-THROWS = 'angles of surfaces at full throw (servo file: elevator = "25 +- 1 deg")'
-THRUST = "thrust on a bench over the propeller's speed"
-LISTED = 3  # measurements that are named
 
 
 def servos_for(servos: Any, *flights: Any) -> Any:
@@ -136,32 +131,16 @@ def control_units(servos: Any) -> dict[str, str]:
 
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
-    """Return the assumptions, and the measurements that would reduce their errors most, in a line each."""
-    deviations = aircraft.deviations or {}
-    full_throws = reversed_of(servos) is not None
-    # the rules that sizes were estimated by, each source with all that is from it
-    by_source: dict[str, list[str]] = {}
-    for name, factor in deviations.items():
-        if factor.source != "given":
-            by_source.setdefault(factor.source.rpartition(", ")[2], []).append(name)
-    rules = [f"{', '.join(names)} ({source})" for source, names in by_source.items()]
+    """Return the assumptions, in a line each."""
     sizes = _uncertain_sizes(aircraft)
+    sources = {factor.source for factor in (aircraft.deviations or {}).values()} - {"given"}
+    rules = sorted({source.rpartition(", ")[2] for source in sources})
     lines = {
         f"Of the aircraft: {', '.join(sizes)}; their part in errors of derivatives is std_aircraft.": sizes,
-        f"Estimated: {'; '.join(rules)}.": rules,
-        FULL_THROWS: full_throws,
+        f"Estimated by: {'; '.join(rules)}.": rules,
+        FULL_THROWS: reversed_of(servos) is not None,
         THRUST_IN_COEFFICIENTS: thrust_unknown,
     }
-    # what to measure, first what lessens the errors of the coefficients most
-    errors = np.sum(relative_errors(deviations, ())[..., 0] ** 2, axis=1)
-    gains: dict[str, float] = {}
-    for name, error in zip(deviations, errors.tolist(), strict=True):
-        if error:  # products of inertia and throws change no coefficient
-            remedy = REMEDIES.get(name, f"measure the {name}")
-            gains[remedy] = gains.get(remedy, 0.0) + error
-    remedies = sorted(gains, key=lambda remedy: -gains[remedy])[:LISTED] + [THROWS] * full_throws
-    remedies += [THRUST] * (thrust_unknown or "thrust" in deviations)
-    lines[f"An hour each, most useful first: {'; '.join(remedies)}."] = remedies
     return [line for line, applies in lines.items() if applies]
 
 

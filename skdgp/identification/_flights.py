@@ -23,7 +23,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, check_table, suggestions
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.physics import block_means, find_contradictions
+from skdgp._flight.physics import find_contradictions
 from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import FlightCheck
 
@@ -261,34 +261,6 @@ def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
             f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of "
             f"the others, or drop "
             "columns that are empty."
-        )
-
-
-def warn_of_short_flights(flights: Flights, regressors) -> None:
-    """Warn if regressors pass their means less often than there are regressors."""
-    columns = [
-        name
-        for name in regressor_columns(list(flights.values())[:1], regressors)
-        if name != "airspeed"
-    ]
-    crossings = np.zeros(len(columns))
-    for table in flights.values():
-        time, values = table["time"].to_numpy(float), table[columns].to_numpy(float)
-        size = (
-            max(1, round(0.25 / np.median(np.diff(time)))) if len(time) > 1 else 1
-        )  # noise does not count
-        blocks = block_means(values, size) - values.mean(axis=0)
-        crossings += np.sum(blocks[1:] * blocks[:-1] < 0, axis=0)
-    if np.median(crossings) < len(columns):
-        seconds = sum(np.ptp(table["time"]) for table in flights.values())
-        warn(
-            f"The training flights last {seconds:.3g} s, in which {columns} pass their means "
-            f"{np.median(crossings):g} "
-            f"times (median): too few changes to learn the effect of each of {len(columns)}. Fly "
-            f"longer, or name fewer "
-            "regressors.",
-            FlightDataWarning,
-            stacklevel=3,
         )
 
 

@@ -235,7 +235,6 @@ def prepare(
     servos, train, named = _assumed.with_signs_of_flights(servos, train, named)
     columns = _flights.regressor_columns(train.values(), regressors)
     train, named = (_flights.usable_flights(part, regressors, columns) for part in (train, named))
-    _flights.warn_of_short_flights(train, regressors)
     lacks_thrust = _assumed.lacks_thrust(thrust, train.values(), aircraft)
     if lacks_thrust:
         warn(_assumed.THRUST_IN_COEFFICIENTS, stacklevel=3)

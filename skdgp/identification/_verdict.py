@@ -67,12 +67,7 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table, learned = scores(evaluations)["measured"], list(train)
-    faults = _faults(
-        mechanics.derivatives,
-        fit.get("paths_not_converged", ()),
-        fit.get("gusts_unknown", ""),
-        [text for text in messages if text.startswith(AIR_UNKNOWN)],
-    )
+    faults = _faults(mechanics.derivatives, fit, messages)
     rest = [text for text in messages if not text.startswith(AIR_UNKNOWN)]
     errors = {
         flight.name: flight.scores["measured"]["normalized_rmse"].mean() for flight in evaluations
@@ -85,18 +80,17 @@ def judge(
         else "flights that are not part of this report"
     )
     tested = _amount([flight.table for flight in evaluations])
-    uses = (
-        _prediction(table),
-        _simulation(mechanics, fit["regressors"]),
-        _control(mechanics, faults),
-    )
-    moments = table["normalized_rmse"].reindex(["Cl", "Cm", "Cn"])
-    if names := " ".join(map(str, moments.index[moments > 1])):
-        doubt = f"a constant predicts {names} of the test flights better"
-        uses = *uses[:2], _doubted(uses[2], doubt)
-    for doubt in (UNCONVERGED, GUSTS_UNKNOWN):
-        if doubt in faults:
-            uses = _doubted(uses[0], doubt), _doubted(uses[1], doubt), _doubted(uses[2], doubt)
+    judged = {
+        "predict coefficients": _prediction(table),
+        "simulate": _simulation(mechanics, fit["regressors"]),
+        "design a controller": _control(mechanics, table["normalized_rmse"], faults),
+    }
+    doubts = "".join(f"; but {doubt}" for doubt in (UNCONVERGED, GUSTS_UNKNOWN) if doubt in faults)
+    if doubts:
+        judged = {
+            purpose: ("partly", reason + doubts) if fit == "yes" else (fit, reason)
+            for purpose, (fit, reason) in judged.items()
+        }
     return Verdict(
         learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
         f"{', '.join(fit['regressors'])}, "
@@ -106,7 +100,7 @@ def judge(
         least_squares_error=None if linear is None else float(linear.mean()),
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
-        uses=uses,
+        uses=tuple(Use(purpose, *judgement) for purpose, judgement in judged.items()),
         warnings=(*faults.values(), *_warnings(table, errors, fit, rest)),
     )
 
@@ -117,115 +111,112 @@ def _amount(tables: Sequence[pd.DataFrame]) -> str:
     return f"{time} of {len(tables)} flight{'s' * (len(tables) != 1)}"
 
 
-def _doubted(use: Use, doubt: str) -> Use:
-    """Return a use of a model that is in doubt: never yes."""
-    if use.fit != "yes":
-        return use
-    return Use(use.purpose, "partly", f"{use.reason}; but {doubt}")
-
-
-def _prediction(table: pd.DataFrame) -> Use:
+def _prediction(table: pd.DataFrame) -> tuple[str, str]:
+    """Return whether the model predicts coefficients, and why."""
     lacks = {}
     for name, error, held in table[["normalized_rmse", "interval_coverage"]].itertuples():
-        faults = {
-            f"error {error:.2f} of its spread": not error <= THRESHOLDS.error,
-            f"its 95 % band holds {100 * held:.0f} %": not held >= THRESHOLDS.coverage,
-        }
-        if any(faults.values()):
-            lacks[name] = f"{name}: {', '.join(text for text, holds in faults.items() if holds)}"
-    good = [name for name in table.index if name not in lacks]
+        faults = [f"error {error:.2f} of its spread"] * (not error <= THRESHOLDS.error)
+        faults += [f"its 95 % band holds {100 * held:.0f} %"] * (not held >= THRESHOLDS.coverage)
+        if faults:
+            lacks[name] = f"{name}: {', '.join(faults)}"
     errors = table["normalized_rmse"]
     if not lacks:
-        reason = (
+        return "yes", (
             f"errors {errors.min():.2f} to {errors.max():.2f} of the spread of the coefficients"
         )
-        return Use("predict coefficients", "yes", reason)
+    good = [name for name in table.index if name not in lacks]
     reason = f"only {' '.join(good)}. " * bool(good) + "; ".join(lacks.values())
-    return Use("predict coefficients", "partly" if good else "no", reason)
+    return "partly" if good else "no", reason
 
 
-def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
-    purpose, table = "simulate", mechanics.simulation
+def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> tuple[str, str]:
+    """Return whether the model simulates flights, and why."""
+    table = mechanics.simulation
     if accelerations := ", ".join(sorted(ACCELERATIONS & set(regressors))):
-        reason = f"the regressors {accelerations} are known only after a flight"
-        return Use(purpose, "no", reason)
+        return "no", f"the regressors {accelerations} are known only after a flight"
     if table is None:
-        return Use(purpose, "unknown", mechanics.simulation_note)
+        return "unknown", mechanics.simulation_note
     ends = table["lasts"].sort_values()
     seconds, horizon = float(ends.iloc[0]), float(table["horizon"].iloc[0])
+    follows = "it follows the test flights for"
     if seconds >= horizon:
-        reason = f"it follows the test flights for the {horizon:.2g} s that were simulated"
-        return Use(purpose, "yes", reason)
+        return "yes", f"{follows} the {horizon:.2g} s that were simulated"
     apart = float(table["lasts_without_gusts"].min())
     if seconds < THRESHOLDS.seconds <= apart:
-        reason = (
-            f"not testable in this air: it follows the test flights for {seconds:.2g} s, and gusts "
-            f"of {table['gusts'].iloc[0]:.2g} m/s, which are not estimated, explain the difference "
+        return "unknown", (
+            f"not testable in this air: {follows} {seconds:.2g} s, and gusts of "
+            f"{table['gusts'].iloc[0]:.2g} m/s, which are not estimated, explain the difference "
             f"for {apart:.2g} s"
         )
-        return Use(purpose, "unknown", reason)
     late = [f"{name} {value:.2g} s" for name, value in ends.items() if value < horizon]
     steady = f"; the other states for all {horizon:.2g} s" if len(late) < len(table) else ""
-    reason = f"it follows the test flights for {seconds:.2g} s: {_some(late)}{steady}"
-    return Use(purpose, "partly" if seconds >= THRESHOLDS.seconds else "no", reason)
+    reason = f"{follows} {seconds:.2g} s: {_some(late)}{steady}"
+    return "partly" if seconds >= THRESHOLDS.seconds else "no", reason
 
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _faults(
-    derivatives: pd.DataFrame, unconverged: Sequence[str], unknown: str, of_tests: Sequence[str]
-) -> dict[str, str]:
+def _faults(derivatives: pd.DataFrame, fit: dict, messages: Sequence[str]) -> dict[str, str]:
     """Return by a short name the warnings that forbid the design of a controller."""
+    faults = {}
+    air = [text for text in messages if text.startswith(AIR_UNKNOWN)]
+    if unknown := fit.get("gusts_unknown"):
+        air = [f"{AIR_UNKNOWN}: {unknown}"]
+    if air:
+        faults[GUSTS_UNKNOWN] = air[0]
+    if unconverged := fit.get("paths_not_converged"):
+        faults[UNCONVERGED] = (
+            f"The paths of {len(unconverged)} flights of the fit did not converge: "
+            f"{_some(unconverged)}. Their sensors contradict one another."
+        )
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
     wrong = values[values * pd.Series(SIGNS) < 0]
-    signs = ", ".join(f"{name} {value:+.2g}" for name, value in wrong.items())
-    faults = {
-        GUSTS_UNKNOWN: f"{AIR_UNKNOWN}: {unknown}" if unknown else "".join(of_tests[:1]),
-        UNCONVERGED: f"The paths of {len(unconverged)} flights of the fit "
-        f"did not converge: {_some([*map(str, unconverged)])}. Their sensors contradict one "
-        f"another.",
-        f"wrong sign of {', '.join(map(str, wrong.index))}": f"Signs are not as on a "
-        f"conventional stable aircraft: {signs}. Look at the signs of the log's surfaces and "
-        f"rates, and at gusts without vanes.",
-    }
-    applies = (bool(unknown or of_tests), len(unconverged), len(wrong))
-    return {name: text for (name, text), n in zip(faults.items(), applies, strict=True) if n}
+    if len(wrong):
+        signs = ", ".join(f"{name} {value:+.2g}" for name, value in wrong.items())
+        faults[f"wrong sign of {', '.join(map(str, wrong.index))}"] = (
+            f"Signs are not as on a conventional stable aircraft: {signs}. Look at the signs of "
+            f"the log's surfaces and rates, and at gusts without vanes."
+        )
+    return faults
 
 
-def _control(mechanics: FlightMechanics, faults: Iterable[str] = ()) -> Use:
-    purpose = "design a controller"
+def _control(
+    mechanics: FlightMechanics, errors: pd.Series, faults: Iterable[str]
+) -> tuple[str, str]:
+    """Return whether the model serves to design a controller, and why."""
+    table, modes = mechanics.derivatives, mechanics.modes
     if faults:
-        return Use(purpose, "no", "; ".join(faults))
+        return "no", "; ".join(faults)
     if mechanics.trim is None:
-        return Use(purpose, "no", mechanics.note.partition(":")[0])
-    if "std" not in mechanics.derivatives:
-        return Use(purpose, "unknown", "the model has no bands of derivatives")
-    table = mechanics.derivatives
-    slopes = [name for name in CONTROLS if name in table.index]
-    if not slopes:
-        return Use(purpose, "no", "the model has none of the controls elevator, aileron, rudder")
-    bands = {name: tuple(table.loc[name, ["value", "std"]]) for name in slopes}
-    if (modes := mechanics.modes) is not None:
-        fast = [name for name in FAST_MODES if name in modes.index]
-        bands |= {name: tuple(modes.loc[name, ["frequency", "frequency_std"]]) for name in fast}
-    widths = {
-        name: 1.96 * std / abs(value) if value else np.inf for name, (value, std) in bands.items()
-    }
+        return "no", mechanics.note.partition(":")[0]
+    if "std" not in table:
+        return "unknown", "the model has no bands of derivatives"
+    bands = table.loc[table.index.isin(CONTROLS), ["value", "std"]]
+    if bands.empty:
+        return "no", "the model has none of the controls elevator, aileron, rudder"
+    if modes is not None:
+        fast = modes.loc[modes.index.isin(FAST_MODES), ["frequency", "frequency_std"]]
+        bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
+    widths = 1.96 * bands["std"] / bands["value"].abs()
     wide = [
         f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
         for name, width in widths.items()
         if not width <= THRESHOLDS.band
     ]
     if wide:
-        reason = f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
-        return Use(purpose, "no", reason)
-    worst = max(widths, key=lambda name: widths[name])
-    reason = f"controls and fast modes are known to {100 * widths[worst]:.0f} % or better ({worst})"
+        return "no", f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
+    reason = (
+        f"controls and fast modes are known to {100 * widths.max():.0f} % or better "
+        f"({widths.idxmax()})"
+    )
     if beyond := ", ".join(mechanics.trim.beyond):
-        return Use(purpose, "no", f"the trim is outside the flown range in {beyond}; {reason}")
-    return Use(purpose, "yes", reason)
+        return "no", f"the trim is outside the flown range in {beyond}; {reason}"
+    poor = " ".join(name for name in ("Cl", "Cm", "Cn") if errors[name] > 1)
+    if poor:
+        return "partly", f"{reason}; but a constant predicts {poor} of the test flights better"
+    return "yes", reason
 
 
 def _warnings(

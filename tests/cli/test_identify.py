@@ -116,7 +116,6 @@ class TestIdentify:
         assert "truth" not in next(iter(metrics["test"].values()))["coefficients"]
 
     def test_a_log_without_attitude_is_scored_but_not_replayed(self, tmp_path, folder, capsys):
-        """By a model of a flight too short for it, which is remarked on too."""
         pd.read_csv(folder / "test.csv").drop(columns="phi").to_csv(
             tmp_path / "bare.csv", index=False
         )
@@ -124,7 +123,6 @@ class TestIdentify:
         files = {"train": [str(tmp_path / "short.csv")], "output": tmp_path / "out"}
         assert identify("--test", str(tmp_path / "bare.csv"), **files) == 0
         said = capsys.readouterr().err
-        assert "The training flights last 3.98 s, in which" in said
         assert (
             "Got flights without ['phi'], which those of the fit had: they are smoothed channel "
             "by channel" in said

@@ -84,8 +84,8 @@ def planned(model, uav, point):
 
 
 def test_the_time_and_the_limits_are_kept(planned):
-    table = planned.trains[0].table(50.0)
-    assert planned.trains[0].duration + 3.0 == pytest.approx(planned.seconds)
+    table = planned.train.table(50.0)
+    assert planned.train.duration + 3.0 == pytest.approx(planned.seconds)
     assert planned.seconds <= 14.0
     assert table["elevator"].abs().max() <= 0.06
     assert planned.manoeuvres["pause"].iloc[-1] == 3.0
@@ -110,8 +110,8 @@ def test_the_pause_is_a_quarter_of_the_phugoid(uav):
 def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
     assert (planned.manoeuvres["risk"] <= 0.05).all()
     assert (planned.manoeuvres["scale"] < 1).any()  # alpha was the limit
-    steady = planned.trims[0]
-    table = planned.trains[0].table(50.0, trim=steady.controls, pause=3.0)
+    steady = planned.trim
+    table = planned.train.table(50.0, trim=steady.controls, pause=3.0)
     one = planned.manoeuvres.iloc[0]
     table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 1.0)]
     air = LIMITED.gusts
@@ -123,13 +123,13 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, uav):
-    steady = planned.trims[0]
+    steady = planned.trim
     elevator = 1 + NAMES.index("elevator")
     stronger = TABLE.copy()
     stronger[:, elevator] *= 1 + LIMITED.margin
     stronger[:, 0] -= LIMITED.margin * TABLE[:, elevator] * steady.controls["elevator"]
     aircraft = Aerodynamics(lambda X: features(X) @ stronger.T, NAMES)
-    table = planned.trains[0].table(50.0, trim=steady.controls, pause=3.0)
+    table = planned.train.table(50.0, trim=steady.controls, pause=3.0)
     flown = simulate(aircraft, uav, steady, table, 0.04)
     envelope = Envelope(alpha=LIMITED.alpha)
     assert not envelope.left(flown, uav, aircraft).to_numpy().any()
@@ -199,7 +199,7 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
     goal = ["Cm_alpha", "Cm_q", "Cm_elevator"]
     errors = pd.DataFrame({"before": now, "promised": promised}).loc[goal]
     path = tmp_path / "plan.json"
-    path.write_text(json.dumps({"errors": errors.to_dict("index"), "trims": [plain]}))
+    path.write_text(json.dumps({"errors": errors.to_dict("index"), "trim": plain}))
     check = PlanCheck.from_file(path, after, uav)
     pd.testing.assert_frame_equal(check.errors[["before", "promised"]], errors)
     assert check.errors["found"].to_dict() == pytest.approx(found[goal].to_dict())
@@ -293,7 +293,7 @@ def test_without_options_a_plan_stays_in_what_was_flown(model, uav, point):
         envelope = replace(CALM, **words)
         options = OPTIONS | {"limits": {"elevator": 0.09}}
         found = plan(narrow, uav, point, **options, envelope=envelope)
-        table = found.trains[0].table(50.0, trim=point.controls, pause=3.0)
+        table = found.train.table(50.0, trim=point.controls, pause=3.0)
         flown = simulate(narrow, uav, point, table, 0.04)
         inside.append(flown["az"].between(-12.5 - 0.55, -7.0 + 0.55).all())
     assert inside == [True, False]
@@ -304,7 +304,7 @@ def test_limits_are_what_was_flown(model, uav, point):
     options = OPTIONS | {"limits": None, "goal": ["Cm_elevator"]}
     found = plan(model, uav, point, **options, envelope=CALM)
     room = 0.3 - abs(point.controls["elevator"])
-    assert found.trains[0].limits["elevator"] == pytest.approx(room)
+    assert found.train.limits["elevator"] == pytest.approx(room)
     with pytest.raises(ValueError, match="does not say what was flown"):
         plan(Aerodynamics(model.function, NAMES), uav, point, **options)
     still = Aerodynamics(model.function, NAMES, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1])

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pandas as pd
 import pytest
 
 from skdgp.design import (
-    Signal,
     Wavetrain,
     ardupilot_script,
     doublet,
@@ -144,19 +142,6 @@ def test_the_switch_ends_the_inputs(flown):
     assert "ended by the switch" in said
 
 
-@dataclass(frozen=True)
-class Noise(Signal):
-    duration: float = 5.0
-    peak = speed = 0.1
-    period = 1.0
-
-    def __call__(self, time):
-        return np.zeros(np.shape(time))
-
-    def scaled(self, factor):
-        return self
-
-
 ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
 
 
@@ -171,7 +156,6 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
             ELEVONS,
             "elevon_left up to 0.2",
         ),
-        ({"rudder": {0.0: Noise()}}, FULL, "Got a Noise"),
         ({"throttle": {0.0: doublet(1, 1.5)}}, FULL, "full deflection is 1"),
     ],
 )

@@ -15,19 +15,15 @@ from skdgp._flight.checks import check_names, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 # SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move
-# elevons and halves of a V-tail up. Flaperons roll right, flaps lower the left and raise the right
-# command; later versions turn the left one (ArduPlane/servos.cpp), which the script sees by the
-# command of the ailerons.
+# elevons and halves of a V-tail up
 ARDUPILOT = {
     "elevator": (19, -1.0), "aileron": (4, 1.0), "rudder": (21, -1.0), "throttle": (70, 1.0),
     "elevon_left": (77, -1.0), "elevon_right": (78, -1.0), "vtail_left": (79, -1.0), "vtail_right": (80, -1.0),
-    "flaperon_left": (24, 1.0), "flaperon_right": (25, -1.0),
 }  # fmt: skip
 # Surfaces that several axes move
 MIXES = {
     "elevon_left": {"elevator": 1.0, "aileron": 1.0}, "elevon_right": {"elevator": 1.0, "aileron": -1.0},
     "vtail_left": {"elevator": 1.0, "rudder": 1.0}, "vtail_right": {"elevator": 1.0, "rudder": -1.0},
-    "flaperon_left": {"aileron": 1.0}, "flaperon_right": {"aileron": -1.0},
 }  # fmt: skip
 # ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45
 THROTTLE_SCALE, SURFACE_SCALE = 100.0, 4500.0
@@ -56,8 +52,7 @@ def ardupilot_script(
     full : mapping of str to float
         The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the
         servo's range [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron,
-        ``vtail_left`` and ``vtail_right`` with elevator and rudder, ``flaperon_left`` and
-        ``flaperon_right`` with the aileron. The throttle needs none.
+        ``vtail_left`` and ``vtail_right`` with elevator and rudder. The throttle needs none.
     switch : int, default=300
         RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
 

@@ -74,29 +74,15 @@ end
 
 local began, ready = nil, false
 
-local LEFT, RIGHT, AILERON = 24, 25, 4 -- functions of the flaperons and the aileron
-local sign = 1.0 -- of the left flaperon: aileron + flap, of later versions -aileron - flap; right: aileron - flap
-
-local function output(servo)
-  return SRV_Channels:get_output_scaled(servo)
-end
-
-local function sign_of_flaperon()
-  local earlier = math.abs(output(LEFT) + output(RIGHT) - 2 * output(AILERON))
-  local later = math.abs(output(LEFT) - output(RIGHT) + 2 * output(AILERON))
-  return earlier ~= later and (earlier < later and 1.0 or -1.0) or sign
-end
-
 local function set(t)
   local values = {}
   for k, axis in ipairs(plan.axes) do
     values[k] = planned(axis, t)
   end
-  sign = sign_of_flaperon()
   for _, surface in ipairs(plan.surfaces) do
-    local command = output(surface.servo) / surface.scale
+    local command = SRV_Channels:get_output_scaled(surface.servo) / surface.scale
     for k, part in ipairs(surface.parts) do
-      command = command + (surface.servo == LEFT and sign or 1.0) * part * values[k] / surface.full
+      command = command + part * values[k] / surface.full
     end
     command = limited(command, surface.range and 0.0 or -1.0, 1.0)
     for _, servo in ipairs(surface.servos) do

@@ -1,7 +1,7 @@
 -- Runs a script as ArduPilot does: its calls, a clock that may be late, a switch, servos; prints what is logged and set.
--- lua5.4 autopilot.lua SCRIPT JITTER_MS SWITCH_OFF_S [later]: versions that turn the left flaperon
+-- lua5.4 autopilot.lua SCRIPT JITTER_MS SWITCH_OFF_S
 
-local script, jitter, off, later = arg[1], tonumber(arg[2]), tonumber(arg[3]), arg[4] == "later"
+local script, jitter, off = arg[1], tonumber(arg[2]), tonumber(arg[3])
 local now, line, expires = 0, {}, 0
 local Time = {}
 Time.__index = Time
@@ -11,14 +11,14 @@ function millis() return setmetatable({ms = now}, Time) end
 
 local PARAMETERS = { -- two ailerons, one of them reversed
   SERVO1_FUNCTION = 4, SERVO2_FUNCTION = 19, SERVO3_FUNCTION = 70, SERVO4_FUNCTION = 21, SERVO5_FUNCTION = 4,
-  SERVO5_REVERSED = 1, SERVO2_TRIM = 1480, SERVO6_FUNCTION = 77, SERVO7_FUNCTION = 78, SERVO8_FUNCTION = 24,
-  SERVO9_FUNCTION = 25, SERVO10_FUNCTION = 79, SERVO11_FUNCTION = 80,
+  SERVO5_REVERSED = 1, SERVO2_TRIM = 1480, SERVO6_FUNCTION = 77, SERVO7_FUNCTION = 78, SERVO10_FUNCTION = 79,
+  SERVO11_FUNCTION = 80,
 }
 local DEFAULTS = {FUNCTION = 0, MIN = 1000, TRIM = 1500, MAX = 2000, REVERSED = 0}
 param = {}
 function param:get(name) return PARAMETERS[name] or DEFAULTS[name:match("_(%u+)")] end
 SRV_Channels = {}
-local COMMANDS = {[70] = 40.0, [24] = later and -225.0 or 225.0}
+local COMMANDS = {[70] = 40.0}
 function SRV_Channels:get_output_scaled(servo) return COMMANDS[servo] or 225.0 end
 function SRV_Channels:set_output_pwm_chan_timeout(channel, width, timeout)
   assert(math.type(channel) == "integer" and math.type(width) == "integer" and math.type(timeout) == "integer")

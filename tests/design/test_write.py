@@ -52,9 +52,9 @@ def flown(train, tmp_path_factory):
     path = tmp_path_factory.mktemp("lua") / "plan.lua"
     stub = Path(__file__).with_name("autopilot.lua")
 
-    def run(jitter=0, off=1e9, full=FULL, version="older"):
+    def run(jitter=0, off=1e9, full=FULL):
         path.write_text(ardupilot_script(train, 50.0, full))
-        command = [sys.executable, "-c", LUA, str(stub), str(path), str(jitter), str(off), version]
+        command = [sys.executable, "-c", LUA, str(stub), str(path), str(jitter), str(off)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         rows = [line.split(",") for line in done.stdout.splitlines()]
         names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 12))]
@@ -104,21 +104,14 @@ def test_elevons_move_with_elevator_and_aileron(flown):
     np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
 
 
-@pytest.mark.parametrize("version", ["older", "later"])
-def test_flaperons_and_v_tails_of_the_script_are_read_back_as_planned(flown, version):
+def test_v_tails_of_the_script_are_read_back_as_planned(flown):
     """Table to servos to table: the log's own rules read the widths, less the commands of 5 % that the stub adds."""
-    full = {"flaperon_left": 0.35, "flaperon_right": 0.35, "vtail_left": 0.8, "vtail_right": 0.8}
-    logged, _ = flown(full=full, version=version)
-    widths = {f"C{k}": logged[f"servo{k}"].to_numpy() for k in range(1, 12)}
-    functions = {
-        "SERVO8_FUNCTION": 24.0,
-        "SERVO9_FUNCTION": 25.0,
-        "SERVO10_FUNCTION": 79.0,
-        "SERVO11_FUNCTION": 80.0,
-    }
+    logged, _ = flown(full={"vtail_left": 0.8, "vtail_right": 0.8, "aileron": 0.35})
+    widths = {f"C{k}": logged[f"servo{k}"].to_numpy() for k in (10, 11)}
+    functions = {"SERVO10_FUNCTION": 79.0, "SERVO11_FUNCTION": 80.0}
     ends = {
         f"SERVO{k}_{end}": width
-        for k in range(8, 12)
+        for k in (10, 11)
         for end, width in (("MIN", 1000.0), ("MAX", 2000.0))
     }
     mixing = mixing_of(widths, functions | ends)
@@ -129,9 +122,6 @@ def test_flaperons_and_v_tails_of_the_script_are_read_back_as_planned(flown, ver
         )
         for name, parts in mixing.items()
     }
-    np.testing.assert_allclose(
-        0.35 * (found["aileron"] - 0.05), logged["aileron"], atol=4e-4
-    )  # half a microsecond
     np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
     np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
 

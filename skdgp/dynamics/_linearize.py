@@ -277,29 +277,6 @@ class LinearModel:
             )
         )
 
-    def select(
-        self, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
-    ) -> LinearModel:
-        """Return the part with these states, inputs and outputs; other states stand still."""
-        check_names(states, self.states, "states of the linear model")
-        check_names(inputs, self.inputs, "inputs of the linear model")
-        check_names(outputs, self.outputs, "outputs of the linear model")
-        blocks = _block_names(list(states), list(inputs), list(outputs))
-        tables = [t.loc[block] for t, block in zip(self._tables(), blocks, strict=True)]
-        paths = None
-        if self.paths is not None:
-            parts = zip(self.paths, self._tables(), tables, strict=True)
-            paths = Matrices(
-                *(
-                    values[:, x.index.get_indexer(part.index)][
-                        ..., x.columns.get_indexer(part.columns)
-                    ]
-                    for values, x, part in parts
-                )
-            )
-        A, B, C, D = tables
-        return LinearModel(A, B, C, D, self.state, self.controls, paths)
-
     def longitudinal(self) -> LinearModel:
         """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
         return self._without(ACROSS, {"aileron", "rudder"})
@@ -333,11 +310,26 @@ class LinearModel:
         return self.A, self.B, self.C, self.D
 
     def _without(self, names: set[str], inputs: set[str]) -> LinearModel:
-        return self.select(
+        """Return the part without these states and outputs, which stand still, and inputs."""
+        blocks = _block_names(
             [name for name in self.states if name not in names],
             [name for name in self.inputs if name not in inputs],
             [name for name in self.outputs if name not in names],
         )
+        tables = [t.loc[block] for t, block in zip(self._tables(), blocks, strict=True)]
+        paths = None
+        if self.paths is not None:
+            parts = zip(self.paths, self._tables(), tables, strict=True)
+            paths = Matrices(
+                *(
+                    values[:, x.index.get_indexer(part.index)][
+                        ..., x.columns.get_indexer(part.columns)
+                    ]
+                    for values, x, part in parts
+                )
+            )
+        A, B, C, D = tables
+        return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
 
 def linearize(

@@ -73,12 +73,6 @@ class ExactPosterior(SinglePosterior):
         with threads_for(self.size):
             return triangular_solve(self.L, self._white, transposed=True)
 
-    def solve(self, B: Matrix) -> np.ndarray:
-        """Return K^-1 B for rows of the stacked values, (N, m)."""
-        with threads_for(self.size):
-            half = triangular_solve(self.L, np.array(B, order="F"))
-            return triangular_solve(self.L, half, transposed=True)
-
     def __getstate__(self):
         # A saved model holds the samples, not L: the file is about a hundred times smaller.
         not_saved = {"L", "_white", "mean_function"}
@@ -163,5 +157,7 @@ class ExactPosterior(SinglePosterior):
             places = enumerate(consecutive(data.X))
             f = np.hstack([f[:, row.ravel()[place], i] for i, place in places])
             residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
-            correction = covariance_paths(self.kernel, data.X, self.solve(residual.T).T)
+            half = triangular_solve(self.L, np.array(residual.T, order="F"))
+            weights = triangular_solve(self.L, half, transposed=True)
+            correction = covariance_paths(self.kernel, data.X, weights.T)
             return prior + correction

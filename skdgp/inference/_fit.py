@@ -274,18 +274,10 @@ def average(
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading, ordered=ordered)
         others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
         fits = [fit, *others]
-        members, noises = (
-            [component.posterior for component in fits],
-            [component.learned.noise for component in fits],
-        )
-        weights = (
-            None
-            if any(component.interrupted for component in fits)
-            else held_out_weights(members, noises, X, Y, loading, random_state)
-        )
+        members = [component.posterior for component in fits]
+        noises = [component.learned.noise for component in fits]
+        weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
-        weights = None
-    if weights is None:
         return fit.marked(interrupted=True)
     posterior = AveragePosterior(members, parts, weights)
     noise = np.sum(weights * noises, axis=0)

@@ -130,14 +130,6 @@ def test_sparse_terms_approach_the_exact_ones(data):
         np.testing.assert_allclose(found.curves[name].std, curve.std, rtol=0.02)
 
 
-@pytest.mark.parametrize("name", ["trend", "joint"])
-def test_a_trend_has_straight_lines(name, fitted):
-    for curve in effects(fitted(name)).curves.values():
-        line = np.polynomial.Polynomial.fit
-        for values in curve.mean.T:
-            np.testing.assert_allclose(line(curve.at, values, 1)(curve.at), values, atol=1e-9)
-
-
 @pytest.mark.parametrize("name", ["additive", "sparse"])
 def test_known_functions_lie_within_the_bands(name, fitted, data):
     found = effects(fitted(name))

@@ -62,16 +62,6 @@ def test_a_row_without_outputs_has_the_prediction(rows):
     assert_allclose(std[70], deviation[70])
 
 
-def test_units_do_not_matter(rows):
-    x, _, Y, model = rows
-    unit, origin = np.array([1e3, 1e-2, 5.0]), np.array([3.0, -1.0, 0.0])
-    other = DependentGPRegressor(max_iter=10, random_state=0).fit(1e3 * x, Y * unit + origin)
-    expected, std = model.impute(x, Y, return_std=True)
-    found, deviation = other.impute(1e3 * x, Y * unit + origin, return_std=True)
-    assert_allclose((found - origin) / unit, expected, rtol=1e-3, atol=1e-3)
-    assert_allclose(deviation / unit, std, rtol=1e-2)
-
-
 def test_positive_outputs_that_are_log_normal_have_medians():
     rng = np.random.default_rng(1)
     x, z = rng.uniform(size=(120, 1)), rng.normal(size=120)

@@ -84,24 +84,6 @@ def test_shared_aircraft_are_read(shared_data, path):
     assert Aircraft.from_file(shared_data / path).to_dict() == stored
 
 
-def test_json_text_is_the_same_aircraft_with_coefficients_given_as_tuples():
-    propeller = Propeller(
-        diameter=0.5, thrust_coefficients=(0.1, -0.05), torque_coefficients=(0.01,)
-    )
-    aircraft = Aircraft(
-        mass=2.0,
-        inertia=np.diag([0.2, 0.3, 0.4]),
-        wing_area=0.5,
-        span=2.0,
-        chord=0.25,
-        propeller=propeller,
-    )
-    again = Aircraft.from_dict(json.loads(aircraft.to_json()))
-    assert again == aircraft
-    assert again.propeller == propeller
-    assert json.loads(aircraft.to_json()) == aircraft.to_dict()
-
-
 @pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "heavy", None])
 def test_sizes_must_be_positive_numbers(name, value):

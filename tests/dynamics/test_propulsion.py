@@ -128,14 +128,6 @@ def test_columns_win_over_the_propeller(aircraft):
     assert propulsive_loads(table, powered)[0][0, 0] == 5.0
 
 
-def test_a_propeller_without_a_line_pulls_forward_through_the_centre(aircraft):
-    plain = with_engine(aircraft, thrust_line=None, propeller=Propeller(0.5, (0.1,)))
-    force, moment = propulsive_loads(flight(propeller_speed=500.0), plain)
-    assert (force[:, 0] > 0).all()
-    np.testing.assert_array_equal(force[:, 1:], 0)
-    np.testing.assert_array_equal(moment, 0)
-
-
 def test_beyond_the_bench_is_warned_of(aircraft):
     propeller = Propeller(0.5, (0.1, -0.05), max_advance_ratio=0.2)
     with pytest.warns(

@@ -75,16 +75,6 @@ class TestFit:
             fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 3}))
         assert set(stages) == {"output 1", "output 2", "fit"}
 
-    def test_constant_targets_and_single_values_do_not_break_it(self, fit, drawn):
-        X, Y, *_ = drawn
-        Y = Y.copy()
-        Y[:, 1] = np.nan
-        Y[::30, 1] = 0.0
-        posterior = fit(
-            LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
-        ).posterior
-        assert np.isfinite(posterior.predict(X[:3], True)).all()
-
 
 @pytest.mark.parametrize("fit", FITS.values(), ids=FITS.keys())
 class TestGivenKernel:

@@ -130,16 +130,6 @@ class ExactPosterior(SinglePosterior):
         """The mean, as a single path."""
         return covariance_paths(self.kernel, self.data.X, self.alpha[None])
 
-    def mean_slopes(self, Xs: Matrix) -> np.ndarray:
-        """Return d mean / d x at Xs, (n, P, d)."""
-        slopes = np.zeros((len(Xs), self.kernel.n_outputs, np.shape(Xs)[1]))
-        for j, place in enumerate(consecutive(self.data.X)):
-            X, alpha = self.data.X[j], self.alpha[place]
-            for i in range(self.kernel.n_outputs):
-                if self.kernel.couples(i, j):
-                    slopes[:, i] += self.kernel.derivative_times(i, j, Xs, X, alpha)
-        return slopes
-
     @few_threads
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""

@@ -132,10 +132,6 @@ class SinglePosterior(Posterior):
     def mean_function(self) -> PathBundle:
         """The mean, as a single path."""
 
-    def mean_slopes(self, Xs: Matrix) -> Array:
-        """Return d mean / d x at Xs, (n, P, d)."""
-        return self.mean_function.slopes(Xs[None])[0]
-
     @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
@@ -148,7 +144,7 @@ class SinglePosterior(Posterior):
         """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
         d = np.shape(Xs)[1]
         if not return_variance:
-            return self._in_batches(lambda X: [self.mean_slopes(X)], Xs, d)[0]
+            return self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, d)[0]
         moments = partial(self._moments, self.slope_loading, self.kernel.derivative_diag)
         return self._in_batches(moments, Xs, d)
 

@@ -139,10 +139,6 @@ class MultiOutputKernel(Kernel):
             ]
         )
 
-    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        """Return sum_b d cov(y_i(Xi), y_j(Xj_b)) / dXi w_b, (n_i, d)."""
-        return (self.block_derivative(i, j, Xi, Xj) @ w).T
-
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         """Return the prior variance of dy_i/dx at Xi, (n_i, d); the default uses central differences."""
         Xi = np.asarray(Xi, dtype=float)
@@ -459,10 +455,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
-
-    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        parts = [k.derivative_times(i, j, Xi, Xj, w) for k in (self.k1, self.k2) if k.couples(i, j)]
-        return sum(parts, np.zeros(np.shape(Xi)))
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)

@@ -418,9 +418,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.pair(i, j).derivative(np.asarray(Xi, float), np.asarray(Xj, float))
 
-    def derivative_times(self, i: int, j: int, Xi: Matrix, Xj: Matrix, w: Vector) -> Matrix:
-        return self.pair(i, j).derivative_times(Xi, Xj, w)
-
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         pair = self.pair(i, i)
         variance = sum(gain * np.diag(pair.Sigma(m)) for m, gain in enumerate(pair.gain))

@@ -137,16 +137,6 @@ class FilterPair:
                 slope -= E * np.subtract.outer(a_k, b_k)
         return D
 
-    def derivative_times(self, Xi: Matrix, Xj: Matrix, weights: Vector) -> Matrix:
-        """Return sum_b d cov_ij(Xi, Xj_b) / d Xi weights_b, (n_i, d)."""
-        middle = _middle(Xj)
-        W = np.broadcast_to(weights, (len(Xi), len(Xj)))
-        total = np.zeros(np.shape(Xi))
-        for m, (rows, _, Gb) in enumerate(weighted_sums(self.exponents(Xi, Xj), W, Xj - middle)):
-            separation = (Xi - middle - self.mu[m]) * rows[:, None] - Gb
-            total -= self.gain[m] * separation @ self.Sigma(m)
-        return total
-
     # -- derivatives by the parameters
     # -----------------------------------------------------------------------------------
 
@@ -356,3 +346,11 @@ class CovarianceColumns:
         np.exp(E, out=E)
         E *= self.gain
         return E
+
+    def slopes(self, X: Array, weighted: Array, columns: slice) -> Array:
+        """Return d/dX, (..., n, d), of sums over some columns, ``weighted`` (..., n, c) at X (..., n, d)."""
+        x, unit = X - self.middle, np.eye(X.shape[-1])
+        sums = weighted @ self.matrix[:, columns].T
+        products, linear = sums[..., : len(self.i)], sums[..., len(self.i) : -1]
+        slopes = linear + (products * x[..., self.j]) @ unit[self.i]
+        return slopes + (products * x[..., self.i]) @ unit[self.j]

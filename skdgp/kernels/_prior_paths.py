@@ -12,6 +12,7 @@ from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._gaussian_filters import CovarianceColumns
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
 
@@ -155,6 +156,11 @@ class FeaturePaths(PathBundle):
         return np.stack([contract(A[..., columns], c) for columns, c in pairs], axis=-1)
 
     def gradient(self, X):
+        if isinstance(self._rows, CovarianceColumns):
+            A = _unflatten_points(self._rows(X.reshape(-1, X.shape[-1])), X)
+            pairs = zip(self._columns, self._weights, strict=True)
+            sums = [self._rows.slopes(X, A[..., own] * c[:, None], own) for own, c in pairs]
+            return np.stack(sums, axis=2)
         slopes = []
         for i in range(len(self._columns)):
             D = _unflatten_points(self.features.Kfu_derivative(i, X.reshape(-1, X.shape[-1])), X)

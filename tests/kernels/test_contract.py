@@ -187,8 +187,6 @@ class TestContract:
                 )
                 D = kernel.block_derivative(i, j, Xi, Xj)
                 equal(D, np.moveaxis(found, -1, 0), rtol=1e-8, atol=1e-9)
-                w = np.arange(1.0, 1 + len(Xj))
-                equal(kernel.derivative_times(i, j, Xi, Xj, w), (D @ w).T, rtol=1e-9, atol=1e-11)
 
     def test_derivative_diag_is_the_variance_of_the_slopes(self, kernel, central_difference):
         origin = np.zeros(n_features(kernel))

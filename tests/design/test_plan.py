@@ -45,7 +45,6 @@ LIMITED = Envelope(
     alpha=(-0.03, 0.055), n_paths=40, gusts=Turbulence.low_altitude(100.0, wind_at_6m=1.5)
 )
 CALM = Envelope(n_paths=20, gusts=None)
-FREE = Envelope(n_paths=20, gusts=None, growth=np.inf, bank=1.5, airspeed=(5.0, 60.0))
 OPTIONS = {"axes": ["elevator"], "limits": LIMITS, "goal": ["Cm_q"], "seconds": 8.0}
 
 
@@ -183,7 +182,7 @@ def learned(*flights):
 
 
 def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tmp_path):
-    first, second = flown_rows(400, 0.02, 1), flown_rows(500, 0.06, 2)
+    first, second = flown_rows(200, 0.02, 1), flown_rows(250, 0.06, 2)
     before, after = learned(first), learned(first, second)
     added = second[0].to_numpy()
     now, promised, found = (
@@ -210,14 +209,10 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
         PlanCheck.from_file(path, other, uav)
 
 
-def test_a_plan_promises_what_its_rows_would_teach(uav, point):
-    model = learned(flown_rows(400, 0.02, 1))
-    options = {"axes": ["elevator"], "limits": {"elevator": 0.03}, "seconds": 9.0}
-    found = plan(model, uav, point, **options, goal=["Cm_q", "Cm_elevator"], envelope=FREE)
-    table = stability_derivatives(model, uav, point)
-    assert found.errors["before"].to_dict() == pytest.approx(
-        table.loc[found.errors.index, "std"].to_dict()
-    )
+def test_a_plan_promises_less_and_its_record_is_plain(uav, point):
+    options = OPTIONS | {"limits": {"elevator": 0.03}, "seconds": 9.0}
+    envelope = Envelope(n_paths=20, gusts=None, growth=np.inf, bank=1.5, airspeed=(5.0, 60.0))
+    found = plan(learned(flown_rows(150, 0.02, 1)), uav, point, **options, envelope=envelope)
     assert (found.errors["promised"] < found.errors["before"]).all()
     assert found.remaining < 1
     assert json.loads(json.dumps(found.to_dict()))["errors"] == found.errors.to_dict("index")

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,
     relative_errors,
@@ -207,9 +206,9 @@ def test_what_needs_none(given):
 
 
 @pytest.fixture(scope="module")
-def flights():
+def flights(first_minute):
     """45 s with all controls moving, without elevons, and a second flight."""
-    train = load_example_flights().train
+    train = first_minute().train
     flight = train[(train["flight"] == "latlon") & (train["time"] < 45)].reset_index(drop=True)
     left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
     flight = flight.assign(elevator=(left + right) / 2 / 0.4, aileron=(left - right) / 2 / 0.4)

@@ -7,7 +7,6 @@ import pickletools
 import re
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -23,9 +22,15 @@ from sklearn.utils import Bunch
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.calibration import CalibratedRegressor
-from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
-from skdgp.identification import ModelFileError, identify, load_model, save_model, validate
+from skdgp.dynamics import Aircraft, simulate
+from skdgp.identification import (
+    ModelFileError,
+    identify,
+    load_model,
+    named_flights,
+    save_model,
+    validate,
+)
 from skdgp.identification._model_file import CHECKSUM, END, MAGIC
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -175,9 +180,9 @@ class TestPipeline:
 
 
 @pytest.fixture(scope="module")
-def example():
+def example(first_minute):
     """Return short example flights: two to learn from, one to test."""
-    data = load_example_flights()
+    data = first_minute()
     return data.aircraft, data.train[data.train["time"] < 10], data.test[data.test["time"] < 6]
 
 
@@ -217,18 +222,6 @@ def test_few_rows_are_among_the_messages(result):
         message.startswith("Got 40 rows") and "at least 10 for each" in message
         for message in result.messages
     )
-
-
-def test_few_seconds_are_said(example):
-    """The flights of 10 s have 800 rows, but errors of neighbours are the same."""
-    aircraft, train, _ = example
-    model = make_identification_pipeline(
-        aircraft, regressor=DependentGPRegressor(structure="trend", max_iter=5)
-    )
-    with pytest.warns(
-        FewRowsWarning, match=r"Got 800 rows, worth \d+ independent .* minutes of manoeuvres"
-    ):
-        model.fit(train, aerodynamic_coefficients(train, aircraft))
 
 
 def numbers(tree):
@@ -332,64 +325,31 @@ class TestIdentify:
             )
 
     @pytest.mark.filterwarnings("always")
-    @pytest.mark.parametrize(
-        ("regressors", "lacks"),
-        [(["alpha", "q_hat", "throttle", "airspeed"], False), (["alpha", "q_hat"], True)],
-    )
-    def test_an_unknown_thrust_is_part_of_the_coefficients(self, example, regressors, lacks):
+    def test_an_unknown_thrust_is_part_of_the_coefficients(self, example):
         aircraft, train, test = example
         train, test = (
             table.drop(columns=[n for n in table if n.startswith("thrust")])
             for table in (train, test)
         )
-        options = {
-            "test": test,
-            "samples": 40,
-            "regressor": QUICK,
-            "horizons": [1.0],
-            "thrust": None,
-        }
-        found = identify(train, replace(aircraft, propeller=None), regressors=regressors, **options)
-        told = [
-            message for message in found.messages if "coefficients include the thrust" in message
-        ]
-        assert len(told) == lacks
-        assert all(
-            "Name regressors with 'throttle' and 'airspeed', or give the thrust" in message
-            for message in told
+        options = {"samples": 40, "regressor": QUICK, "horizons": [1.0], "thrust": None}
+        found = identify(
+            train,
+            replace(aircraft, propeller=None),
+            test=test,
+            regressors=["alpha", "q_hat"],
+            **options,
         )
+        words = "Name regressors with 'throttle' and 'airspeed', or give the thrust"
+        assert sum(words in message for message in found.messages) == 1
         assert found.fit["thrust"] == ["none"]
         assert "part of the coefficients" in found._report_content().facts["Thrust"]
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
 
-    def test_coefficients_without_thrust_include_it(self, example):
-        aircraft, train, _ = example
-        table = train.iloc[:200].assign(thrust_x=9.0, thrust_y=0.0, thrust_z=0.0)
-        known, unknown = (
-            aerodynamic_coefficients(table, aircraft, thrust=t, cutoff=None) for t in ("auto", None)
-        )
-        expected = 9.0 / (0.5 * table["density"] * table["airspeed"] ** 2 * aircraft.wing_area)
-        np.testing.assert_allclose(unknown["CX"] - known["CX"], expected)
-
     def test_names_tables_that_have_no_names(self, example):
-        aircraft, train, test = example
-        bare = train[train["flight"] == "latlon"].drop(columns="flight")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            warnings.simplefilter("ignore", FewRowsWarning)
-            found = identify(
-                [bare],
-                aircraft,
-                test=test.drop(columns="flight"),
-                samples=40,
-                regressor=QUICK,
-                regressors=["alpha", "beta", "p", "q", "r"],
-                horizons=[1],
-            )
-        assert list(found.train) == ["flight 1"]
-        assert list(found.metrics["test"]) == ["test flight 1"]
+        bare = example[1].drop(columns="flight")
+        assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
+        assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
 
     def test_refuses_a_flight_that_comes_twice(self, example):
         aircraft, train, test = example

@@ -161,8 +161,6 @@ def content(**changes):
         "test": [result()],
         "facts": {"Mass": "45 kg", "Samples": "755 of 14,400", "Kernel": ""},
         "subtitle": "brumby",
-        "envelope": envelope(),
-        "effects": effects(),
         "created": datetime(2026, 5, 4, 12, 30),
     }
     return ReportContent(**{**given, **changes})
@@ -170,7 +168,7 @@ def content(**changes):
 
 @pytest.fixture(scope="module")
 def html():
-    return render_report(content())
+    return render_report(content(effects=effects(), envelope=envelope()))
 
 
 @pytest.fixture
@@ -205,13 +203,13 @@ class TestPage:
 
     def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
         before, setting = plt.get_fignums(), plt.rcParams["svg.fonttype"]
-        given = content(effects=None)
+        given = content()
         assert render_report(given) == render_report(given)
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting
 
     def test_twelve_minutes_stay_under_two_megabytes_by_the_liveliest_seconds(self):
-        html = render_report(content(test=[result(28_800, replay=None)], effects=None, train={}))
+        html = render_report(content(test=[result(28_800, replay=None)], train={}))
         assert len(html.encode()) < 2e6
         assert "Coefficients of test, the 15" in html
 
@@ -252,7 +250,7 @@ class TestWords:
         noise = np.random.default_rng(0).normal(size=(100, 6))
         bad = replace(few[0], name="c", mean=few[0].mean + 10 * noise)
         many = [*few, bad, replace(few[0], name="d")]
-        html = render_report(content(test=many, effects=None, envelope=None))
+        html = render_report(content(test=many))
         assert "Coefficients of c" in html
         assert "Coefficients of a" not in html
         error = normalized_rmse(bad.measured, bad.mean, multioutput="raw_values").mean()
@@ -321,7 +319,7 @@ class TestWords:
             time=time, names=("phi",), mean=wave, lower=wave - 0.2, upper=wave + 0.2
         )
         found = FlightMechanics(simulated=display)
-        html = render_report(content(mechanics=found, effects=None, envelope=None))
+        html = render_report(content(mechanics=found))
         assert html.count("phi against time") == 1
         assert html.count("the paper's figure 7") == 1
         assert "restarted from the measured state every 2 s" in html
@@ -377,7 +375,7 @@ class TestWords:
         given = content(
             title=evil, train={evil: table(100)}, test=[result(100, name=evil)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil, air=evil,
-            verdict=verdict(warnings=(evil,)), effects=None, envelope=None,
+            verdict=verdict(warnings=(evil,)),
         )  # fmt: skip
         page = Page(render_report(given))
         assert "script" not in page.tags
@@ -385,7 +383,7 @@ class TestWords:
 
     def test_dollars_are_no_templates_and_no_mathematics(self):
         page = render_report(
-            content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{")], effects=None)
+            content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{")])
         )
         assert "$title $$ ${body} $x^" in Page(page).words
 
@@ -399,13 +397,13 @@ class TestPoorContent:
         flight = result(400, truth=False, replay=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
-            html = render_report(content(test=[flight], effects=None, envelope=None))
+            html = render_report(content(test=[flight]))
         assert "–" in Page(html).words
 
     def test_no_replay_and_no_path_without_velocities(self):
         still = table(200).drop(columns=["v_north", "v_east"])
         bare = result(200, table=still, replay=None)
-        given = content(test=[bare], train={"a": still}, effects=None, envelope=None)
+        given = content(test=[bare], train={"a": still})
         words = Page(render_report(given)).words
         assert "figure 7" not in words
         assert "Path over the ground" not in words

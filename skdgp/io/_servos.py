@@ -17,7 +17,7 @@ from skdgp.io._log import Log, ServoChannel
 from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
-KEYS = {"channel", "points", "min", "trim", "max", "deflection", "reversed"}
+KEYS = {"channel", "points"}
 # What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to
 # 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
 FULL_THROW = "full throw"
@@ -26,10 +26,9 @@ NUMBER = r"(\d+\.?\d*|\.\d+)"
 THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
 NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 TEMPLATE = """\
-# Angles of the surfaces: fill in each deflection [rad], the angle at max, measured at the surface.
+# Angles of the surfaces: replace each nan by the angle [rad], measured at the surface at this value of the channel.
 # elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
-# Signs follow the autopilot's own: move each stick, look, and set reversed where the sign above does not hold.
-# Instead of min, trim, max, deflection: points = [[1100, -0.35], [1500, 0.0], [1900, 0.30]].
+# Signs follow the autopilot's own: move each stick, look, and exchange the signs where the sign above does not hold.
 """
 
 
@@ -70,19 +69,17 @@ def read_servos(
 ) -> dict[str, Servo | Throw | Mixture]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
-    ``[elevator]`` has ``channel``, and either ``points``, a list of pairs (value of the channel,
-    angle in rad), or ``min``, ``trim``, ``max`` of the channel and ``deflection``, the angle at
-    ``max`` [rad] (the angle at ``min`` is its negative). ``reversed = true`` turns the sign of all
-    angles. Or in one line the angle at full throw, ``elevator = "25 deg"``,
-    or with its standard deviation ``"25 +- 2 deg"``, of the servos that the autopilot's parameters
-    name.
+    ``[elevator]`` has ``channel`` and ``points``, a list of pairs (value of the channel, angle in
+    rad), with straight lines between them and beyond. Or in one line the angle at full throw,
+    ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that
+    the autopilot's parameters name.
 
     Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
     Examples
     --------
-    >>> read_servos({"rudder": {"channel": "RCOU.C4", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.3}})
-    {'rudder': Servo(channel='RCOU.C4', inputs=(1100.0, 1500.0, 1900.0), angles=(-0.3, 0.0, 0.3))}
+    >>> read_servos({"rudder": {"channel": "RCOU.C4", "points": [[1100, -0.3], [1900, 0.3]]}})
+    {'rudder': Servo(channel='RCOU.C4', inputs=(1100.0, 1900.0), angles=(-0.3, 0.3))}
     """
     if servos is None:
         return {}
@@ -183,42 +180,26 @@ def _servo(name, entry) -> Servo | Throw:
         raise FlightReadError(
             f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}."
         )
-    if not isinstance(turned := entry.get("reversed", False), bool):
-        raise FlightReadError(f"Got reversed = {turned!r} for {name}, but expected true or false.")
-    pairs = _pairs(name, entry)
+    try:
+        pairs = np.array(sorted([float(value), float(angle)] for value, angle in entry["points"]))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        pairs = np.empty((0, 2))
+    if len(pairs) < 2:
+        raise FlightReadError(
+            f"Got {entry} for {name}, but expected points, pairs of numbers (channel, angle) as in "
+            f"[[1100, -0.35], [1900, 0.35]]."
+        )
     if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
         raise FlightReadError(
             f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each "
-            f"value of the channel "
-            "once: measure the angle of the surface at these values, in rad."
+            f"value of the channel once: measure the angle of the surface at these values, in rad."
         )
     if (most := np.abs(pairs[:, 1]).max()) > np.pi / 2:
         raise FlightReadError(
             f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert "
             f"degrees."
         )
-    sign = -1.0 if turned else 1.0
-    return Servo(
-        entry["channel"], tuple(pairs[:, 0].tolist()), tuple((sign * pairs[:, 1] + 0.0).tolist())
-    )
-
-
-def _pairs(name: str, entry: dict) -> np.ndarray:
-    """Return values of the channel, increasing, and angles [rad] there, (n, 2)."""
-    try:
-        points = entry.get("points")
-        if points is None:
-            angle = entry["deflection"]
-            points = [(entry["min"], -angle), (entry["trim"], 0.0), (entry["max"], angle)]
-        pairs = np.array(sorted([float(value), float(angle)] for value, angle in points))
-    except (KeyError, TypeError, ValueError, OverflowError):
-        pairs = np.empty((0, 2))
-    if len(pairs) < 2:
-        raise FlightReadError(
-            f"Got {entry} for {name}, but expected numbers min, trim, max and deflection [rad], "
-            f"or points, pairs of numbers as in [[1100, -0.35], [1900, 0.35]]."
-        )
-    return pairs
+    return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple(pairs[:, 1].tolist()))
 
 
 def _throw(name, text) -> Throw:
@@ -241,11 +222,12 @@ def _throw(name, text) -> Throw:
 def template(log: Log) -> str:
     """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
     _check_names_servos(log)
-    return TEMPLATE + "".join(
-        f'\n[{surface}]\nchannel = "{servo.channel}"\nmin = {servo.low:g}\ntrim = {servo.trim:g}\n'
-        f"max = {servo.high:g}\ndeflection = nan\nreversed = {str(servo.turned).lower()}\n"
-        for surface, servo in log.servos.items()
-    )
+    entries = [TEMPLATE]
+    for surface, servo in log.servos.items():
+        first, last = ("nan", "-nan") if servo.turned else ("-nan", "nan")
+        points = f"[{servo.low:g}, {first}], [{servo.trim:g}, 0.0], [{servo.high:g}, {last}]"
+        entries.append(f'[{surface}]\nchannel = "{servo.channel}"\npoints = [{points}]\n')
+    return "\n".join(entries)
 
 
 def _check_names_servos(log: Log) -> None:

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -181,15 +180,16 @@ def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
 
 def _csv_table(file, file_name, rename):
-    header = (
-        number
+    lines = (
+        (number, line)
         for number, line in enumerate(file)
         if line.strip(" \t\r\n,;") and not ABOVE.match(line)
     )
-    if (above := next(header, None)) is None:
+    above, header = next(lines, (0, ""))
+    if not header:
         expected = "a header line, and a row for each sample under it"
         raise FlightReadError(f"Got a file that is empty, but expected {expected}.")
-    separator = _separator(file, above)
+    separator = max(",;\t", key=header.count)
     records = _records(file, above, separator)
     names, units = _split_headings(next(records), rename)
     check_width(len(names))
@@ -234,20 +234,7 @@ def _records(file, n_lines, separator):
     return csv.reader(file, delimiter=separator, skipinitialspace=True)
 
 
-def _separator(file, above) -> str:
-    """Return the separator that gives the header most names of the vocabulary, then most names."""
-
-    def n_names(separator):
-        try:
-            names, _ = _split_headings(next(_records(file, above, separator)))
-        except csv.Error:  # a wide header without this separator is one long cell
-            return 0, 0
-        return sum(base_name(name) in CHANNELS for name in names), len(names)
-
-    return max(",;\t", key=n_names)
-
-
-def _split_headings(headings, rename=MappingProxyType({})):
+def _split_headings(headings, rename):
     """Return names, and units by name of a flight table; other headings stay as they are."""
     names, units = [], {}
     for heading in map(str.strip, headings):

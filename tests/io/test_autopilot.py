@@ -12,33 +12,15 @@ from skdgp.io import _ulog as ulog
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
 SURFACES = ("aileron", "elevator", "rudder")
+POINTS = [[1000, -0.5], [2000, 0.5]]
 PX4_SERVOS = {
-    name: {
-        "channel": f"actuator_outputs.output[{n}]",
-        "min": 1000,
-        "trim": 1500,
-        "max": 2000,
-        "deflection": 0.5,
-    }
+    name: {"channel": f"actuator_outputs.output[{n}]", "points": POINTS}
     for n, name in enumerate(SURFACES)
 }
 ARDUPILOT_SERVOS = {
-    "aileron": {"channel": "RCOU.C1", "points": [[1000, -0.5], [2000, 0.5]]},
-    "elevator": {
-        "channel": "RCOU.C2",
-        "min": 1000,
-        "trim": 1500,
-        "max": 2000,
-        "deflection": 0.5,
-        "reversed": True,
-    },
-    "rudder": {
-        "channel": "RCOU.C4",
-        "min": 1000,
-        "trim": 1500,
-        "max": 2000,
-        "deflection": 0.5,
-    },
+    "aileron": {"channel": "RCOU.C1", "points": POINTS},
+    "elevator": {"channel": "RCOU.C2", "points": [[1000, 0.5], [2000, -0.5]]},
+    "rudder": {"channel": "RCOU.C4", "points": POINTS},
 }
 # Interpolation between samples of a slow channel, and the resolution of centidegrees and
 # microseconds of pulses.

@@ -214,15 +214,7 @@ class TestSharedLogs:
     def test_servos_that_were_switched_off(self, shared_data):
         """The safety switch was on: no pulses went out, but the commands stand in AETR."""
         path = shared_data / "logs" / "pyflightcoach_elevator_bench.BIN"
-        pulses = {
-            "elevator": {
-                "channel": "RCOU.C2",
-                "min": 1100,
-                "trim": 1500,
-                "max": 1900,
-                "deflection": 0.35,
-            }
-        }
+        pulses = {"elevator": {"channel": "RCOU.C2", "points": [[1100, -0.35], [1900, 0.35]]}}
         assert (
             "RCOU.C2 sends no pulse, so there is no elevator"
             in inspect_log(path, servos=pulses).remarks

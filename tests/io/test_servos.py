@@ -11,7 +11,7 @@ from skdgp.design import Wavetrain, ardupilot_script, doublet
 from skdgp.io import FlightReadError, read_flight, read_servos, servo_template
 from skdgp.io._autopilot import read_log
 
-ENDS = {"channel": "RCOU.C2", "min": 1100, "trim": 1500, "max": 1900, "deflection": 0.4}
+ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
 
 def deflection(values, **entry):
@@ -23,9 +23,6 @@ class TestAngles:
         np.testing.assert_allclose(
             deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4]
         )
-
-    def test_reversed(self):
-        np.testing.assert_allclose(deflection([1100, 1900], **ENDS, reversed=True), [0.4, -0.4])
 
     def test_points_in_any_order_and_lines_beyond(self):
         points = [[1, 0.3], [-1, -0.5], [0, 0.1]]
@@ -48,18 +45,13 @@ class TestRefusals:
                 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg" or',
             ),
             ("rudder", {}, 'without a channel, but expected one, as in channel = "RCOU.C2"'),
-            ("rudder", ENDS | {"trimm": 1}, r"Got \['trimm'\] for rudder"),
-            ("rudder", ENDS | {"deflection": float("nan")}, "measure the angle of the surface"),
-            ("rudder", ENDS | {"deflection": [0.1]}, "expected numbers min, trim"),
-            ("rudder", ENDS | {"deflection": 20.0}, "expected radians, at most pi/2"),
-            ("rudder", ENDS | {"max": 1500}, "each value of the channel once"),
-            ("rudder", ENDS | {"reversed": "yes"}, "expected true or false"),
-            ("rudder", ENDS | {"max": 10**400}, "expected numbers min, trim, max and deflection"),
-            (
-                "rudder",
-                {"channel": "a.b", "points": [[1100, 0.1], [10**400, 0.2]]},
-                "pairs of numbers as in",
-            ),
+            ("rudder", ENDS | {"point": 1}, r"Got \['point'\] for rudder"),
+            ("rudder", {"channel": "a.b"}, "pairs of numbers .channel, angle. as in"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "pairs of numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "pairs of numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "measure the angle"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [1, 0.2]]}, "each value of the channel once"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2, 20.0]]}, "radians, at most pi/2"),
         ],
     )
     def test_entries(self, name, entry, message):
@@ -80,9 +72,7 @@ class TestFullThrow:
     def test_of_ardupilot(self, tmp_path, ardupilot, flight):
         (tmp_path / "log.bin").write_bytes(ardupilot)
         table = read_flight(tmp_path / "log.bin", servos="full throw")
-        template = servo_template(tmp_path / "log.bin").replace(
-            "deflection = nan", "deflection = 0.5"
-        )
+        template = servo_template(tmp_path / "log.bin").replace("nan", "0.5")
         (tmp_path / "servo.toml").write_text(template)
         angles = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
         for name in ("aileron", "elevator", "rudder"):
@@ -197,7 +187,7 @@ class TestTemplates:
     """A template asks for the angles and for nothing else."""
 
     def filled(self, template, tmp_path):
-        text = template.replace("deflection = nan", "deflection = 0.5")
+        text = template.replace("nan", "0.5")
         (tmp_path / "servo.toml").write_text(text)
         return tmp_path / "servo.toml"
 
@@ -229,9 +219,9 @@ class TestTemplates:
         log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
         (tmp_path / "log.bin").write_bytes(bytes(log))
         entries = tomllib.loads(servo_template(tmp_path / "log.bin"))
-        assert entries["elevon_left"]["reversed"] is False
-        assert entries["elevon_right"]["reversed"] is True
-        assert entries["elevon_right"]["trim"] == 1480
+        signs = {name: np.signbit(entry["points"][0][1]) for name, entry in entries.items()}
+        assert signs == {"elevon_left": True, "elevon_right": False}
+        assert entries["elevon_right"]["points"][1] == [1480, 0.0]
 
     @pytest.mark.parametrize(
         ("topic", "parameters", "channel"),
